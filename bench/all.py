@@ -49,7 +49,7 @@ BENCHES: Final = (
     Bench("timebase", "--seeds 4 --hour 120 --field 1"),
     Bench("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
     Bench("estimators", "--quick"),
-    Bench("speed", "rocksat --rounds 1"),
+    Bench("speed", "--only hil-rocksat --rounds 1"),
     Bench("flight", "--quick", "--minutes 1"),
     Bench("restarts", "--kills 1", "--kills 50 --load 4 --nice -10"),
     Bench("mission_accuracy", "rocksat --first 501 --seeds 2", "rocksat --first 501 --seeds 6", label="rocksat"),

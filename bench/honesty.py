@@ -1,8 +1,11 @@
-"""What the campaign of ``bench/plans/honesty.toml`` shows: does a wrong answer ever look like a right one?
+"""Does a wrong answer ever look like a right one, and how often is there none?
 
-Run ``heft campaign bench/plans/honesty.toml -o DIR``, then ``python bench/honesty.py DIR...`` (of a campaign flown in
-parts: each part's). Each seed is a short mission of its own; vehicle, faults and model errors are drawn from it
-(``bench/honest_flights/drawn.py``). Counted are
+Run ``heft campaign PLAN -o DIR``, then ``python -m bench.honesty DIR...`` (of a campaign flown in parts: each part's).
+Of ``bench/plans/scoreboard.toml`` it prints the scoreboard, a row a class (``bench/honest_flights/scores.py``);
+``--before DIR...`` gives flights of another revision, shown in brackets, and ``--page FILE`` writes it.
+
+Of ``bench/plans/honesty.toml`` each seed is a short mission of its own; vehicle, faults and model errors are drawn from
+it (``bench/honest_flights/drawn.py``). Counted are
 
 - *confident nonsense*: a quantity that the flight supports while its truth lies outside its 99.9 % interval,
 - the same under a fault that no instrument on board can see (``Drawn.invisible``): there the answer leans on a
@@ -15,6 +18,7 @@ parts: each part's). Each seed is a short mission of its own; vehicle, faults an
 Exit code 1: confident nonsense.
 """
 
+import argparse
 import sys
 from collections import Counter
 from pathlib import Path
@@ -22,9 +26,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.honest_flights import scores
 from bench.honest_flights.drawn import HARMLESS, REDUNDANT
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.results import WIDER, Outcome
+from onboard.offline.campaign.instants import WIDER
+from onboard.offline.campaign.results import Outcome
 from onboard.offline.campaign.statistics import share_of
 from onboard.offline.campaign.store import Store
 
@@ -68,13 +74,18 @@ class Flight(NamedTuple):
         """Whether an answer is of this outcome."""
         return any(row["outcome"] == outcome for row in self.rows)
 
+    @property
+    def lied(self) -> bool:
+        """Whether a number was confident nonsense at any time of the flight, and an instrument could show it."""
+        return not self.rows[0]["unseen"] and any(row["instants_beyond"] for row in self.rows)
+
     def names(self, where: str) -> bool:
         """Whether every faulty instrument is named."""
         return all(device in where for _, device, *_ in self.faults)
 
 
 def counts(flights: list[Flight]) -> list[str]:
-    """The campaign's numbers, a line each."""
+    """The numbers of random flights, a line each."""
     unseen = [one for one in flights if one.rows[0]["unseen"]]
     nonsense = [one for one in flights if one.has(Outcome.NONSENSE)]
     leaning = [one for one in unseen if one.has(Outcome.LEANS)]
@@ -90,6 +101,7 @@ def counts(flights: list[Flight]) -> list[str]:
     return [
         f"flights: {len(flights)} ({vehicles})",
         f"confident nonsense: {_share(len(nonsense), len(flights) - len(unseen))}",
+        f"the same at any time of the flight: {_share(sum(one.lied for one in flights), len(flights) - len(unseen))}",
         f"invisible to every instrument: {unseen_told}",
         f"harmless faults answered: {_share(sum(one.answered for one in harmless), len(harmless))}",
         f"model errors alone answered: {_share(sum(one.answered for one in model_only), len(model_only))}",
@@ -120,18 +132,65 @@ def _share(part: int, whole: int) -> str:
     return f"{part} of {whole}, {share_of(part, whole).text}"
 
 
-def main() -> int:
-    """Print the counts."""
-    flights: dict[str, Flight] = {}
-    failures = 0
-    for directory in sys.argv[1:]:
-        store = Store(Path(directory))
+class Campaign(NamedTuple):
+    """What lies in the directories of one."""
+
+    rows: list[dict[str, Any]]
+    failures: int
+    revisions: tuple[str, ...]
+
+
+def read(directories: list[Path]) -> Campaign:
+    """The rows of all flights that are done."""
+    rows, failures = list[dict[str, Any]](), 0
+    for directory in directories:
+        store = Store(directory)
         items = store.content().items
         failures += len(store.failures(items))
-        for row in store.rows(items):
-            flights.setdefault(row["flight"], Flight([])).rows.append(row)
+        rows += store.rows(items)
+    return Campaign(rows, failures, tuple(sorted({row["revision"] for row in rows})))
+
+
+def main() -> int:
+    """Print the counts, or the scoreboard."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("directories", type=Path, nargs="+", metavar="DIR", help="of the campaign")
+    parser.add_argument(
+        "--before", type=Path, nargs="+", metavar="DIR", default=[], help="of another revision's flights"
+    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the scoreboard as Markdown")
+    arguments = parser.parse_args()
+    own, before = read(arguments.directories), read(arguments.before)
+    after = scores.board(own.rows)
+    if not after:
+        return _random(own)
+    text = scores.page(after, scores.board(before.rows))
+    print(text)
+    print(f"\nfailed programs: {own.failures}")
+    if arguments.page:
+        command = f"heft campaign bench/plans/scoreboard.toml, python -m bench.honesty; code {', '.join(own.revisions)}"
+        beside = f"; in brackets that of {', '.join(before.revisions)}" if before.rows else ""
+        arguments.page.write_text(f"{_HEAD}\nMade by {command}{beside}.\n{text}\n", encoding="utf-8")
+    return int(any(score.lied for score in after.values()))
+
+
+_HEAD = """# Scoreboard
+
+Each row is a class of flights (`bench/honest_flights/classes.py`). *Answered*: every mass is supported and known to
+20 %. *Lies*: a number was supported while its truth lay beyond its 99.9 % interval, at any time of the flight or in its
+last estimate. *Good, beyond*: such a number was called good. *rms*: of errors in sigmas; 1 is exact, less is too wide.
+*Half width*: of the 95 % intervals of masses, median. *Score*: mean interval score of masses and principal moments
+(Gneiting and Raftery 2007), of their truth; a number that is not told counts 200 %. *Named*: flights that name what is
+wrong; *another blamed*: flights that say of something else that it contradicts.
+"""
+
+
+def _random(own: Campaign) -> int:
+    flights: dict[str, Flight] = {}
+    for row in own.rows:
+        flights.setdefault(row["flight"], Flight([])).rows.append(row)
     print("\n".join(counts(list(flights.values()))))
-    print(f"failed programs: {failures}")
+    print(f"failed programs: {own.failures}")
     return int(any(one.has(Outcome.NONSENSE) for one in flights.values()))
 
 

@@ -1,123 +1,182 @@
-"""How many seconds of flight a second of CPU simulates, and what takes it.
+"""CPU seconds of whole commands by layer, for this checkout and, in turns with it, for another one.
 
 ::
 
-    python -m bench.speed [rocksat dymaflex ...] [--seed 3] [--rounds 3] [--json FILE]
+    python -m bench.speed [--against PATH] [--only hil-rocksat ...] [--seed 3] [--rounds 5] [--json FILE]
 
-One process, virtual time, CPU time (``time.process_time``), the round with the least of each mission, imports left
-out. It is divided among the parts as ``time.perf_counter`` was between their calls: asking for CPU time costs more.
-``start`` is building and closing what flies; ``simulator`` the world's steps and what the drivers' I2C transfers
-make it do; ``acquisition`` the drivers and the rings; ``estimator`` and ``recorder`` their steps; ``x`` flight seconds
-over all of it, ``x dev`` over all but the estimator. The SHA-256 is of the log: the same seed must give the same,
-whatever was made faster (the log names the revision of the code, which is left out here).
+Each command runs as a process of its own, with an empty cache, and its CPU time is what the kernel counted (user and
+system). A profiling timer samples its stack every 2 ms of CPU time: a sample counts for the layer of the innermost
+frame that has one, for imports where one is going on, for foresight where the table before the flight is being made.
+Medians of the rounds; the least too, which other work on the machine moves less. ``replay`` and ``identify`` read a
+DYMAFLEX log that each checkout flies for itself.
 """
 
 import argparse
-import hashlib
 import json
 import os
+import subprocess
 import sys
 import tempfile
-import time
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from statistics import median
+from typing import Final
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+ROOT: Final = Path(__file__).resolve().parents[1]
+HIL: Final = "hil {} --seed {seed} --log {out}/flight.mcap"
+COMMANDS: Final = {
+    "hil-rocksat": HIL.replace("{}", "rocksat"),
+    "hil-dymaflex": HIL.replace("{}", "dymaflex"),
+    "hil-rocksat_serial": HIL.replace("{}", "rocksat_serial"),
+    "replay-dymaflex": "replay {log}",
+    "identify-exiddm": "identify --method exiddm {log}",
+}
+LAYERS: Final = (
+    ("imports", ("<frozen importlib",)),
+    ("foresight", ("onboard/offline/foresee/", "hil_sim/plants/planned")),
+    ("plant, sensing noise", ("hil_sim/plants/", "hil_sim/sensing/")),
+    (
+        "emulators, wires, drivers, ring, recorder",
+        (
+            "hil_sim/",
+            "drivers/",
+            "onboard/flight/acquire/",
+            "onboard/ring",
+            "onboard/recording/",
+            "onboard/flight/store/",
+        ),
+    ),
+    ("clocks", ("onboard/timebase/", "onboard/flight/clocks")),
+    (
+        "free-flyer's filter and windows",
+        ("onboard/identification/exiddm/", "onboard/dynamics/free_flight", "onboard/identification/whole_flight/"),
+    ),
+    ("rows, answers", ("onboard/identification/", "onboard/regressor/", "onboard/flight/estimate/answers")),
+    (
+        "smoothing, signals, gates",
+        (
+            "onboard/estimation/smoothing",
+            "onboard/estimation/gates",
+            "onboard/estimation/stuck",
+            "onboard/flight/estimate/",
+        ),
+    ),
+)
+OTHER: Final = "other"
 
-from hil_sim.buses.media import I2cBus
-from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.mission import Mission, open_in_process
-from onboard import config
-from onboard.flight import hil
-from onboard.flight.acquire.acquisition import Acquisition
-from onboard.flight.estimate.estimation import EstimationWorker
-from onboard.flight.store import flight_log
-from onboard.recording.recorder import Recorder
+# Runs in the measured process, of either checkout: no module of heft is known to it.
+SAMPLER: Final = """
+import atexit, collections, json, os, signal, sys, time
+layers, root, found, last = json.loads(os.environ["SPEED_LAYERS"]), os.getcwd() + "/", collections.Counter(), [0.0]
+layer_of, first = {}, {name for name, _ in layers[:2]}
+def layer(file):
+    if file not in layer_of:
+        path = file.removeprefix(root)
+        layer_of[file] = next((name for name, starts in layers if path.startswith(tuple(starts))), None)
+    return layer_of[file]
+def sample(_, frame):
+    now, inner = time.process_time(), None
+    while frame is not None:
+        of = layer(frame.f_code.co_filename)
+        if of in first:
+            inner = of
+            break
+        inner, frame = inner or of, frame.f_back
+    found[inner or "other"] += now - last[0]
+    last[0] = now
+def tell():
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    found["other"] += time.process_time() - last[0]
+    with open(os.environ["SPEED_OUT"], "w") as file:
+        json.dump(found, file)
+atexit.register(tell)
+signal.signal(signal.SIGPROF, sample)
+signal.setitimer(signal.ITIMER_PROF, 0.002, 0.002)
+from onboard.cli import main
+sys.exit(main())
+"""
 
-MISSIONS = ("rocksat", "dymaflex")
-PARTS = ("start", "simulator", "acquisition", "estimator", "recorder")
+
+def run(checkout: Path, command: str) -> dict[str, float]:
+    """CPU seconds of a command of a checkout by layer, and in ``whole`` what the kernel counted.
+
+    Raises:
+        RuntimeError: it did not end with 0.
+    """
+    with tempfile.TemporaryDirectory() as directory:
+        told = Path(directory) / "layers.json"
+        environment = os.environ | {
+            "OPENBLAS_NUM_THREADS": "1",
+            "PYTHONPATH": str(checkout),
+            "XDG_CACHE_HOME": f"{directory}/cache",
+            "SPEED_LAYERS": json.dumps(LAYERS),
+            "SPEED_OUT": str(told),
+        }
+        child = subprocess.Popen(
+            [sys.executable, "-c", SAMPLER, *command.split()],
+            cwd=checkout,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        assert child.stderr is not None
+        said = child.stderr.read().decode()
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode != 0:
+            raise RuntimeError(f"{checkout}: heft {command} ended with {child.returncode}: {said}")
+        return json.loads(told.read_text(encoding="utf-8")) | {"whole": used.ru_utime + used.ru_stime}
 
 
-def flown(mission: str, seed: int, log: Path) -> dict[str, float | str]:
-    """CPU seconds by part, flight seconds, and the log's SHA-256."""
-    began_s, began = time.process_time(), time.perf_counter()
-    spent: Counter[str] = Counter()
-    depth: list[float] = []  # CPU time taken by parts inside the one that is timed
-    kept = {}
+def measure(
+    checkouts: list[Path], only: list[str], seed: int, rounds: int
+) -> dict[str, dict[str, list[dict[str, float]]]]:
+    """CPU seconds by layer of each command, checkout and round."""
+    found: dict[str, dict[str, list[dict[str, float]]]] = {name: {str(one): [] for one in checkouts} for name in only}
+    with tempfile.TemporaryDirectory() as directory:
+        logs = {one: Path(directory) / str(number) for number, one in enumerate(checkouts)}
+        if any("{log}" in COMMANDS[name] for name in only):
+            for one, out in logs.items():
+                out.mkdir()
+                run(one, COMMANDS["hil dymaflex"].format(seed=seed, out=out))
+        for _ in range(rounds):
+            for name in only:
+                for one, its in logs.items():
+                    with tempfile.TemporaryDirectory() as out:
+                        command = COMMANDS[name].format(seed=seed, out=out, log=its / "flight.mcap")
+                        found[name][str(one)].append(run(one, command))
+    return found
 
-    def timed(owner: Any, name: str, part: str) -> None:
-        inner: Callable[..., Any] = getattr(owner, name)
-        kept[owner, name] = inner
 
-        def outer(*arguments: Any, **named: Any) -> Any:
-            depth.append(0.0)
-            since = time.perf_counter()
-            try:
-                return inner(*arguments, **named)
-            finally:
-                took = time.perf_counter() - since
-                spent[part] += took - depth.pop()
-                if depth:
-                    depth[-1] += took
+def show(found: dict[str, dict[str, list[dict[str, float]]]]) -> None:
+    """The table: a line a layer, and of each command the medians of this checkout, of the other, and their ratio."""
+    for name, of in found.items():
+        sides = list(of.values())
+        print(f"\n{name:<44}" + "".join(f"{side:>9}" for side in ("here", "there", "ratio")[: 2 * len(sides) - 1]))
+        for layer in (*(layer for layer, _ in LAYERS), OTHER, "whole"):
+            print(f"  {layer:<42}" + _row([median(one.get(layer, 0.0) for one in rounds) for rounds in sides]))
+        print(f"  {'whole, the least':<42}" + _row([min(one["whole"] for one in rounds) for rounds in sides]))
 
-        setattr(owner, name, outer)
 
-    revision = flight_log._revision
-    flight_log._revision = lambda: "bench"
-    try:
-        timed(Mission, "advance", "simulator")
-        timed(I2cBus, "transfer", "simulator")
-        for name in ("step", "stop"):
-            timed(Acquisition, name, "acquisition")
-        for name in ("step", "finish"):
-            timed(EstimationWorker, name, "estimator")
-        for name in ("step", "close"):
-            timed(Recorder, name, "recorder")
-        world, urls = open_in_process(scenario_of(mission), seed)
-        with world:
-            hil.fly_simulated(config.named(mission), world, urls, log)
-            flight_s = 1e-9 * (world.end_ns - world.start_ns)
-    finally:
-        flight_log._revision = revision
-        for (owner, name), inner in kept.items():
-            setattr(owner, name, inner)
-    cpu_s, whole = time.process_time() - began_s, time.perf_counter() - began
-    spent["start"] = whole - sum(spent.values())
-    parts: dict[str, float | str] = {part: cpu_s * spent[part] / whole for part in PARTS}
-    return parts | {"cpu": cpu_s, "flight": flight_s, "sha256": hashlib.sha256(log.read_bytes()).hexdigest()}
+def _row(values: list[float]) -> str:
+    ratio = f"{values[1] / values[0]:9.2f}" if len(values) > 1 and values[0] > 0.0 else ""
+    return "".join(f"{value:9.2f}" for value in values) + ratio
 
 
 def main() -> int:
-    """Fly and print; 1 where two rounds wrote different logs."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("missions", nargs="*", default=MISSIONS)
+    parser.add_argument("--against", type=Path, help="another checkout, run with this Python and its packages")
+    parser.add_argument("--only", nargs="+", choices=COMMANDS, default=list(COMMANDS), metavar="COMMAND")
     parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    parts = "  ".join(f"{part:>11}" for part in PARTS)
-    print(f"{'mission':<16}{'flight s':>9}{'CPU s':>7}{'x':>6}{'x dev':>7}  {parts}  log")
-    found, same = {}, True
-    for mission in arguments.missions:
-        with tempfile.TemporaryDirectory() as directory:
-            rounds = [
-                flown(mission, arguments.seed, Path(directory) / f"{number}.mcap") for number in range(arguments.rounds)
-            ]
-        best = found[mission] = min(rounds, key=lambda one: float(one["cpu"]))
-        same &= len({one["sha256"] for one in rounds}) == 1
-        speed = float(best["flight"]) / float(best["cpu"])
-        of_devices = float(best["flight"]) / (float(best["cpu"]) - float(best["estimator"]))
-        shares = "  ".join(f"{best[part]:11.2f}" for part in PARTS)
-        spent = f"{best['flight']:9.1f}{best['cpu']:7.2f}{speed:6.1f}{of_devices:7.1f}"
-        print(f"{mission:<16}{spent}  {shares}  {str(best['sha256'])[:12]}")
+    checkouts = [ROOT] + ([arguments.against.resolve()] if arguments.against else [])
+    found = measure(checkouts, arguments.only, arguments.seed, arguments.rounds)
+    show(found)
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    if not same:
-        print("one seed wrote different logs")
-    return 0 if same else 1
+    return 0
 
 
 if __name__ == "__main__":

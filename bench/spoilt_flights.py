@@ -26,11 +26,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from bench.spoilt_throws import WIDER
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.verdict import LEVELS
+from onboard.offline.campaign.instants import WIDER
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.views.own_mission import true_values

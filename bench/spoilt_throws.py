@@ -29,13 +29,13 @@ from onboard import config
 from onboard.dynamics.inertia import principal_moments
 from onboard.identification.verdict import Level
 from onboard.offline.bring_in.importer import import_recordings
+from onboard.offline.campaign.instants import WIDER
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.estimate_again.throws import carrier_of
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
-WIDER = 3.2905 / 1.9600  # a 99.9 % interval, of a 95 % one
 SPIN_UP_RAD_S = 100.0  # of the wheel: what the packaged vehicle identifies from
 _STREAMS = {"gyro": ("imu_base", "gyro_raw"), "accel": ("imu_base", "accel_raw"), "wheel": ("wheel_rate", "value_raw")}
 _AXES = {"x": 0, "y": 1, "z": 2}

@@ -73,7 +73,7 @@ class Bench(Mission):
         """The vehicle that flies with this seed, as it is built: it is not flown."""
         if not isinstance(self.scenario, VehicleScenario) or self.scenario.vehicle.base != "free":
             raise ScenarioError(f"{self.scenario.scenario.name} has no free base that could be swung or weighed")
-        still = {"sequence": (_STILL,), "capture": None, "ejection": None, "burn": (), "parabolas": None}
+        still = {"sequence": (_STILL,), "capture": None, "ejection": None, "burn": (), "wrench": (), "parabolas": None}
         return VehiclePlant(self.scenario.model_copy(update=still), self._rng("vehicle"))
 
 

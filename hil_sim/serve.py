@@ -242,6 +242,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         about = {**ports.urls, "duration_s": mission.plant.program.duration_s}
         asked: deque[str] = deque()
         if options.wait:
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a terminal is gone: whoever started this goes on, or ends it
             leash = _Leash(stops)
             asked = leash.asked
             say(about)

@@ -51,12 +51,13 @@ def emulators(scenario: Scenario) -> dict[str, Emulator]:
         ScenarioError: naming each wrong key by its dotted path.
     """
     try:
-        devices = registry.read(scenario.device)
+        devices = registry.read(scenario.device, scenario.files)
         wrong = list(wiring.problems(scenario.bus, devices, scenario.sensor, scenario.clock))
         if wrong:
             raise ScenarioError(f"{'; '.join(wrong)}. Correct these keys")
     except ScenarioError as error:
-        raise ScenarioError(f"scenario {scenario.scenario.name} cannot be used: {error}") from error
+        label = f"scenario {scenario.scenario.name}"
+        raise ScenarioError(f"{label} cannot be used: {error}", error.refused, label, error.files) from error
     return devices
 
 

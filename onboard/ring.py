@@ -116,7 +116,10 @@ class RingWriter(_Ring):
         try:
             fresh = os.fstat(descriptor).st_size == 0
             if fresh:
-                os.posix_fallocate(descriptor, 0, size)  # missing memory is an OSError here, not a SIGBUS later
+                try:
+                    os.posix_fallocate(descriptor, 0, size)  # missing memory is an OSError here, not a SIGBUS later
+                except OSError as error:
+                    raise OSError(error.errno, error.strerror, str(path)) from error
             elif os.pread(descriptor, _HEADER_BYTES, 0)[_DESCRIPTION_AT:].rstrip(b"\0") != description:
                 raise RingFormatError(
                     f"{path} is a ring of another record or size: remove it, or start in a new directory"
@@ -188,7 +191,6 @@ class RingReader(_Ring):
         finally:
             os.close(descriptor)
         self.position = position
-        self.lost = 0
 
     @property
     def backlog(self) -> int:
@@ -221,13 +223,13 @@ class RingReader(_Ring):
         count = published - first if limit is None else min(limit, published - first)
         if count <= 0:
             lost, self.position = first - self.position, first
-            return np.empty(0, self.dtype), self._account(lost)
+            return np.empty(0, self.dtype), lost
         raw, good, overwritten = self._copy(first, count)
         damaged = len(good) - int(np.count_nonzero(good))
         lost = first - self.position + overwritten + damaged
         self.position = first + count
         kept = raw[good] if damaged else raw
-        return kept.reshape(-1).view(self.dtype), self._account(lost)
+        return kept.reshape(-1).view(self.dtype), lost
 
     def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint32], NDArray[np.bool_], int]:
         """Rows (n, words) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
@@ -240,7 +242,3 @@ class RingReader(_Ring):
         overwritten = min(count, max(0, int(self._counters[0]) - self.capacity - first))
         raw, checks = raw[overwritten:], checks[overwritten:]
         return raw, checks == self._check(raw, first + overwritten), overwritten
-
-    def _account(self, lost: int) -> int:
-        self.lost += lost
-        return lost

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.fuzzing.files import MEMBER, SPLIT, as_list
+from bench.fuzzing.files import MEMBER, ROCKSAT, SPLIT, as_list
 from drivers import records
 from onboard import channels, config
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
@@ -112,6 +112,7 @@ def seeds() -> dict[str, list[bytes]]:
     vehicles = [config.loader.packaged(name).read_bytes() for name in ("rocksat", "rocksat_serial", "rocksat_mixed")]
     return {
         "vehicle": vehicles,
+        "urdf": [ROCKSAT.with_name("rocksat.urdf").read_bytes()],
         "log": logs,
         "recover": logs,
         "import": [

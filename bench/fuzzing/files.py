@@ -63,6 +63,14 @@ def vehicle_file(data: bytes) -> None:
         Estimator(config.load(place / "vehicle.toml"))
 
 
+def urdf_file(data: bytes) -> None:
+    """A URDF under RockSat's vehicle file; one that is accepted gets an estimator."""
+    with _place() as place, contextlib.suppress(ConfigError, ModelError):
+        (place / "vehicle.toml").symlink_to(ROCKSAT)
+        (place / "rocksat.urdf").write_bytes(data)
+        Estimator(config.load(place / "vehicle.toml", place / "rocksat.urdf"))
+
+
 def log_file(data: bytes) -> None:
     """A log, or the segments of one, read as ``heft info`` and ``heft dump`` read it."""
     (how,), body = leading(data, 1)
@@ -203,4 +211,4 @@ def _archive(body: bytes) -> bytes:
     return made.getvalue()
 
 
-CALLS = {"vehicle": vehicle_file, "log": log_file, "recover": recovered, "import": imported}
+CALLS = {"vehicle": vehicle_file, "urdf": urdf_file, "log": log_file, "recover": recovered, "import": imported}

@@ -153,24 +153,23 @@ class Drawn(NamedTuple):
     seed: int
     vehicle: str
     faults: list[dict[str, Any]]
-    model_errors: list[str]
+    model_errors: dict[str, dict[str, Any]]  # tables of the scenario, by name
 
     @property
     def overrides(self) -> dict[str, Any]:
         """Of the scenario, or of a recorded run: what is not as drawn."""
-        kind = "rocket" if self.vehicle in ROCKETS else self.vehicle
         merged: dict[str, Any] = {}
-        for name in self.model_errors:
-            _lay_over(merged, MODEL_ERRORS[kind][name])
+        for tables in self.model_errors.values():
+            _lay_over(merged, tables)
         return merged
 
     @property
     def texts(self) -> tuple[str, ...]:
         """Faults as ``heft hil --fault`` has them, then the model errors."""
         faults = list[str]()
-        for fault in self.faults:
-            end = f"{fault['end_s']:.3f}" if "end_s" in fault else ""
-            faults.append(f"{fault['kind']}:{fault['device']}:{fault['start_s']:.3f}:{end}:{fault['value']:g}")
+        for one in self.faults:
+            end = f"{one['end_s']:.3f}" if "end_s" in one else ""
+            faults.append(f"{one['kind']}:{one['device']}:{one['start_s']:.3f}:{end}:{one['value']:g}")
         return (*faults, *self.model_errors)
 
     @property
@@ -182,13 +181,13 @@ class Drawn(NamedTuple):
         if self.vehicle not in ROCKETS:
             return False
         alone = REDUNDANT.get(self.vehicle, set())
-        for fault in self.faults:
-            if fault["kind"] != "wrong" or fault["device"] not in {"load_cell", "joint_1"} - alone:
+        for one in self.faults:
+            if one["kind"] != "wrong" or one["device"] not in {"load_cell", "joint_1"} - alone:
                 continue
-            starts, ends = fault["start_s"], fault.get("end_s", np.inf)
+            starts, ends = one["start_s"], one.get("end_s", np.inf)
             held = starts < FIRST_SWEEP_S + 1.0 and ends > LAST_HELD_S - 1.0
             free = starts < RELEASED_S + 1.0 and ends > END_S - 1.0
-            if (held or free) and (not free or abs(fault["value"]) < VISIBLE_SCALE):
+            if (held or free) and (not free or abs(one["value"]) < VISIBLE_SCALE):
                 return True
         return False
 
@@ -198,12 +197,13 @@ def draw(seed: int, vehicle: str | None = None, healthy: bool = False) -> Drawn:
     rng = np.random.default_rng([seed, 0x12])
     name = vehicle or str(rng.choice(list(_SHARE), p=list(_SHARE.values())))
     count = 0 if healthy or rng.random() < 0.125 else int(rng.choice([1, 2], p=[0.6, 0.4]))
-    errors = list(MODEL_ERRORS["rocket" if name in ROCKETS else name])
-    model_errors, devices = list[str](), rng.permutation(list(FAULTS[name]))
+    known = MODEL_ERRORS["rocket" if name in ROCKETS else name]
+    errors, model_errors, devices = list(known), dict[str, dict[str, Any]](), rng.permutation(list(FAULTS[name]))
     faults = list[dict[str, Any]]()
     for number in range(count):
         if rng.random() < 0.25:
-            model_errors.append(errors.pop(int(rng.integers(len(errors)))))
+            error = errors.pop(int(rng.integers(len(errors))))
+            model_errors[error] = known[error]
             continue
         kinds = FAULTS[name][str(devices[number])]
         kind, value = kinds[int(rng.integers(len(kinds)))]
@@ -215,11 +215,16 @@ def _fault(rng: np.random.Generator, device: str, kind: str, value: float, lates
     if np.isnan(value):
         value = float(rng.choice(_SCALES))
     start_s = float(rng.choice([0.5, rng.uniform(2.0, latest_s)], p=[0.2, 0.8]))
-    fault = {"kind": kind, "device": device, "value": value, "start_s": start_s}
+    made = fault(kind, device, start_s, value)
     stays = kind in ("stuck", "wrong", "delayed") and device != "arm_phase" and rng.random() < 0.5
     if not stays:
-        fault["end_s"] = start_s + float(rng.uniform(SHORTEST_S, LONGEST_S if kind in ("stuck", "wrong") else 0.8))
-    return fault
+        made["end_s"] = start_s + float(rng.uniform(SHORTEST_S, LONGEST_S if kind in ("stuck", "wrong") else 0.8))
+    return made
+
+
+def fault(kind: str, device: str, start_s: float, value: float) -> dict[str, Any]:
+    """A fault that stays."""
+    return {"kind": kind, "device": device, "value": value, "start_s": start_s}
 
 
 def _lay_over(table: dict[str, Any], other: dict[str, Any]) -> None:

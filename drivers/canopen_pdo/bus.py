@@ -13,6 +13,7 @@ from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
 from drivers.canopen_pdo.player import Player
 from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.rounds import Rounds, cut_at_stalls
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_channel import SyncChannel
 from drivers.canopen_pdo.sync_rows import SyncRows
@@ -107,6 +108,9 @@ class CanopenBus:
             send = self._port.send if axis is None else axis.send
             self._nodes.append(Node(number, channels, send, self._report, guarding.get(number), axis))
         self._handlers = self._routes()
+        self._rounds = Rounds(self._synchronous, self._nodes, self._sync, self._sync_rows)
+        others = {channel.data.cob_id for channel in self._channels if isinstance(channel, EventChannel)}
+        self._may_round = self.player is None and others.isdisjoint(each.data.cob_id for each in self._synchronous)
 
     @property
     def period_ns(self) -> int:
@@ -141,7 +145,7 @@ class CanopenBus:
         awaited_ns = now_ns + round(timeout_s * 1e9)
         if self.player is not None:
             self.player.set_time(max(now_ns, frames[0].host_ns) if frames else awaited_ns)
-        parts = self._without_stalls(frames) if frames else []
+        parts = cut_at_stalls(frames, STALLED * self._period_ns) if frames else []
         for part in parts:  # it may also have stood still within the read
             self._note_standstill(awaited_ns, part[-1].host_ns)
             awaited_ns = part[-1].host_ns
@@ -246,17 +250,30 @@ class CanopenBus:
         return routes
 
     def _dispatch(self, frames: list[CanFrame]) -> None:
+        at = 0
+        if self._may_round and self._rounds.pay(len(frames)):
+            frames = self._rounds.without_beats(frames)
+            for place, (host_ns, identifier, _, is_error) in enumerate(frames):
+                if place >= at and identifier == frame.SYNC and not is_error and self._rounds.pay(len(frames) - place):
+                    self._each(frames[at:place])
+                    at = place + (self._rounds.take(frames, place) if self._is_even(host_ns) else 0)
+        self._each(frames[at:])
+
+    def _each(self, frames: list[CanFrame]) -> None:
         handlers = self._handlers
         for host_ns, identifier, data, is_error in frames:
             if is_error:
                 self._port.report_error_frame(host_ns, identifier, data)
                 continue
-            routes = handlers.get(identifier)
-            if routes is None:
-                self.unclaimed += 1
-                continue
+            routes = handlers.get(identifier, ())
+            self.unclaimed += not routes
             for route in routes:
                 route(host_ns, data)
+
+    def _is_even(self, host_ns: int) -> bool:
+        """Whether nothing of the SYNCs before is to be told or made good."""
+        is_told = not (self._sync_missed or self._bad_syncs) and self._sync_sent_ns is None
+        return is_told and host_ns >= self._stood_to_ns + STOOD_NS
 
     def _on_sync(self, host_ns: int, data: bytes) -> None:
         try:
@@ -319,14 +336,6 @@ class CanopenBus:
     def _receive(self, timeout_s: float) -> list[CanFrame]:
         frames = self._port.receive(timeout_s)
         return self._whole(frames) if frames else []
-
-    def _without_stalls(self, frames: list[CanFrame]) -> list[list[CanFrame]]:
-        """Frames cut where a long silence lies between two of them."""
-        stalled_ns = STALLED * self._period_ns
-        cuts = [0]
-        if frames[-1].host_ns - frames[0].host_ns > stalled_ns:
-            cuts += [at for at in range(1, len(frames)) if frames[at].host_ns - frames[at - 1].host_ns > stalled_ns]
-        return [frames[first:last] for first, last in zip(cuts, [*cuts[1:], len(frames)], strict=True)]
 
     def _whole(self, frames: list[CanFrame], *, all_read: bool = False) -> list[CanFrame]:
         """Frames just read; after a long silence all that wait, to decide whether SYNCs were lost or only read late.

@@ -5,13 +5,16 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.canopen_pdo.sdo import Setup
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import FrameError
 from drivers.position import Position
-from drivers.records import SCALAR, SampleStatus, Severity
+from drivers.records import SCALAR, Rows, SampleStatus, Severity
 from drivers.reporter import Reporter
+
+_HALF_WORD = 1 << 31
 
 
 class Sample(NamedTuple):
@@ -20,6 +23,23 @@ class Sample(NamedTuple):
     value_raw: int
     device_status: int = 0
     status: SampleStatus = SampleStatus.OK
+
+
+class Samples(NamedTuple):
+    """Decoded TPDOs: arrays (n,) of what a :class:`Sample` has; None: all are 0."""
+
+    value_raw: Sequence[int] | NDArray[np.int64]
+    device_status: NDArray[np.uint8] | None = None
+    status: NDArray[np.uint8] | None = None
+
+
+def position_samples(position: Position, words: NDArray[np.int64]) -> Samples | None:
+    """Position samples of ``words`` (n,), each within a revolution of the one before; None, and no change, else."""
+    if position.at is None:
+        return None
+    wraps = (position.at - int(words[0]) + _HALF_WORD) // (2 * _HALF_WORD)
+    positions = (words + 2 * _HALF_WORD * wraps).tolist()  # where it wraps within them, they are read one by one
+    return Samples(positions) if position.follow(positions) else None
 
 
 def position_sample(position: Position, word: int) -> Sample:
@@ -60,6 +80,11 @@ class ProcessData(ABC):
     def decode(self, data: bytes) -> Sample:
         """Read a TPDO. Raises FrameError when its length is wrong."""
 
+    def decode_many(self, words: NDArray[np.uint8]) -> Samples | None:
+        """Read TPDOs of one length, ``words`` (n, bytes); None, and no change, where they are to be read one by one."""
+        del words
+        return None
+
 
 class NodeConfig(Protocol):
     """Configuration of a node, or of some channels of one."""
@@ -89,6 +114,8 @@ class PdoChannel(ABC):
         self._next = 0  # sequence of the next row
         self._after_reset = False
         self._rows: list[tuple[int, int, int, int, float, str, int, int, int]] = []
+        self._blocks: list[Rows] = []  # before these
+        self._alike: Rows | None = None  # (1,), what all rows of arrays have
 
     @property
     def started(self) -> bool:
@@ -126,11 +153,37 @@ class PdoChannel(ABC):
 
     def hand_over(self) -> None:
         """Pass the collected rows to the reporter."""
+        self._gather()
+        for rows in self._blocks:
+            self._report.rows(self.data.name, rows)
+        self._blocks.clear()
+
+    def _gather(self) -> None:
+        """Make an array of the single rows."""
         if self._rows:
             rows = np.zeros(len(self._rows), SCALAR)
             rows[:] = self._rows
             self._rows.clear()
-            self._report.rows(self.data.name, rows)
+            self._blocks.append(rows)
+
+    def _append_many(self, host_ns: Sequence[int], tick: int, samples: Samples, counters: Sequence[int]) -> None:
+        """Rows of SYNC ``tick`` and those that follow."""
+        self._gather()
+        count, data = len(host_ns), self.data
+        if self._alike is None or self._alike["scale"][0] != data.scale:
+            self._alike = np.zeros(1, SCALAR)
+            self._alike["scale"], self._alike["unit"] = data.scale, data.unit
+        rows = self._alike.repeat(count)
+        rows["sequence"] = range(self._next, self._next + count)
+        rows["host_ns"], rows["sync_counter"] = host_ns, counters
+        rows["tick"] = range(tick, tick + count)
+        rows["value_raw"], device_status, status = samples
+        if device_status is not None:
+            rows["device_status"] = device_status
+        if status is not None:
+            rows["status"] = status
+        self._blocks.append(rows)
+        self._next += count
 
     def _decoded(self, host_ns: int, data: bytes) -> Sample | None:
         try:

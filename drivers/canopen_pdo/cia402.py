@@ -10,8 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
+from drivers.canopen_pdo.channel import ProcessData, Sample, Samples, position_sample, position_samples
 from drivers.canopen_pdo.sdo import Setup, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
 from drivers.position import Position
@@ -173,6 +176,16 @@ class DriveValue(ProcessData):
             return Sample(int.from_bytes(word, "little"), data[self._mode_at])
         raw = int.from_bytes(word, "little", signed=True)
         return position_sample(self._position, raw) if self._entry == POSITION else Sample(raw)
+
+    def decode_many(self, words: NDArray[np.uint8]) -> Samples | None:
+        """See ``ProcessData``."""
+        if words.shape[1] != self._length:
+            return None
+        word = np.ascontiguousarray(words[:, self._start : self._start + self._size])
+        if self._entry == STATUS:
+            return Samples(word.view("<u2")[:, 0].astype(np.int64), words[:, self._mode_at])
+        raw = word.view(f"<i{self._size}")[:, 0].astype(np.int64)
+        return position_samples(self._position, raw) if self._entry == POSITION else Samples(raw)
 
     def _per_mille(self, rated_N_m: float) -> float:
         """Joint torque per thousandth of the rated motor torque (unit of 6077h, CiA 402-2), N m."""

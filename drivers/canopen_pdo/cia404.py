@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.channel import ProcessData, Sample, Samples
 from drivers.canopen_pdo.sdo import SdoWrite, Setup, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
@@ -87,3 +90,15 @@ class LoadCell(ProcessData):
         if abs(value) * self.scale >= self._capacity_N:
             status |= SampleStatus.SATURATED
         return Sample(value, data[4], status)
+
+    def decode_many(self, words: NDArray[np.uint8]) -> Samples | None:
+        """See ``ProcessData``."""
+        if words.shape[1] != 5:
+            return None
+        values = np.ascontiguousarray(words[:, :4]).view("<i4")[:, 0].astype(np.int64)
+        saturated = np.abs(values) * self.scale >= self._capacity_N
+        if not (self._tare_lost or words[:, 4].any() or saturated.any()):
+            return Samples(values)
+        not_valid = (words[:, 4] & NOT_VALID != 0) | self._tare_lost
+        status = not_valid * np.uint8(SampleStatus.NOT_VALID) | saturated * np.uint8(SampleStatus.SATURATED)
+        return Samples(values, words[:, 4], status)

@@ -4,8 +4,11 @@ import math
 from collections.abc import Generator
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
+from drivers.canopen_pdo.channel import ProcessData, Sample, Samples, position_sample, position_samples
 from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, attempt, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError, SdoAbortError
 from drivers.position import Position
@@ -82,6 +85,12 @@ class Encoder(ProcessData):
         if len(data) != 4:
             raise FrameError(f"{self.name}: TPDO of {len(data)} bytes, 6004h has 4: check the mapping 1A01h")
         return position_sample(self._position, int.from_bytes(data, "little"))
+
+    def decode_many(self, words: NDArray[np.uint8]) -> Samples | None:
+        """See ``ProcessData``."""
+        if words.shape[1] != 4:
+            return None
+        return position_samples(self._position, words.view("<u4")[:, 0].astype(np.int64))
 
     def _resolution(self) -> Generator[SdoRead | SdoWrite, SdoData, int]:
         """Counts per revolution: 6001h if scaling is enabled (6000h bit 2), else the physical resolution 6501h."""

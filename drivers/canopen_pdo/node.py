@@ -20,6 +20,7 @@ BACKOFF_NS = 500_000_000
 LONGEST_BACKOFF_NS = 8_000_000_000
 COMMUNICATION = 0x8100  # error codes of this class (CiA 301, table 26)
 
+_GOES_ON = bytes([NmtState.OPERATIONAL])
 _CODES = {
     WrongDeviceError: "wrong_device",
     ConfigurationError: "configuration",
@@ -163,6 +164,10 @@ class Node:
             if self._driven is not None:
                 self._driven.lost()
             self._start(host_ns)
+
+    def only_lives(self, data: bytes) -> bool:
+        """Whether this heartbeat says no more than that the node goes on as it did."""
+        return self._state is _State.RUNNING and self._guarded_by is None and data == _GOES_ON
 
     def on_emergency(self, host_ns: int, data: bytes) -> None:
         """An EMCY message."""

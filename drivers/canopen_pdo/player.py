@@ -1,19 +1,22 @@
 """Plays a motion over the drives of a CAN bus, and stops them all when anything is not as it has to be.
 
 Nothing is sent before ``arm``, but for the set-up. Armed, it beats (CiA 301 heartbeat, which the drives watch), enables
-the drives where they stand, blends into the motion within ``BLEND_S``, and sends each target after the SYNC before
-the one it is for. It watches, on every pump: SYNC, each drive's answers, state, mode, position, rate, distance from
-the target, EMCY, reboot. Whatever is wrong becomes a quick stop of all drives, once; a player that has stopped does
-not start again. The row of the motion goes by SYNC number, so that a SYNC that was lost leaves no lag behind. Where
-many were lost, or this computer was late, the drives catch up at their rate limits: no target is further away than a
-drive gets within a period.
+the drives where they stand, blends into the motion within ``BLEND_S`` or as long as their limits need, and sends each
+target after the SYNC before the one it is for. It watches, on every pump: SYNC, each drive's answers, state, mode,
+position, rate, distance from the target, EMCY, reboot. Whatever is wrong becomes a quick stop of all drives, once; a
+player that has stopped does not start again. Where SYNCs were lost, or this computer was late, the drives stood at
+their last target: the motion goes on from there, from rest to its own pace within their accelerations, and ends as much
+later.
 
 The drives stop by themselves when this process does not beat any more: that is set up before, and read back.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import ClassVar, Final
+
+import numpy as np
 
 from drivers.canopen_pdo import drive_axis
 from drivers.canopen_pdo.drive_axis import CYCLIC, DriveAxis
@@ -23,7 +26,8 @@ from drivers.canopen_pdo.sync import SyncCounter
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
-BLEND_S: Final = 1.0  # from where the arm stands to the motion
+BLEND_S: Final = 1.0  # from where the arm stands to the motion, at least
+BLEND_RATE, BLEND_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # largest of 10 u^3 - 15 u^4 + 6 u^5, by u
 ARRIVE_NS: Final = 60_000_000_000  # of the last way point of a profile
 ACKNOWLEDGE_NS: Final = 500_000_000
 LATENCY: Final = 3  # SYNCs from a target being sent to its being reached
@@ -41,7 +45,8 @@ class Player(DriveMaster):
         super().__init__(config, config.mode, sync, send, report)
         self.config = config
         self._first_tick = self._row = 0
-        self._played = -1  # SYNCs after the start, of the last target
+        self._played = -1.0  # rows after the start, of the last target
+        self._pace, self._gain = 1.0, 1.0  # rows a SYNC; of it that is missing, the share that a SYNC adds
         self._counts, self._name = config.counts, config.name  # of what is played now
         self._offsets: list[int] = []
         self._aimed: deque[tuple[int, list[int]]] = deque(maxlen=LATENCY + 1)
@@ -57,7 +62,8 @@ class Player(DriveMaster):
             self._report.event(self._now_ns, Severity.WARNING, "segment_refused", f"{name}: {why}")
             return
         self._counts, self._name, self._lead, self._offsets = counts, name, 0, [0] * len(self.axes)
-        self.state, self._first_tick, self._played = State.PLAYING, (self._sync.tick or 0) + 1, -1
+        self.state = State.PLAYING
+        self._begin_motion()
         self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{name} is played")
 
     # Arming
@@ -65,6 +71,8 @@ class Player(DriveMaster):
     def _not_to_be_armed(self, place: int, axis: DriveAxis) -> str:
         if why := super()._not_to_be_armed(place, axis):
             return why
+        if axis.position is None or not axis.config.low <= axis.position <= axis.config.high:
+            return "stands outside its limits: bring it back by hand, or with its tool"
         away = abs(axis.distance(int(self.config.counts[0][place])))
         if away > axis.config.start_within:
             stands = 360.0 * away / axis.config.drive.counts_per_revolution
@@ -74,14 +82,25 @@ class Player(DriveMaster):
     def _get_ready(self) -> str:
         first = self.config.counts[0].tolist()
         self._offsets = [axis.distance(start) for axis, start in zip(self.axes, first, strict=True)]
-        seconds = (int(self.config.ticks[-1]) + self._blend) * self._sync.period_ns * 1e-9
+        period_s = self._sync.period_ns * 1e-9
+        self._blend = self._lead = math.ceil(self._blend_s() / period_s)
+        seconds = (int(self.config.ticks[-1]) + self._blend) * period_s
         return f"{self.config.name}, {seconds:.1f} s, {super()._get_ready()}"
+
+    def _blend_s(self) -> float:
+        """How long the way to the motion takes, so that no axis leaves its rate or acceleration on it."""
+        needed = [BLEND_S]
+        for axis, offset in zip(self.axes, self._offsets, strict=True):
+            needed.append(BLEND_RATE * abs(offset) / axis.config.rate)
+            needed.append(math.sqrt(BLEND_ACCELERATION * abs(offset) / axis.config.acceleration))
+        return max(needed)
 
     def _hold_still(self, axis: DriveAxis) -> None:
         """Nothing is sent: a drive that gets no set point stays where it is enabled."""
 
     def _started(self) -> None:
-        self._first_tick, self._row, self._played = (self._sync.tick or 0) + 1, 0, -1
+        self._row = 0
+        self._begin_motion()
         self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{self.config.name} is played")
 
     # Playing
@@ -100,27 +119,38 @@ class Player(DriveMaster):
             self._way_point(tick)
         self._sent_tick = tick
 
+    def _begin_motion(self) -> None:
+        self._first_tick, self._played, self._pace = (self._sync.tick or 0) + 1, -1.0, 1.0
+        square = (self._sync.period_ns * 1e-9) ** 2
+        steps = np.abs(np.diff(self._counts, axis=0)).max(axis=0).tolist()
+        blends = [BLEND_RATE * abs(offset) / self._blend for offset in self._offsets]
+        largest = [max(1.0, *both) for both in zip(steps, blends, strict=True)]
+        own = zip(self.axes, largest, strict=True)
+        self._gain = min(1.0, *(axis.config.acceleration * square / most for axis, most in own))
+
     def _play(self, tick: int) -> None:
-        """The next targets; later ones, up to those that are due, while no drive exceeds its rate limit for them."""
-        due, last = tick + 1 - self._first_tick, self._row_at(self._played)
-        self._played = min(self._played + 1, due)
-        while self._played < due and self._is_near(last, self._row_at(self._played + 1)):
-            self._played += 1
+        """The next targets. After SYNCs without one the drives stand, and the pace begins at zero.
+
+        At pace p the motion's own acceleration takes up p of the limit at most; what the pace gains, ``gain (1 - p)``
+        rows, takes up ``1 - p`` of it.
+        """
+        if self._sent_tick is not None and tick - self._sent_tick > 1:
+            self._pace = 0.0
+        self._pace += (1.0 - self._pace) * self._gain
+        self._played += self._pace
         if self._played - self._lead >= len(self._counts) and self.state is State.PLAYING:
             self._finish()
         self._aim(tick, self._row_at(self._played))
 
-    def _is_near(self, last: list[int], targets: list[int]) -> bool:
-        most = [axis.config.rate * 1e-9 * self._sync.period_ns for axis in self.axes]
-        return all(abs(b - a) <= limit for a, b, limit in zip(last, targets, most, strict=True))
-
-    def _row_at(self, since: int) -> list[int]:
-        """Targets so many SYNCs after the start; the motion begins when the way to it is over."""
+    def _row_at(self, since: float) -> list[int]:
+        """Targets so many rows after the start, between two of them too; the motion begins when the blend is over."""
         rows = self._counts
-        row = min(max(since - self._lead, 0), len(rows) - 1)
+        at = min(max(since - self._lead, 0.0), len(rows) - 1.0)
+        row = min(int(at), len(rows) - 2)
         share = min(max(since / self._blend, 0.0), 1.0)
         left = 1.0 - share**3 * (10.0 + share * (-15.0 + 6.0 * share))
-        return [round(target + left * offset) for target, offset in zip(rows[row].tolist(), self._offsets, strict=True)]
+        between = rows[row] + (at - row) * (rows[row + 1] - rows[row])
+        return [round(target + left * offset) for target, offset in zip(between.tolist(), self._offsets, strict=True)]
 
     def _aim(self, tick: int, targets: list[int]) -> None:
         for axis, target in zip(self.axes, targets, strict=True):

@@ -1,6 +1,7 @@
 """Unwraps the SYNC counter, which repeats after 240; host time resolves how many rounds were missed."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -116,6 +117,20 @@ class SyncCounter:
         self._tick += ahead
         self._host_ns = host_ns
         return SyncStep(self._tick, 0 if restarted else ahead - 1, restarted)
+
+    def advance_evenly(self, syncs: Sequence[tuple[int, bytes]], fewest: int) -> int:
+        """Number SYNCs, arrival and data of each, as long as each is the next one and none comes after a pause.
+
+        Returns:
+            How many were numbered; 0, and no change, where fewer than ``fewest`` can be.
+        """
+        before = vars(self).copy()
+        for count, (host_ns, data) in enumerate(syncs):
+            step = self.advance(data[0], host_ns) if len(data) == 1 and 1 <= data[0] <= ROUND else None
+            if step is None or step.lost or step.restarted or self.pause_ns:
+                vars(self).update(before)
+                return self.advance_evenly(syncs[:count], fewest) if count >= fewest else 0
+        return len(syncs)
 
     def _ahead(self, counter: int, least_elapsed: float, most_elapsed: float) -> tuple[int, bool]:
         """Numbers from the last SYNC to this one, and whether the producer restarted.

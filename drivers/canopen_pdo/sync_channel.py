@@ -1,7 +1,12 @@
 """Synchronous TPDOs: each is assigned the SYNC it answers; a SYNC without an answer is a gap."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from drivers.canopen_pdo.channel import PdoChannel, ProcessData, Sample
 from drivers.canopen_pdo.sync import ROUND, SyncCounter
+from drivers.ports import CanFrame
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -78,6 +83,35 @@ class SyncChannel(PdoChannel):
             self._unanswered += 1
             self._count_silence(sync_ns)
         held.clear()
+
+    def awaits_sync(self, tick: int) -> bool:
+        """Whether all is as it should be up to SYNC ``tick``, whose one answer is held until the next SYNC."""
+        regular = self.live and self.started and not self._after_reset
+        return regular and len(self._held) == 1 and self._last_tick == tick - 1
+
+    def close_rounds(self, tick: int, syncs_ns: Sequence[int], answers: Sequence[CanFrame]) -> None:
+        """Close SYNC ``tick``, whose answer is held, and those after it, which have one answer each.
+
+        Args:
+            tick: As it says; ``awaits_sync`` of it.
+            syncs_ns: When it arrived, and those after it, and that which closes the last of them.
+            answers: To those after it.
+        """
+        held = [self._held.pop(), *((host_ns, data) for host_ns, _, data, _ in answers)]
+        whole, size = b"".join([data for _, data in held]), len(held[0][1])
+        samples = None
+        if {len(data) for _, data in held} == {size}:
+            samples = self.data.decode_many(np.frombuffer(whole, np.uint8).reshape(len(held), size))
+        if samples is None:
+            for at, answer in enumerate(held):
+                self._held.append(answer)
+                self.close(tick + at, syncs_ns[at], tick + at + 1)
+            return
+        counters = [1 + each % ROUND for each in range(tick, tick + len(held))]
+        self._append_many([host_ns for host_ns, _ in held], tick, samples, counters)
+        self._last_tick = tick + len(held) - 1
+        self._unanswered = self._silent = 0
+        self._reset_since_row = False
 
     def settle(self) -> None:
         """The next SYNC is overdue: assign the held TPDOs to the last SYNC and to unseen ones after it."""

@@ -1,5 +1,7 @@
 """Rows of the SYNCs seen on a bus, and gaps of those that were not."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivers.canopen_pdo.sync import SyncConfig
@@ -23,6 +25,12 @@ class SyncRows:
         self._config = config
         self._report = report
         self._rows: list[tuple[int, int, int, int]] = []
+
+    def add_rounds(self, host_ns: Sequence[int], tick: int, counters: Sequence[int]) -> None:
+        """SYNCs arrived, number ``tick`` and those that follow."""
+        count, many = self.count, len(host_ns)
+        self._rows += zip(range(count, count + many), host_ns, range(tick, tick + many), counters, strict=True)
+        self.count += many
 
     def add(self, host_ns: int, tick: int, counter: int) -> None:
         """SYNC number ``tick`` arrived."""

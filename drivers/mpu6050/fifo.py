@@ -28,7 +28,6 @@ class Fifo:
     Attributes:
         chip: The die.
         running: Samples are counted.
-        period_ns: Time between two drains.
         registers: Register values besides the configuration while it runs.
     """
 
@@ -37,12 +36,17 @@ class Fifo:
     def __init__(self, config: Mpu6050Config, bus: RegisterBus, stream: SampleStream, report: Reporter) -> None:
         self.chip = reg.CHIPS[0x68]
         self.running = False
-        self.period_ns = round(config.poll_period_ms * 1e6)
         self._config = config
         self._bus = bus
         self._stream = stream
         self._report = report
         self._temperature: int | None = None
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two drains: as configured, or until the chip's FIFO is half full."""
+        half = self.chip.fifo_bytes // PACKET_BYTES // 2 * self._config.sample_period_ns
+        return min(round(self._config.poll_period_ms * 1e6), half)
 
     def restart(self, now_ns: int, at_least: int = 0) -> None:
         """Clear and start the FIFO; record the samples lost by the clock, ``at_least`` as many. Raises OSError."""

@@ -79,7 +79,8 @@ class Mpu6050Config:
         accel_range_g: 2, 4, 8 or 16.
         gyro_range_deg_s: 250, 500, 1000 or 2000.
         filter_code: DLPF_CFG, 0..6.
-        poll_period_ms: Time between two drains of the FIFO. Burst mode polls at the sample rate.
+        poll_period_ms: Time between two drains of the FIFO; where that of a clone is small, it is drained before it
+            is half full. Burst mode polls at the sample rate.
         max_transfer_bytes: Longest single read; some adapters are limited to 32, 255 or 4096 bytes.
         mode: ``fifo``, or ``burst``: one transfer of the data registers per sample.
 
@@ -109,9 +110,9 @@ class Mpu6050Config:
             raise ConfigurationError(f"sample_rate_hz = {self.sample_rate_hz}: use a whole fraction of 1000, 4 or more")
         if self.mode not in {"fifo", "burst"}:
             raise ConfigurationError(f"mode = {self.mode!r}: use fifo or burst")
-        if self.mode == "fifo" and not 0.0 < self.poll_period_ms * self.sample_rate_hz <= 18_000.0:
+        if self.mode == "fifo" and not 0.0 < self.poll_period_ms * self.sample_rate_hz <= 36_000.0:
             raise ConfigurationError(
-                f"poll_period_ms = {self.poll_period_ms}: over 18 samples would gather, half a small FIFO: poll faster"
+                f"poll_period_ms = {self.poll_period_ms}: over 36 samples would gather, half the FIFO: poll faster"
             )
         if not 14 <= self.max_transfer_bytes <= 8192:
             raise ConfigurationError(f"max_transfer_bytes = {self.max_transfer_bytes}: use 14 (a packet) to 8192")

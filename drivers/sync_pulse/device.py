@@ -9,6 +9,7 @@ from drivers.records import PULSE, Batch, Severity
 from drivers.reporter import Reporter
 
 RETRY_NS = 20_000_000
+LONGEST_REST_NS = 1_000_000_000  # ten edges or so, of the queue's many
 _WRAP = 1 << 32
 
 
@@ -60,6 +61,10 @@ class SyncPulse:
             rows[place] = (self._number(edge), edge.host_ns, edge.edge_ns, edge.line_sequence)
         self._report.rows(self.name, rows)
         return self._report.take()
+
+    def rests_until(self, now_ns: int) -> int:
+        """See ``drivers.device.Rests``: edges wait, with their stamps, until they are read."""
+        return now_ns if self._failing else now_ns + LONGEST_REST_NS
 
     def stop(self, now_ns: int) -> list[Batch]:
         """Return the remaining edges."""

@@ -68,7 +68,6 @@ def _can(bus: BusUrl, clock: Clock) -> CanPort:
     if bus.kind == "can+socketcan":
         from drivers.transports.can_socket import SocketcanPort  # noqa: PLC0415
 
-        bus.integer("bitrate", 0)
         return SocketcanPort.open(bus.host, clock, bus.integer("receive_buffer", 4 << 20))
     if bus.kind in {"can+virtual", "can+python"}:
         from drivers.transports.can_library import LibraryCanPort  # noqa: PLC0415 - python-can takes 0.1 s

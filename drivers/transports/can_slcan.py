@@ -14,22 +14,11 @@ from binascii import unhexlify
 from collections.abc import Callable
 from typing import Self
 
-from drivers.errors import FrameError, UrlError
+from drivers.errors import FrameError
 from drivers.ports import CanFrame, SerialPort
 from drivers.transports.serial_port import open_port
-from drivers.transports.url import BusUrl
+from drivers.transports.url import SLCAN_BITRATES, BusUrl
 
-BITRATES = {  # bit/s: the adapter's S command
-    10_000: "S0",
-    20_000: "S1",
-    50_000: "S2",
-    100_000: "S3",
-    125_000: "S4",
-    250_000: "S5",
-    500_000: "S6",
-    800_000: "S7",
-    1_000_000: "S8",
-}
 _LONGEST_LINE = 30  # a full extended frame with its time stamp
 _GATHER_S = 0.002  # between two reads while frames are gathered: how much later their stamps are
 _MOST_BYTES = 65536
@@ -151,15 +140,12 @@ class SlcanPort:
         """Open the tty and put the adapter on the bus at the URL's bit rate.
 
         Raises:
-            UrlError: The adapter has no such bit rate.
+            UrlError: The tty has no such rate.
             OSError: The tty cannot be opened.
         """
-        bitrate = url.integer("bitrate")
-        if bitrate not in BITRATES:
-            known = ", ".join(str(rate) for rate in BITRATES)
-            raise UrlError(f"bus URL {url.text!r}: an slcan adapter has no {bitrate} bit/s: use one of {known}")
+        command = SLCAN_BITRATES[url.integer("bitrate")]
         port = open_port(BusUrl(url.text, url.kind, "", url.path, {"baud": str(url.integer("baud", 115_200))}))
-        port.write(f"C\r{BITRATES[bitrate]}\rO\r".encode())
+        port.write(f"C\r{command}\rO\r".encode())
         return cls(port, clock, lambda timeout_s: select.select([port], [], [], timeout_s), port.fileno())
 
     def send(self, identifier: int, data: bytes) -> None:

@@ -61,6 +61,8 @@ class _SerialPort(Port):
         adapter = VirtualSerial(path)
         self._installed = install_serial(adapter)
         bus = SerialBus(adapter, seed, latency_ns=round(table.adapter_latency_ms * 1e6))
+        bus.wait_for_looks()
+        adapter.look = bus.look
         super().__init__(bus, f"serial://{path}?{serial_options(table)}")
 
     def close(self) -> None:

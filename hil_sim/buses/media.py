@@ -307,14 +307,13 @@ class CanBus:
                 self._link.give_error(time_ns, classes)
 
     def _stamped(self, frames: list[WireFrame]) -> list[WireFrame]:
-        stamp_ns, stamps_ns = self._last_stamp_ns, []
-        late = self._rng.standard_exponential(len(frames)).tolist()
-        for frame, share in zip(frames, late, strict=True):
-            late_ns = frame[0] + self._latency_ns + int(share * self._jitter_ns)
-            stamp_ns = late_ns if late_ns > stamp_ns else stamp_ns + 1
-            stamps_ns.append(stamp_ns)
-        self._last_stamp_ns = stamp_ns
-        return [WireFrame(stamp, frame[1], frame[2]) for stamp, frame in zip(stamps_ns, frames, strict=True)]
+        ends_ns, identifiers, data = zip(*frames, strict=True)
+        share, places = self._rng.standard_exponential(len(frames)), np.arange(len(frames))
+        late_ns = np.array(ends_ns) + self._latency_ns + (share * self._jitter_ns).astype(np.int64)
+        late_ns[0] = max(int(late_ns[0]), self._last_stamp_ns + 1)
+        stamps_ns = (np.maximum.accumulate(late_ns - places) + places).tolist()  # each later than the one before
+        self._last_stamp_ns = stamps_ns[-1]
+        return list(map(WireFrame, stamps_ns, identifiers, data))
 
 
 class EdgeLink(Protocol):

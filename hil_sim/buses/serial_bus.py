@@ -17,6 +17,7 @@ import numpy as np
 from hil_sim.devices.serial_line.serial_wire import Arrived, Heard, LineFormat, SerialStation, SerialWire
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
+_LAZY_NS: Final = 50_000_000
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
 
 
@@ -87,7 +88,7 @@ class SerialBus:
     """
 
     def __init__(self, link: HostLink, seed: int = 0, *, latency_ns: int = 0) -> None:
-        self.samples = 0  # that devices had to say while the flight computer had its port open; see ``add``
+        self._samples = 0
         self.to_host = 0  # characters delivered
         self.to_device = 0  # characters sent
         self.lost = 0
@@ -102,7 +103,14 @@ class SerialBus:
         self._rng = np.random.default_rng([seed, 0x5E])
         self._faults = NO_FAULTS
         self._plugged = True
-        self._now_ns = 0
+        self._now_ns = self._reached_ns = 0
+        self._waits = False
+
+    @property
+    def samples(self) -> int:
+        """That devices had to say while the flight computer had its port open; see ``add``."""
+        self.look()
+        return self._samples
 
     @property
     def questions(self) -> int:
@@ -146,8 +154,22 @@ class SerialBus:
             FaultKind.BYTE_LOSS, FaultKind.BYTE_GARBLE, FaultKind.UNPLUG, FaultKind.INTERMITTENT
         )
 
+    def wait_for_looks(self) -> None:
+        """Go on where the flight computer looks, by ``look``, or 50 ms have gathered: what comes is the same."""
+        self._waits = True
+
     def advance(self, now_ns: int) -> None:
         """Send what the flight computer sent since the last call, let devices and line go on, deliver what arrived."""
+        self._reached_ns = now_ns
+        if not self._waits or now_ns - self._now_ns >= _LAZY_NS:
+            self._advance(now_ns)
+
+    def look(self) -> None:
+        """The flight computer does something with its port: all is to be as it is now."""
+        if self._now_ns < self._reached_ns:
+            self._advance(self._reached_ns)
+
+    def _advance(self, now_ns: int) -> None:
         if not self._now_ns:
             self._now_ns = now_ns
         sent = self._link.take()
@@ -170,7 +192,7 @@ class SerialBus:
         self._go_on(now_ns)
         if hears and self._plugged and self._made_before is not None:
             there_ns = self._held.ends_ns[0] - 1 if self._held.data else now_ns
-            self.samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
+            self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
         each = [wire.advance(now_ns) for wire in self._wires]

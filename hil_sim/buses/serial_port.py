@@ -33,10 +33,14 @@ class VirtualSerial:
     Args:
         path: Its name, as of a tty.
         on_dtr: Told when the open port's DTR line changes.
+
+    Attributes:
+        look: Called before anything is done with it: what is on the line is to be as it is now.
     """
 
     def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
         self.path = path
+        self.look: Callable[[], None] = lambda: None
         self.messages = 0  # written to the port
         self.discarded = 0  # opening throws away what came before it
         self.overrun = 0  # characters for which there was no room
@@ -55,6 +59,7 @@ class VirtualSerial:
         Raises:
             serial.SerialException: it is not plugged in, or open already.
         """
+        self.look()
         if not self._plugged:
             text = f"[Errno {errno.ENOENT}] could not open port {self.path}: [Errno 2] No such file or directory"
             raise serial.SerialException(errno.ENOENT, text)
@@ -90,7 +95,8 @@ class VirtualSerial:
         self._plugged = True
 
     def release(self, port: "VirtualPort") -> None:
-        """``port`` was closed."""
+        """``port`` is closed."""
+        self.look()
         if self._port is port:
             self._port = None
 
@@ -138,6 +144,7 @@ class VirtualPort:
         Raises:
             OSError: EIO when the adapter is gone.
         """
+        self._adapter.look()
         self._check_open()
         if self.gone:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -150,6 +157,7 @@ class VirtualPort:
 
     @baudrate.setter
     def baudrate(self, value: int) -> None:
+        self._adapter.look()
         self.line = self.line._replace(baud_rate=value)
 
     @property
@@ -159,6 +167,7 @@ class VirtualPort:
 
     @dtr.setter
     def dtr(self, level: bool) -> None:
+        self._adapter.look()
         self._dtr = level
         self._adapter.drive_dtr(level)
 
@@ -168,6 +177,7 @@ class VirtualPort:
         Raises:
             serial.SerialException: the port is closed, or its adapter gone.
         """
+        self._adapter.look()
         self._check_open()
         if self.gone:
             raise serial.SerialException(
@@ -184,6 +194,7 @@ class VirtualPort:
         Raises:
             serial.SerialException: the port is closed, or its adapter gone.
         """
+        self._adapter.look()
         self._check_open()
         if self.gone:
             raise serial.SerialException(f"write failed: [Errno {errno.EIO}] {os.strerror(errno.EIO)}")
@@ -193,11 +204,13 @@ class VirtualPort:
 
     def reset_input_buffer(self) -> None:
         """Throw away what was received."""
+        self._adapter.look()
         self._check_open()
         self.incoming.clear()
 
     def reset_output_buffer(self) -> None:
         """Throw away what was not sent yet."""
+        self._adapter.look()
         self._check_open()
         self.outgoing.clear()
 

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from hil_sim import devices
 from hil_sim.devices.emulator import Emulator
 from hil_sim.scenario.bus_tables import DeviceTable
-from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.tables import Files, Refused, ScenarioError
 
 GROUP = "heft.emulators"
 
@@ -80,21 +80,25 @@ def for_vehicle(kind: str) -> type[Emulator]:
     return emulator(kind)
 
 
-def read(tables: Mapping[str, DeviceTable]) -> dict[str, Emulator]:
-    """Each device's table, read by the emulator of its kind.
+def read(tables: Mapping[str, DeviceTable], files: Files = ()) -> dict[str, Emulator]:
+    """Each device's table, of these files, read by the emulator of its kind.
 
     Raises:
         ScenarioError: naming each wrong key by its dotted path.
     """
     found: dict[str, Emulator] = {}
-    problems = []
+    problems, refused, unknown = [], [], False
     for name, table in tables.items():
         try:
-            found[name] = emulator(table.kind).model_validate(table.model_dump())
+            model, given = emulator(table.kind), table.model_dump()
+            found[name] = model.model_validate(given)
         except ScenarioError as error:
             problems.append(f"device.{name}: {error}")
+            unknown = True
         except ValidationError as error:
             problems += [f"device.{name}.{'.'.join(map(str, e['loc'])) or 'table'}: {e['msg']}" for e in error.errors()]
+            refused.append(Refused(error, model, given, ("device", name)))
     if problems:
-        raise ScenarioError(f"{'; '.join(problems)}. Correct these keys")
+        told = () if unknown else tuple(refused)
+        raise ScenarioError(f"{'; '.join(problems)}. Correct these keys", told, files=files)
     return found

@@ -92,8 +92,8 @@ def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
         if over is not None:
             table = _laid_over(table, over)
     _drop_empty(table)
-    files = [str(over) for over in overs if isinstance(over, str | Path)]
-    return parse(table, " with ".join([f"rehearsal of {vehicle}", *files]))
+    files = tuple((str(over), Path(over).read_text(encoding="utf-8")) for over in overs if isinstance(over, str | Path))
+    return parse(table, " with ".join([f"rehearsal of {vehicle}", *(path for path, _ in files)]), files)
 
 
 def _tables_of(over: Over) -> Table:

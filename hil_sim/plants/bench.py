@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
@@ -326,6 +325,8 @@ def _swing(
     inertia: float, m: float, g: float, strings: Strings, start: float, swing_s: float, drag: tuple[float, float]
 ) -> FloatArray:
     """Rate of a swing that begins at rest at ``start`` rad, (n,)."""
+    from scipy.integrate import solve_ivp  # noqa: PLC0415 - 0.1 s of every start
+
     D, h = strings
     c, k = 1e-3 * inertia * drag[0], 1e-3 * inertia * drag[1]
 

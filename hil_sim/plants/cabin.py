@@ -9,8 +9,8 @@ the base's acceleration is a mean of the free and the held one.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import signal
 
+from hil_sim import filters
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.parabolic_tables import Parabolas, ParabolicRuns
 
@@ -199,8 +199,7 @@ def _noise(band_Hz: tuple[float, float], step_s: float, count: int, rng: np.rand
     """Noise of rms 1 by axis in a band, (n, 3)."""
     every = max(1, int(0.1 / (band_Hz[1] * step_s)))  # slow noise is made on a coarser grid
     few = count // every + 4
-    sos = signal.butter(2, band_Hz, "bandpass", fs=1.0 / (every * step_s), output="sos")
-    rows = signal.sosfilt(sos, rng.standard_normal((few, 3)), axis=0)
+    rows = filters.passed(filters.band_pass(band_Hz, 1.0 / (every * step_s)), rng.standard_normal((few, 3)))
     at, coarse = np.arange(count) / every, np.arange(few)
     rows = np.column_stack([np.interp(at, coarse, axis) for axis in rows.T])
     return np.asarray(rows / rows.std(), np.float64)

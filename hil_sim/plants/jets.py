@@ -1,6 +1,6 @@
-"""Thrusters of a vehicle's base: force and moment of those that burn, along an axis of a frame of the base.
+"""Wrenches on a vehicle's base: thrusters that burn, along an axis of a frame of the base, and what nobody knows of.
 
-A burn's force rises and falls within :data:`RISE_s` as sin^2, half of it before the burn's time and half after.
+Both rise and fall within :data:`RISE_s` as sin^2, half of it before the stated time and half after.
 """
 
 from collections.abc import Mapping
@@ -18,23 +18,50 @@ RISE_s = 0.02
 _ACCELERATION_m_s2 = 0.01  # of the whole vehicle, where no force is given
 
 
-class Burn(NamedTuple):
-    """A thruster that is on for a time."""
+class Span(NamedTuple):
+    """A time in which something pushes."""
 
-    frame: str
     from_s: float
     to_s: float
-    force_n: float
-    wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
 
     def share(self, time_s: FloatArray) -> FloatArray:
         """Of its force, at times (n,)."""
         edges = (time_s - self.from_s) / RISE_s + 0.5, (self.to_s - time_s) / RISE_s + 0.5
         return np.asarray(np.prod([np.sin(0.5 * np.pi * np.clip(one, 0.0, 1.0)) ** 2 for one in edges], axis=0))
 
+    def share_at(self, time_s: float) -> float:
+        """Of its force, at a time."""
+        if not self.from_s - RISE_s < time_s < self.to_s + RISE_s:
+            return 0.0
+        return float(self.share(np.array([time_s]))[0])
+
+
+class Burn(NamedTuple):
+    """A thruster that is on for a time."""
+
+    frame: str
+    span: Span
+    force_n: float
+    wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
+
+
+class Unknown(NamedTuple):
+    """A wrench that is unknown on board."""
+
+    span: Span
+    turns: bool  # with the base; else it keeps its direction in space
+    force_n: FloatArray  # (3,) at the base's origin
+    torque_n_m: FloatArray  # (3,)
+
+    def push(self, turn: FloatArray) -> FloatArray:
+        """Force on the base, world axes, and moment about its origin, base axes, (6,); ``turn``: base to world."""
+        if self.turns:
+            return np.concatenate([turn @ self.force_n, self.torque_n_m])
+        return np.concatenate([self.force_n, turn.T @ self.torque_n_m])
+
 
 class Jets:
-    """What the thrusters do.
+    """What pushes the base.
 
     Args:
         scenario: with their devices and burns.
@@ -65,14 +92,24 @@ class Jets:
             force = along / np.linalg.norm(along)
             wrench = np.concatenate([force, np.cross(np.array(body.pos), force)])
             size_n = _ACCELERATION_m_s2 * mass_kg if one.force_N is None else one.force_N
-            self.burns.append(Burn(one.frame, one.at_s, one.at_s + one.duration_s, size_n, wrench))
+            self.burns.append(Burn(one.frame, Span(one.at_s, one.at_s + one.duration_s), size_n, wrench))
+        self._unknown = [
+            Unknown(
+                Span(one.at_s, np.inf if one.duration_s is None else one.at_s + one.duration_s),
+                one.axes == "base",
+                np.array(one.force_N),
+                np.array(one.torque_N_m),
+            )
+            for one in scenario.wrench
+        ]
+        self.any = bool(self.burns or self._unknown)
 
     def force_n(self, frame: str, time_s: FloatArray) -> FloatArray:
         """Force of the thruster at a frame, (n,)."""
         out = np.zeros(len(time_s))
         for burn in self.burns:
             if burn.frame == frame:
-                out += burn.force_n * burn.share(time_s)
+                out += burn.force_n * burn.span.share(time_s)
         return out
 
     def push(self, time_s: float, turn: FloatArray) -> FloatArray:
@@ -84,7 +121,8 @@ class Jets:
         """
         out = np.zeros(6)
         for burn in self.burns:
-            if abs(time_s - 0.5 * (burn.from_s + burn.to_s)) < 0.5 * (burn.to_s - burn.from_s) + RISE_s:
-                out += burn.force_n * float(burn.share(np.array([time_s]))[0]) * burn.wrench
+            out += burn.force_n * burn.span.share_at(time_s) * burn.wrench
         out[:3] = turn @ out[:3]
+        for one in self._unknown:
+            out += one.span.share_at(time_s) * one.push(turn)
         return out

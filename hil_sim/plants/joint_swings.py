@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.motion import PhaseSpan, Program, minimum_jerk
+from hil_sim.plants.spline import CubicSpline
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import Motion, Step, VehicleScenario
@@ -295,7 +295,7 @@ def _recorded(path: Path, joints: Sequence[DrawnJoint]) -> tuple[CubicSpline, fl
             raise ScenarioError(
                 f"motion.csv: {joint.name} goes from {column.min():g} to {column.max():g}, beyond the URDF's limits"
             )
-    return CubicSpline(time_s, q, bc_type="clamped"), float(time_s[0]), float(time_s[-1])
+    return CubicSpline(time_s, q, clamped=True), float(time_s[0]), float(time_s[-1])
 
 
 def _segments(path: Path, joints: Sequence[DrawnJoint]) -> tuple[dict[str, CubicSpline], FloatArray]:
@@ -319,5 +319,5 @@ def _segments(path: Path, joints: Sequence[DrawnJoint]) -> tuple[dict[str, Cubic
             raise ScenarioError(
                 f"motion.segments: {name} of {path} does not begin and end in the posture of the others"
             )
-        splines[name] = CubicSpline(found["time_s"][:n], own[:n], bc_type="clamped")
+        splines[name] = CubicSpline(found["time_s"][:n], own[:n], clamped=True)
     return splines, posture

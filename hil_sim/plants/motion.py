@@ -5,16 +5,19 @@ rocket's 180 kg against an arm's 0.3 kg). Its angular rate is kept on the half s
 two of them over ``h`` is the angular acceleration at ``t_k`` exactly, which is the leapfrog the plant integrates with.
 """
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
 
+from hil_sim import filters
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.part_tables import AirTable, ConingTable, Mode, Vibration
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
+_SCALE_HEIGHT_m, _DENSITY_kg_m3 = 7000.0, 1.225  # of the air; of that at the ground
+_IMPULSE = 20_000  # samples of a response
 
 
 class PhaseSpan(NamedTuple):
@@ -97,10 +100,9 @@ def vibration(table: Vibration, step_s: float, count: int, rng: np.random.Genera
     """Linear acceleration [m/s^2] and angular acceleration [rad/s^2], each (n, 3), none at zero frequency."""
     rate_Hz = 1.0 / step_s
     milli_g = 1e-3 * STANDARD_GRAVITY
-    band = signal.butter(2, table.broadband_band_Hz, "bandpass", fs=rate_Hz, output="sos")
-    noise = signal.sosfilt(band, rng.standard_normal((count, 3)), axis=0)
-    linear: FloatArray = noise
-    linear *= milli_g * np.asarray(table.broadband_mg) / _rms_gain(band)
+    band = filters.band_pass(table.broadband_band_Hz, rate_Hz)
+    linear = filters.passed(band, rng.standard_normal((count, 3)))
+    linear *= milli_g * np.asarray(table.broadband_mg) / filters.rms_gain(band, _IMPULSE)
     for mode in table.linear_mode_mg:
         linear += _resonance(mode, milli_g, rate_Hz, count, rng)
     angular = np.zeros((count, 3))
@@ -111,27 +113,32 @@ def vibration(table: Vibration, step_s: float, count: int, rng: np.random.Genera
 
 
 def _resonance(mode: Mode, unit: float, rate_Hz: float, count: int, rng: np.random.Generator) -> FloatArray:
-    b, a = signal.iirpeak(mode.frequency_Hz, 0.5 / mode.damping_ratio, fs=rate_Hz)
-    sos = np.concatenate([b, a])[None, :]
-    noise: FloatArray = signal.sosfilt(sos, rng.standard_normal((count, 3)), axis=0)
-    noise *= unit * np.asarray(mode.rms) / _rms_gain(sos)
+    section = [filters.peak(mode.frequency_Hz, 0.5 / mode.damping_ratio, rate_Hz)]
+    noise = filters.passed(section, rng.standard_normal((count, 3)))
+    noise *= unit * np.asarray(mode.rms) / filters.rms_gain(section, _IMPULSE)
     return noise
-
-
-def _rms_gain(sos: FloatArray) -> float:
-    """Rms of a filter's output for white noise of rms 1: the norm of its impulse response."""
-    impulse = np.zeros(20_000)
-    impulse[0] = 1.0
-    return float(np.linalg.norm(signal.sosfilt(sos, impulse)))
 
 
 def dynamic_pressure(
     at_reference_pa: float, air: AirTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa."""
-    mean_pressure = at_reference_pa * np.exp((times_s - air.reference_s) / air.growth_time_s)
-    keep = np.exp(-step_s / air.gust_time_s)
-    gust = signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(len(times_s)))
+    """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa.
+
+    It grows up to the greatest deceleration of a steep ballistic entry, ``H / (2 e T^2)`` for the scale height H and
+    the growth time T (Allen and Eggers, NACA TR 1381, 1958), and then falls as fast to what carries the weight at
+    terminal speed: without that an hour's mission has no finite numbers.
+    """
+    greatest = weight = 0.5 * _DENSITY_kg_m3 * (_SCALE_HEIGHT_m / air.growth_time_s) ** 2  # where nothing is braked
+    if (area := air.carrier_area_over_mass_m2_kg) > 0.0:
+        greatest, weight = _SCALE_HEIGHT_m / (2.0 * np.e * air.growth_time_s**2) / area, STANDARD_GRAVITY / area
+    growths = (times_s - air.reference_s) / air.growth_time_s
+    peak = np.log(greatest / at_reference_pa) if at_reference_pa else 0.0
+    rising = at_reference_pa * np.exp(np.minimum(growths, peak))
+    falling = weight + (greatest - weight) * np.exp(-np.maximum(growths - peak, 0.0))
+    mean_pressure = np.where(growths <= peak, rising, falling) if at_reference_pa else 0.0 * growths
+    keep = math.exp(-step_s / air.gust_time_s)
+    steps = math.sqrt(1.0 - keep**2) * rng.standard_normal((len(times_s), 1))
+    gust = filters.remembered(keep, steps, np.zeros(1))[:, 0]
     return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gust))
 
 

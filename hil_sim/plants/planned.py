@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hil_sim.arrays import BoolArray, FloatArray, IndexArray
 from hil_sim.plants import urdf_drawing
@@ -178,6 +177,8 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
     centre = np.array([0.0, 0.0, 0.5 * size[2]])
     if table.centre_of_mass_mm is not None:
         centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - 0.1 s of every start
+
     turn = Rotation.from_euler("xyz", table.roll_pitch_yaw_deg or (0.0, 0.0, 0.0), degrees=True).as_matrix()
     body = Body.box(mass, size.tolist(), centre.tolist()).turned(turn)
     return body, table.size_mm is None and table.centre_of_mass_mm is None
@@ -194,5 +195,7 @@ def _readings(scenario: VehicleScenario, time_s: FloatArray, seed: int) -> BaseR
     rigid = scenario.model_copy(update={"vibration": None})  # too fast for the grid, and nothing that is planned
     path = carried(rigid, float(time_s[1] - time_s[0]), len(time_s), np.random.default_rng(seed))
     felt = path.acceleration[:, :3] - np.asarray(scenario.physics.gravity_m_s2)
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - 0.1 s of every start
+
     turned = Rotation.from_quat(np.roll(path.pose[:, 3:], -1, axis=1)).inv().apply(felt)
     return BaseReadings(path.velocity[:, 3:], path.acceleration[:, 3:], np.asarray(turned, np.float64))

@@ -259,7 +259,7 @@ class VehicleFlight:
         if self._soft.slosh is not None:
             pull = self._soft.pull(soft, self._anchor(pose, velocity), level=nb == 3)
             wrench += self._at_base(-pull, soft[-6:-3], pose)
-        if self._jets is not None and self._jets.burns:
+        if self._jets is not None and self._jets.any:
             wrench += self._jets.push(0.5 * self._step_s * stage, self._turn(pose))
         if cabin is not None and not cabin.held(stage):
             wrench += cabin.push(stage)

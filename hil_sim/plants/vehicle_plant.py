@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray, Track
 from hil_sim.plants import draws, servos, urdf_drawing, world
@@ -29,6 +28,7 @@ from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.pucks import pucks
 from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.soft_parts import springs
+from hil_sim.plants.spline import CubicSpline
 from hil_sim.plants.urdf_model import UrdfModel, places
 from hil_sim.plants.vehicle_flight import Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
@@ -209,7 +209,7 @@ class VehiclePlant(world.Plant):
         """Splines up to a coarse row; what jumped before the first is in that."""
         every, first = self._every, self._done * self._every
         count = max(min(every * until, self.rows) - first, 0)
-        splines = tuple(CubicSpline(np.arange(len(values)), values) for values in window)
+        splines = tuple(CubicSpline(np.arange(len(values), dtype=np.float64), values) for values in window)
         self._parts.append(_Part(first, count, self._done - self._window_at, splines, self._jolt))
         self._jolt, self._done = None, until
         if self.program.waits:

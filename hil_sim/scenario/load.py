@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil_sim.scenario import bed
-from hil_sim.scenario.tables import Scenario, ScenarioError
+from hil_sim.scenario.tables import Files, Refused, Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 __all__ = ["Scenario", "ScenarioError", "load", "merged", "names", "parse"]
@@ -41,12 +41,12 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
     Raises:
         ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
     """
-    label, table = _read(name_or_path)
-    return parse(merged(table, overrides or {}), label)
+    label, table, files = _read(name_or_path)
+    return parse(merged(table, overrides or {}), label, files)
 
 
-def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any]]:
-    """Label of a file, and its tables merged over those of its base."""
+def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any], Files]:
+    """Label of a file, its tables merged over those of its base, and the texts of both."""
     if str(name_or_path).endswith(".toml"):
         label = str(name_or_path)
         source: Traversable = Path(name_or_path)
@@ -54,7 +54,8 @@ def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, d
         label = f"packaged scenario {name_or_path}"
         source = resources.files("hil_sim.scenario") / "packaged" / f"{name_or_path}.toml"
     try:
-        table = tomllib.loads(source.read_text(encoding="utf-8"))
+        text = source.read_text(encoding="utf-8")
+        table = tomllib.loads(text)
     except FileNotFoundError as error:
         raise ScenarioError(f"{label} does not exist; packaged scenarios are {', '.join(names())}") from error
     except tomllib.TOMLDecodeError as error:
@@ -62,11 +63,12 @@ def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, d
     _take_drawing(table, source, label)
     base = table.get("scenario", {}).get("based_on")
     if base is None:
-        return label, table
+        return label, table, ((label, text),)
     if label in above:
         raise ScenarioError(f"{label} is based on itself; take a based_on out")
-    _, below = _read(str(base), (*above, label))
-    return label, merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
+    _, below, files = _read(str(base), (*above, label))
+    kept = {key: value for key, value in below.items() if key not in _WIRING & table.keys()}
+    return label, merged(kept, table), (*files, (label, text))
 
 
 def _take_drawing(table: dict[str, Any], file: Traversable, label: str) -> None:
@@ -83,17 +85,22 @@ def _take_drawing(table: dict[str, Any], file: Traversable, label: str) -> None:
         raise ScenarioError(f"{label}: vehicle.urdf cannot be read ({error}); put it beside the file") from error
 
 
-def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
-    """Check a table against the schema.
+def parse(table: Mapping[str, Any], label: str = "scenario", files: Files = ()) -> Scenario:
+    """Check a table, made of these files, against the schema.
 
     Raises:
         ScenarioError: naming each wrong key by its dotted path.
     """
     try:
-        return VehicleScenario.model_validate(table)
+        return VehicleScenario.model_validate(table).of(files)
     except ValidationError as error:
         problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors())
-        raise ScenarioError(f"{label} cannot be used: {problems}. Correct these keys") from error
+        raise ScenarioError(
+            f"{label} cannot be used: {problems}. Correct these keys",
+            (Refused(error, VehicleScenario, dict(table)),),
+            label,
+            files,
+        ) from error
 
 
 def merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -274,6 +274,20 @@ class BurnTable(Table):
     force_N: PositiveFloat | None = None
 
 
+class WrenchTable(Table):
+    """``[[wrench]]``: what pushes a free base unknown on board: drag, a leak, gravity gradient, light.
+
+    ``force_N`` at the base frame's origin and ``torque_N_m``, in the base's axes (a leak turns with it), or in those
+    of space, which are the base's at the start (drag does not). From ``at_s``, to the end without ``duration_s``.
+    """
+
+    axes: Literal["base", "space"]
+    force_N: Vector = (0.0, 0.0, 0.0)
+    torque_N_m: Vector = (0.0, 0.0, 0.0)
+    at_s: NonNegative = 0.0
+    duration_s: PositiveFloat | None = None
+
+
 class AttitudeTable(Table):
     """``[attitude]``: the wheels hold the base's attitude by a spring and a damper, ``torque_N_m`` each at most.
 
@@ -314,6 +328,7 @@ class VehicleScenario(Scenario):
     slosh: SloshTable | None = None
     parabolas: Parabolas | None = None
     burn: tuple[BurnTable, ...] = ()
+    wrench: tuple[WrenchTable, ...] = ()
     attitude: AttitudeTable | None = None
     servo: dict[str, ServoTable] = Field(default_factory=dict)
     stop: tuple[StopTable, ...] = ()
@@ -342,8 +357,8 @@ class VehicleScenario(Scenario):
             raise ValueError("flexibility and backlash are for a base that floats or stands")
         if self.payload is not None and self.vehicle.payload_link is None:
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
-        if self.burn and (self.vehicle.base != "free" or self.parabolas is not None):
-            raise ValueError('burn: thrusters push a base = "free" that is not let go by hand')
+        if (self.burn or self.wrench) and (self.vehicle.base != "free" or self.parabolas is not None):
+            raise ValueError('burn, wrench: they push a base = "free" that is not let go by hand')
         if self.attitude is not None and (self.vehicle.base != "free" or self.parabolas or self.flexibility):
             raise ValueError('attitude: wheels hold a base = "free", with stiff joints, that is not let go by hand')
         if self.payload is None and (self.capture is not None or self.ejection is not None):

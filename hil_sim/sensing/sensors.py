@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal
 
+from hil_sim import filters
 from hil_sim.arrays import Deviates, FloatArray, Track
 from hil_sim.plants.motion import STANDARD_GRAVITY
 from hil_sim.plants.world import Plant
@@ -25,6 +25,7 @@ from hil_sim.sensing.triads import Triad, Wander, within_limits
 
 Counts = NDArray[np.int16]
 _LEAST_DELAY = 0.1  # of a load cell's nominal one
+_BEYOND, _NEWTON = 2.1, 12  # right of the root, which is at 2.06 without a delay, the left side convex: never overshot
 
 
 class LowPass(NamedTuple):
@@ -33,6 +34,11 @@ class LowPass(NamedTuple):
     b: FloatArray
     a: FloatArray
     pure_delay_s: float
+
+    @property
+    def section(self) -> filters.Section:
+        """The filter without the delay."""
+        return self.b, self.a
 
 
 def low_pass(bandwidth_Hz: float, delay_s: float, step_s: float) -> LowPass:
@@ -49,16 +55,15 @@ def low_pass(bandwidth_Hz: float, delay_s: float, step_s: float) -> LowPass:
     if pure_s >= 0.0:
         natural, zero_s = edge, 0.0
     else:
-
-        def excess_power(w: float) -> float:
-            zero = 2.0 * damping / w - delay_s
-            x = edge / w
-            return (1.0 + (edge * zero) ** 2) / ((1.0 - x * x) ** 2 + (2.0 * damping * x) ** 2) - 0.5
-
-        natural = optimize.brentq(excess_power, edge * 1e-3, edge)
+        # half power at the edge: 1 + x^4 = 2 (1 + (edge zero_s)^2), x = edge / natural, by Newton
+        x, late = _BEYOND, edge * delay_s
+        for _ in range(_NEWTON):
+            zero = math.sqrt(2.0) * x - late
+            x -= (x**4 - 1.0 - 2.0 * zero * zero) / (4.0 * x**3 - 4.0 * math.sqrt(2.0) * zero)
+        natural = edge / x
         zero_s, pure_s = 2.0 * damping / natural - delay_s, 0.0
-    b, a = signal.bilinear([zero_s, 1.0], [natural**-2, 2.0 * damping / natural, 1.0], fs=1.0 / step_s)
-    return LowPass(np.asarray(b), np.asarray(a), pure_s)
+    b, a = filters.bilinear([zero_s, 1.0], [natural**-2, 2.0 * damping / natural, 1.0], 1.0 / step_s)
+    return LowPass(b, a, pure_s)
 
 
 class _Stream:
@@ -74,10 +79,10 @@ class _Stream:
     def extend(self, truth: FloatArray) -> None:
         """Append filtered ``truth`` rows (m, columns); the filter starts settled on the first of them."""
         if self._state is None:
-            settled = signal.lfilter_zi(self.response.b, self.response.a)
-            self._state = settled[:, None] * truth[0]
-        out, self._state = signal.lfilter(self.response.b, self.response.a, truth, axis=0, zi=self._state)
-        self.values[self._count : self._count + len(truth)] = out
+            self._state = filters.settled(self.response.section)[:, None] * truth[0]
+        self.values[self._count : self._count + len(truth)] = filters.filtered(
+            self.response.section, truth, self._state
+        )
         self._count += len(truth)
 
     def forget(self, before: int) -> None:
@@ -291,18 +296,14 @@ class LoadCellSensor:
         late_ms = table.delay_sigma_ms * rng.spawn(1)[0].standard_normal()
         self.delay_s = 1e-3 * max(table.delay_ms + late_ms, _LEAST_DELAY * table.delay_ms)
         response = low_pass(np.sqrt(2.0) / (2.0 * np.pi * self.delay_s), self.delay_s, h)
-        impulse = np.zeros(4000)
-        impulse[0] = 1.0
-        passed = float(np.linalg.norm(signal.lfilter(response.b, response.a, impulse)))
-        self._noise_scale = table.noise_rms_N / passed
+        self._noise_scale = table.noise_rms_N / filters.rms_gain([response.section], 4000)
         self._noise = Deviates(rng, plant.rows, 1)
         self._stream = _Stream(response, plant.rows, 1)
         self._filtered_N = self._stream.values[:, 0]
         self._full_scale_s = tuple(table.full_scale_readings_s)
         self._full_scale_window_s = 1e-3 * table.full_scale_window_ms
-        keep = np.exp(-h / table.creep_time_s)
-        self._creep = (np.array([1.0 - keep]), np.array([1.0, -keep]))
-        self._creep_state = np.zeros(1)
+        self._creep_keep = math.exp(-h / table.creep_time_s)
+        self._crept = np.zeros(1)
 
     def value(self, time_s: float) -> float:
         """Force at ``time_s`` [N], filtered and clipped at the capacity; the recorded full-scale samples included."""
@@ -334,7 +335,8 @@ class LoadCellSensor:
         force = self._load[rows] @ self._axis
         if self.lever_m is not None:
             force = force / self.lever_m
-        crept, self._creep_state = signal.lfilter(*self._creep, force, zi=self._creep_state)
+        creeping = filters.remembered(self._creep_keep, (1.0 - self._creep_keep) * force[:, None], self._crept)
+        self._crept, crept = creeping[-1], creeping[:, 0]
         capacity = self._table.capacity_N
         bridge = force + self._table.creep_fraction * crept + self.nonlinearity * capacity * (force / capacity) ** 3
         noise = self._noise_scale * self._noise.take(len(bridge))[:, 0]

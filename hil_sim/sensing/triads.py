@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, special
+from scipy import special
 
+from hil_sim import filters
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.sensor_tables import Axes
 
@@ -55,8 +56,7 @@ class Wander:
         slow, walk = self._sigmas
         if slow:
             steps = slow * math.sqrt(1.0 - self._memory**2) * self._rng.standard_normal(rows.shape)
-            state = self._memory * self._slow[None, :]
-            own, _ = signal.lfilter([1.0], [1.0, -self._memory], steps, axis=0, zi=state)
+            own = filters.remembered(self._memory, steps, self._slow)
             rows += own
             self._slow = own[-1]
         if walk:

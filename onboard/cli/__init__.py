@@ -8,6 +8,9 @@ part was processed; 4 preflight found the vehicle not ready.
 """
 
 import argparse
+import contextlib
+import errno
+import gc
 import importlib
 import importlib.metadata
 import os
@@ -15,7 +18,9 @@ import pkgutil
 import sys
 from collections.abc import Callable, Sequence
 
-from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK
+from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, complain
+
+_COLLECTED_EVERY = 20_000  # objects made more than given back
 
 __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main", "parser"]
 
@@ -24,22 +29,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
     # The matrices are small: BLAS threads cost more than they save (a replay takes a third of the time without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
     arguments = parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command
     try:
-        return command(arguments)
+        if str(getattr(arguments, "json", None)) != "-":
+            return command(arguments)
+        arguments.json = sys.stdout  # which gets nothing else
+        with contextlib.redirect_stdout(sys.stderr):
+            return command(arguments)
     except KeyboardInterrupt:
         return 130
     except (OSError, ValueError) as error:
         # errors of bad input have one of these as second parent; any other exception is a bug
         if isinstance(error, BrokenPipeError):
             return OK
-        sys.stderr.write(f"heft: {_sentence(error)}\n")
+        complain(_sentence(error))
         return BAD_INPUT
 
 
 def _sentence(error: OSError | ValueError) -> str:
     """Message with remedy; heft's errors contain it, for system errors it is added here."""
+    if refused := getattr(
+        error, "refused", ()
+    ):  # a scenario: the simulator knows nothing of how vehicle files are told
+        from onboard.config.errors import Origin
+        from onboard.config.explain import explained
+
+        origins = [Origin(str(getattr(error, "label", ""))), *(Origin(*file) for file in getattr(error, "files", ()))]
+        return "\n".join(line for one in refused for line in explained(one[0], one[2], one[1], origins, one[3]))
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT):
+        from onboard.recording.space import refusal
+
+        return refusal(error)
     if isinstance(error, OSError) and error.strerror and error.filename:
         remedy = {
             FileNotFoundError: "check the path",
@@ -62,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--version", action="version", version=f"heft {_version()}")
     commands = made.add_subparsers(required=True, metavar="COMMAND")
     for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        if found not in ("__main__", "common", "controller", "messages"):
+        if found not in ("__main__", "common", "controller", "lines", "messages"):
             importlib.import_module(f"{__name__}.{found}").add(commands)
     return made
 

@@ -1,7 +1,6 @@
 """``heft calibrate`` measures instruments and the bare vehicle on a bench, and writes the result into vehicle.toml."""
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -12,13 +11,15 @@ from onboard.cli.common import (
     FAILED,
     OK,
     Commands,
-    bus_and_url,
+    add_json,
     complain,
     console,
     load_vehicle,
     next_log,
     progress,
     show,
+    with_urls,
+    write_json,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def _kind(kinds: Any, name: str, about: str, device: str, **others: Any) -> Any:
     one.add_argument("--latitude-deg", type=float, help="of the place, for gravity; without it 0.15 %% are added")
     one.add_argument("--height-m", type=float, default=0.0, help="above the sea (0)")
     one.add_argument("--dry-run", action="store_true", help="show what would change in the file, and leave it")
-    one.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(one)
     one.set_defaults(command=_calibrate, what=name, **others)
     return one
 
@@ -133,7 +134,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from onboard.offline.calibrate import readings, result, vehicle_file
     from onboard.recording.reader import LogReader
 
-    vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
     if not arguments.dry_run:
         vehicle_file.require_writable(vehicle)
     device = _device(vehicle, arguments)
@@ -159,9 +160,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         vehicle_file.replace(vehicle, text)
     told = "would be changed" if arguments.dry_run else "changed"
     console().print(f"{vehicle.label}: {len(found.changes)} keys {told}; log: {log}", soft_wrap=True, markup=False)
-    if arguments.json:
-        told_json = found.as_json() | {"log": str(log), "device": device, "calibrated": note}
-        arguments.json.write_text(json.dumps(told_json, indent=1, default=str) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json() | {"log": str(log), "device": device, "calibrated": note})
     return OK
 
 

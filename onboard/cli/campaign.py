@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import FAILED, OK, Commands, complain, console, progress, show
+from onboard.cli.common import FAILED, OK, Commands, add_json, complain, console, progress, show, write_json
 
 if TYPE_CHECKING:
     from onboard.offline.campaign.design import Item
@@ -30,7 +30,9 @@ def add(commands: Commands) -> None:
     )
     campaign.add_argument("--first", type=int, metavar="SEED", help="in place of the plan's first_seed")
     campaign.add_argument("--seeds", type=int, metavar="N", help="in place of the plan's seeds")
-    campaign.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask's, in place of processes here")
+    campaign.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="Dask's, in place of processes here (or tls://)"
+    )
     campaign.add_argument("--jobs", type=int, metavar="N", help="processes here (default: one a core)")
     campaign.add_argument("--memory", default="auto", metavar="2GB", help="of each process (default: an equal share)")
     campaign.add_argument(
@@ -40,7 +42,7 @@ def add(commands: Commands) -> None:
     campaign.add_argument("--list", action="store_true", help="say what would be flown, and end")
     campaign.add_argument("--again", metavar="FLIGHT", help="fly one flight in this process, keep its log, and end")
     campaign.add_argument("--by", metavar="FACTOR", help="of report: the answers of each level of a factor too")
-    campaign.add_argument("--json", type=Path, metavar="FILE", help="of report: write its numbers too")
+    add_json(campaign)
     campaign.set_defaults(command=_campaign)
 
 
@@ -193,8 +195,6 @@ def _again(address: str, items: Mapping[str, "Item"], code: str) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    import json
-
     from onboard.offline.campaign.statistics import by_level, summary
     from onboard.offline.campaign.store import Store
     from onboard.offline.campaign.view import failures, summed
@@ -214,9 +214,7 @@ def _report(arguments: argparse.Namespace) -> int:
     show(summed(found))
     if failed := store.failures(content.items):
         show(failures(failed))
-    if arguments.json:
-        told = found.as_json() | {"by": {level: of.as_json() for level, of in levels.items()}}
-        arguments.json.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json() | {"by": {level: of.as_json() for level, of in levels.items()}})
     output = arguments.output or arguments.directory / "report.html"
     campaign.write(found, content, store, output, levels)
     print(output)

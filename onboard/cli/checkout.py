@@ -1,14 +1,24 @@
 """``heft checkout VEHICLE``: the dissertation's checkout (appendix A.1), and what a loss leaves (``--without``)."""
 
 import argparse
-import json
 import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import FAILED, NOT_READY, OK, Commands, bus_and_url, load_vehicle, show
+from onboard.cli.common import (
+    FAILED,
+    NOT_READY,
+    OK,
+    Commands,
+    add_json,
+    busy,
+    load_vehicle,
+    show,
+    with_urls,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from onboard import config
@@ -36,7 +46,7 @@ def add(commands: Commands) -> None:
     checkout.add_argument("--move", type=float, metavar="S", default=_MOVE_S, help="to move a joint (default 20)")
     checkout.add_argument("--dry-run", type=float, metavar="S", default=_DRY_RUN_S, help="its length (default 10)")
     checkout.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
-    checkout.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(checkout)
     checkout.set_defaults(command=_checkout)
 
 
@@ -48,7 +58,7 @@ def _checkout(arguments: argparse.Namespace) -> int:
     ):
         if not 0.0 < value < 1e6:
             raise ValueError(f"{option} {value:g}: give a positive number")
-    vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
     if arguments.without:
         return _without(vehicle, arguments)
     if arguments.scenario:
@@ -67,12 +77,12 @@ def _without(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     from onboard.offline.views import contingency
 
     scenario = scenario_of(vehicle.path, arguments.scenario)
-    plan = plan_of(vehicle, default_plan(scenario, 1.0 / vehicle.file.estimation.row_rate_hz))
-    found = foresee_without(vehicle, plan, list(dict.fromkeys(arguments.without)))
+    with busy(f"what is left without {', '.join(arguments.without)}"):
+        plan = plan_of(vehicle, default_plan(scenario, 1.0 / vehicle.file.estimation.row_rate_hz))
+        found = foresee_without(vehicle, plan, list(dict.fromkeys(arguments.without)))
     motion = "the motion of the scenario" if arguments.scenario else "the default motion of a rehearsal"
     show(contingency.render(found, motion))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     return OK if found.useful else FAILED
 
 
@@ -108,8 +118,7 @@ def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     show(checkout.render(record))
     path = checkout.write(record, directory)
     print(path)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(record.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(arguments.json, record.as_json())
     return OK if record.ready else NOT_READY
 
 

@@ -1,10 +1,13 @@
 """Common parts of the commands: exit codes, console, warnings, shared options."""
 
+import json
+import math
+import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -17,6 +20,7 @@ Commands = Any  # argparse keeps the type of what add_subparsers returns to itse
 OK, FAILED, BAD_INPUT, DAMAGED, NOT_READY = 0, 1, 2, 3, 4
 
 
+_MOST_SAID = 10_000  # characters
 _WIDER = (100, 120, 160, 240, 400)  # columns, one after the other, until every number is whole
 
 
@@ -58,15 +62,23 @@ def _keep_numbers_whole(shown: object) -> None:
             _keep_numbers_whole(part)
 
 
-def progress() -> "Progress":
-    """A progress bar on stderr, removed when done; none without a terminal."""
+def progress(*, threads: bool = True) -> "Progress":
+    """Progress on stderr: a bar that is removed when done; a line after 2 s and then each 5 s without a terminal.
+
+    Args:
+        threads: lines come also while nothing is updated; without, the process keeps its one thread.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from onboard.cli.lines import ProgressLines
+
     where = Console(stderr=True, markup=False, emoji=False)
+    if not where.is_terminal:
+        return ProgressLines(threads=threads)
     percent = TextColumn("{task.percentage:3.0f} %")
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), percent, TimeRemainingColumn())
-    return Progress(*columns, console=where, transient=True, disable=not where.is_terminal)
+    return Progress(*columns, console=where, transient=True)
 
 
 @contextmanager
@@ -74,10 +86,12 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
     """Shows what is being done and for how long, where nobody can say how much is left; call it with what follows."""
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    shown = progress().console
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=shown, transient=True, disable=not shown.is_terminal) as bar:
-        task = bar.add_task(what)
+    shown = progress()
+    if shown.console.is_terminal:
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+        shown = Progress(*columns, console=shown.console, transient=True)
+    with shown as bar:
+        task = bar.add_task(what, total=None)
         yield lambda then: bar.update(task, description=then)
 
 
@@ -87,7 +101,40 @@ def next_log(directory: str, name: str) -> Path:
 
     taken = {flight.log for flight in manifest.waiting()}
     paths = (Path(directory) / f"{name}-{n:03d}.mcap" for n in range(1, 100_000))
-    return next(path for path in paths if not path.exists() and path.absolute() not in taken)
+    return next(path for path in paths if not os.path.lexists(path) and path.absolute() not in taken)
+
+
+def add_json(command: Any) -> None:
+    """The option ``--json`` of a command that answers."""
+    told = "also write the result as JSON; -: to stdout, and the words to stderr"
+    command.add_argument("--json", type=Path, metavar="FILE", help=told)
+
+
+def write_json(where: Path | TextIO | None, result: object) -> None:
+    """Write what was found as JSON; nothing without ``--json``. A number that is not finite is null."""
+    text = json.dumps(_plain(result), indent=1, allow_nan=False) + "\n"
+    if isinstance(where, Path):
+        from onboard.recording.space import naming
+
+        with naming(where):
+            where.write_text(text, encoding="utf-8")
+    elif where is not None:
+        where.write(text)
+
+
+def _plain(value: Any) -> Any:
+    """Named tuples as objects, arrays as lists, anything else that JSON does not know as its text."""
+    if hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # of NumPy
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def load_vehicle(name: str, urdf: Path | None = None) -> "config.Vehicle":
@@ -98,8 +145,10 @@ def load_vehicle(name: str, urdf: Path | None = None) -> "config.Vehicle":
 
 
 def complain(text: object) -> None:
-    """Print the reason of a failure."""
-    sys.stderr.write(f"heft: {text}\n")
+    """Print the reason of a failure; of a file's own long text not all."""
+    said = str(text)
+    more = f" ... and {len(said) - _MOST_SAID} more characters" if len(said) > _MOST_SAID else ""
+    sys.stderr.write(f"heft: {said[:_MOST_SAID]}{more}\n")
 
 
 def warn(damage: Iterable[object]) -> None:
@@ -178,6 +227,17 @@ def bus_and_url(text: str, option: str = "--url") -> tuple[str, str]:
     return bus, url
 
 
+def with_urls(vehicle: "config.Vehicle", said: Iterable[str]) -> "config.Vehicle":
+    """A vehicle with the bus URLs that ``--url`` says.
+
+    Raises:
+        ValueError: not BUS=URL, no such bus, or a URL that its devices cannot be on.
+    """
+    from onboard import config
+
+    return config.with_urls(vehicle, dict(bus_and_url(text) for text in said))
+
+
 def show_foreseen(vehicle: "config.Vehicle", planned: Any, motion: str) -> list[dict[str, Any]]:
     """Print what a planned motion determines; the same as JSON values, none where it is not known.
 
@@ -187,11 +247,13 @@ def show_foreseen(vehicle: "config.Vehicle", planned: Any, motion: str) -> list[
         motion: whose it is, in words.
     """
     from onboard.offline.foresee.foresee import foresee
+    from onboard.offline.foresee.kept import kept
     from onboard.offline.foresee.plan import plan_of
     from onboard.offline.views import foreseen
 
     try:
-        found = foresee(vehicle, plan_of(vehicle, planned))
+        plan = plan_of(vehicle, planned)
+        found = kept(vehicle, plan, lambda: foresee(vehicle, plan))
     except ValueError as error:
         console().print(f"what {motion} determines is not known: {error}")
         return []

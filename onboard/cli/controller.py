@@ -1,13 +1,12 @@
 """``heft hil VEHICLE --controller``: its options, and what they run."""
 
 import argparse
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import FAILED, OK, console, next_log, progress, show
+from onboard.cli.common import FAILED, OK, console, next_log, progress, show, write_json
 
 if TYPE_CHECKING:
     from onboard import config
@@ -48,8 +47,7 @@ def fly(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any,
     made = _run(arguments, vehicle, scenario, faults, log)
     show(view.render(made))
     console().print(f"log: {log}", soft_wrap=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(arguments.json, made.as_json())
     if arguments.figure:
         view.draw(made, arguments.figure)
         print(arguments.figure)

@@ -83,14 +83,14 @@ def _standard(arguments: argparse.Namespace, target: Path) -> int:
     from onboard.offline.export.standard import dump_standard
     from onboard.offline.tables.flight_tables import FlightTables
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import flights
+    from onboard.recording.segments import flights, logs
 
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     groups = flights(arguments.logs)
     codes = []
     with progress() as bar:
-        for group in groups:
-            tables = FlightTables(LogReader(group[0] if len(group) == 1 else group), vehicle)
+        for group, given in zip(groups, logs(arguments.logs), strict=True):
+            tables = FlightTables(LogReader(given), vehicle)
             where = target / group[0].stem if len(groups) > 1 else target
             result = dump_standard(tables, where, force=arguments.force, progress=bar)
             print(result.files[0])

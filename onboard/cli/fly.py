@@ -13,7 +13,6 @@ from onboard.cli.common import (
     add_hand_over,
     add_live,
     add_until,
-    bus_and_url,
     busy,
     complain,
     console,
@@ -22,6 +21,7 @@ from onboard.cli.common import (
     serve_live,
     show,
     with_hand_over,
+    with_urls,
 )
 
 if TYPE_CHECKING:
@@ -60,9 +60,8 @@ def _fly(arguments: argparse.Namespace) -> int:
     from onboard.flight.supervise import runner
     from onboard.flight.supervise.runner_processes import FlightError
 
-    urls = dict(bus_and_url(text) for text in arguments.url)
     vehicle, plan = config.with_mission(load_vehicle(arguments.vehicle), arguments.until, arguments.segments), None
-    driven = _with_drives(vehicle, arguments, urls)
+    driven = _with_drives(vehicle, arguments)
     if driven is None:
         return NOT_READY
     vehicle = driven
@@ -78,7 +77,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         from onboard.recording.reader import LogReader
 
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
-    vehicle = with_hand_over(vehicle.with_urls(urls), arguments.hand_over)
+    vehicle = with_hand_over(with_urls(vehicle, arguments.url), arguments.hand_over)
     try:
         with (
             runner.Servers(vehicle, shared=True) as servers,  # before there are threads
@@ -92,14 +91,14 @@ def _fly(arguments: argparse.Namespace) -> int:
         complain(error)
         return FAILED
     print(flight.log)
+    for lost in flight.lost:
+        complain(f"of the log: {lost}")
     for name in flight.died:
         complain(f"the {name} worker died; see its message above, and the event in the log")
-    return FAILED if flight.died or (flight.missing and not flight.was_over) else OK
+    return FAILED if flight.died or flight.lost or (flight.missing and not flight.was_over) else OK
 
 
-def _with_drives(
-    vehicle: "config.Vehicle", arguments: argparse.Namespace, urls: dict[str, str]
-) -> "config.Vehicle | None":
+def _with_drives(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> "config.Vehicle | None":
     """The vehicle with what its drives are to play, if anything; None where a preflight stands against it."""
     drive = vehicle.file.drive
     if arguments.until is not None and not (arguments.arm or (drive is not None and drive.phase is not None)):
@@ -120,7 +119,7 @@ def _with_drives(
     playing = [bus for bus in vehicle.buses if vehicle.play(bus) is not None]
     looks = time.monotonic_ns, time.sleep, workers.run_for, None, preflight.FLIGHT_S, Estimator(vehicle), time.time()
     with busy("preflight, before the arm is driven") as told:
-        found = preflight.preflight(vehicle.with_urls(urls), *looks, told)
+        found = preflight.preflight(with_urls(vehicle, arguments.url), *looks, told)
     played = vehicle.motion.name if vehicle.motion is not None else "segments as they are asked for"
     if found.ready:
         console().print(f"preflight is green: {played} on {', '.join(playing)}")

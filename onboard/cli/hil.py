@@ -1,7 +1,6 @@
 """``heft hil`` flies a scenario against simulated devices."""
 
 import argparse
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from onboard.cli.common import (
     OK,
     Commands,
     add_hand_over,
+    add_json,
     add_live,
     add_until,
     complain,
@@ -22,10 +22,12 @@ from onboard.cli.common import (
     show,
     show_foreseen,
     with_hand_over,
+    write_json,
 )
 
 if TYPE_CHECKING:
     from onboard import config
+    from onboard.flight.hil import Flown
 
 
 def add(commands: Commands) -> None:
@@ -40,7 +42,7 @@ def add(commands: Commands) -> None:
     )
     hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
-    hil.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(hil)
     hil.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
     hil.add_argument(
         "--fault",
@@ -59,6 +61,9 @@ def add(commands: Commands) -> None:
 
 
 def _hil(arguments: argparse.Namespace) -> int:
+    from onboard import config
+
+    vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
     try:
         from hil_sim.devices.vehicle_file import scenario_of
         from hil_sim.faults import EFFECTS, parse
@@ -66,17 +71,13 @@ def _hil(arguments: argparse.Namespace) -> int:
         from hil_sim.plants.planned import with_segments
     except ModuleNotFoundError as error:
         raise ValueError(f"heft hil simulates with MuJoCo ({error}): pip install mujoco") from error
-    from onboard import config
     from onboard.flight import hil
     from onboard.flight.supervise.runner_processes import FlightError
-    from onboard.offline.tables import truth
-    from onboard.offline.views import mission_table, own_mission
 
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
-    vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
     asks = vehicle.segments_path
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
     if arguments.campaign and (arguments.realtime or asks is not None or arguments.controller):
@@ -93,10 +94,10 @@ def _hil(arguments: argparse.Namespace) -> int:
     if arguments.faults:
         _list_faults(world.possible_faults(), EFFECTS)
         return OK
-    expected = _foresee(vehicle, world) if asks is None else []
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
-    with progress() as bar:
+    with progress(threads=not arguments.realtime) as bar:  # the fork server is forked from a process without threads
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
+        expected = _foresee(vehicle, world) if asks is None else []
         if arguments.realtime:
             serve = _serving(flown_as, asks, arguments)
             try:
@@ -108,9 +109,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         else:
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
-    truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
-    result = mission_table.result(flown) | {"expected": expected}
-    return _told(arguments, result, log)
+    return _told(arguments, vehicle, flown, expected)
 
 
 def _rehearsed(path: Path, arguments: argparse.Namespace) -> str:
@@ -130,16 +129,24 @@ def _serving(flown_as: str, segments: Path | None, arguments: argparse.Namespace
     return serve + [f"--fault={text}" for text in arguments.fault]
 
 
-def _told(arguments: argparse.Namespace, result: dict[str, Any], log: Path) -> int:
-    """Print the result, write it, and give the exit code."""
-    from onboard.offline.views import mission_table
+def _told(
+    arguments: argparse.Namespace, vehicle: "config.Vehicle", flown: "Flown", expected: list[dict[str, Any]]
+) -> int:
+    """Print the result, then write it, which a full disk may refuse, and give the exit code."""
+    from onboard.offline.tables import truth
+    from onboard.offline.views import mission_table, own_mission
+    from onboard.recording.space import refusal
 
-    shown = console()
+    result, log, shown = mission_table.result(flown, vehicle) | {"expected": expected}, flown.log, console()
     show(mission_table.render(result))
     shown.print(f"log: {log}", soft_wrap=True)
     shown.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    try:
+        truth.write(log, own_mission.with_quantities(vehicle, flown.truth))
+        write_json(arguments.json, result)
+    except OSError as error:
+        complain(refusal(error))
+        return FAILED
     return OK if result["identified"] and result["accounted"] else FAILED
 
 

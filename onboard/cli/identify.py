@@ -1,13 +1,23 @@
 """``heft identify``: identification from logs with the onboard estimator."""
 
 import argparse
-import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, load_vehicle, progress, show, warn
+from onboard.cli.common import (
+    DAMAGED,
+    FAILED,
+    OK,
+    Commands,
+    add_json,
+    load_vehicle,
+    progress,
+    show,
+    warn,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +49,7 @@ def add(commands: Commands) -> None:
     )
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
-    identify.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(identify)
     identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
     identify.set_defaults(command=_identify)
 
@@ -84,8 +94,7 @@ def _identify_with(
         made = tuple((log, predict(vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)
     show(identify_view.render(found))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     if arguments.report:
         from onboard.offline.report import identified
 
@@ -106,6 +115,5 @@ def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int
         raise ValueError("--parameters depend on the vehicle only; leave the logs out")
     found = parameters.parameters(vehicle)
     show(parameters.render(found))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     return OK

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import OK, Commands, progress
+from onboard.cli.common import OK, Commands, add_json, progress, write_json
 
 
 def add(commands: Commands) -> None:
@@ -12,6 +12,7 @@ def add(commands: Commands) -> None:
     importer.add_argument("mapping", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4")
     importer.add_argument("source", type=Path, help="a recording, or a directory of them")
     importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    add_json(importer)
     importer.set_defaults(command=_import)
 
 
@@ -20,6 +21,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
     with progress() as bar:
         imported = import_recordings(arguments.mapping, arguments.source, arguments.output, progress=bar)
+    write_json(arguments.json, imported)
     for one in imported:
         print(f"{one.path}  {one.rows} rows")
     return OK

@@ -1,17 +1,16 @@
 """``heft info``: summary of a log on one screen."""
 
 import argparse
-import json
 from pathlib import Path
 
-from onboard.cli.common import Commands, progress, show
+from onboard.cli.common import Commands, add_json, progress, show, write_json
 
 
 def add(commands: Commands) -> None:
     """Make the command known."""
     info = commands.add_parser("info", help="summary of a log on one screen")
     info.add_argument("log", type=Path)
-    info.add_argument("--json", type=Path, metavar="FILE", help="also write it as JSON; - writes only JSON, to stdout")
+    add_json(info)
     info.add_argument("--clocks", type=Path, metavar="PNG", help="plot each clock's residuals, rate and state")
     info.set_defaults(command=_info)
 
@@ -24,15 +23,9 @@ def _info(arguments: argparse.Namespace) -> int:
     with progress() as bar:
         about = info.info(log, bar)
         said = summary.summary(log, bar)
-    if arguments.json:
-        text = json.dumps({**about.as_json(), **said.as_json()}, indent=1, allow_nan=False) + "\n"
-        if str(arguments.json) == "-":
-            print(text, end="")
-        else:
-            arguments.json.write_text(text, encoding="utf-8")
-    if str(arguments.json) != "-":
-        show(info.render(about))
-        show(summary.render(said))
+    write_json(arguments.json, {**about.as_json(), **said.as_json()})
+    show(info.render(about))
+    show(summary.render(said))
     if arguments.clocks:
         from onboard.offline.report import clock_plot
 

@@ -99,7 +99,8 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
             raise ValueError(
                 "--joints is a number, and --urdf has joints: name those that are measured, or leave it out"
             )
-        drawn = drawing.read(arguments.urdf, arguments.base, names if arguments.joints else ())
+        measured = names if arguments.joints else ()
+        drawn = drawing.read(arguments.urdf, arguments.base, measured, recorded=encoder == "recorded")
         names = list(drawn.joints)
     for link in (arguments.imu_frame, arguments.payload_link):
         if link and (drawn is None or link not in drawn.frames):

@@ -1,12 +1,11 @@
 """``heft mechanics``: reaction of a floating base to its arm: Jacobians, workspaces, reorientation."""
 
 import argparse
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import OK, Commands, load_vehicle, show
+from onboard.cli.common import FAILED, OK, Commands, add_json, busy, complain, load_vehicle, show, write_json
 
 if TYPE_CHECKING:
     from onboard import config
@@ -30,7 +29,7 @@ def add(commands: Commands) -> None:
     mechanics.add_argument("--seconds", type=float, default=5.0, metavar="S", help="for --line (default 5)")
     mechanics.add_argument("--turn", metavar="X,Y,Z", help="turn the base by this rotation vector, deg, by arm cycles")
     mechanics.add_argument("--map", nargs=2, metavar="JOINT", help="singularities and workspaces over two joints")
-    mechanics.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(mechanics)
     mechanics.add_argument("--figures", type=Path, metavar="DIR", help="draw --line and --map into DIR")
     mechanics.set_defaults(command=_mechanics)
 
@@ -47,15 +46,21 @@ def _mechanics(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--seconds {arguments.seconds:g}: give a positive number")
     vehicle = load_vehicle(arguments.vehicle)
     try:
-        found = _analysed(vehicle, arguments, step_m, turn_rad)
+        with busy(f"mechanics of {vehicle.file.vehicle.name}"):
+            found = _analysed(vehicle, arguments, step_m, turn_rad)
     except ModelError as error:
         raise ValueError(str(error)) from error
     show(view.render(found))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     if arguments.figures:
         for path in view.draw(found, arguments.figures):
             print(path)
+    if found.line is not None and not found.line.is_followed:
+        complain(
+            f"the tip cannot follow this line: it is up to {1e3 * found.line.error_m:.2g} mm off; "
+            "ask for a shorter one, from other joint positions (--at), in more time (--seconds)"
+        )
+        return FAILED
     return OK
 
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
+from onboard.cli.common import DAMAGED, OK, Commands, add_json, progress, warn, write_json
 
 
 def add(commands: Commands) -> None:
@@ -27,6 +27,7 @@ def add(commands: Commands) -> None:
         help="recordings made one after the other, e.g. an arm without its load and with it: CHANNEL is added, and is "
         "1 in the first, 2 in the second, ...: a phase channel",
     )
+    add_json(merge)
     merge.set_defaults(command=_merge)
 
 
@@ -52,6 +53,7 @@ def _merge(arguments: argparse.Namespace) -> int:
             made = in_turn(groups, arguments.in_turn, arguments.output, progress=bar)
         else:
             made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)
+    write_json(arguments.json, made)
     for name, rows in made.rows.items():
         print(f"{name}: {rows} rows")
     print(arguments.output)

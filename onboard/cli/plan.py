@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import OK, Commands, load_vehicle, progress, show
+from onboard.cli.common import OK, Commands, add_json, load_vehicle, progress, show, write_json
 
 SEGMENT_S = 6.0
 STARTS, SEGMENT_STARTS = 64, 8
@@ -45,6 +45,7 @@ def add(commands: Commands) -> None:
     )
     plan.add_argument("--masses", metavar="KG,...", help="with --segments: payloads that they are planned for")
     plan.add_argument("-o", "--output", type=Path, default=Path("plan"), metavar="DIR", help="(default: plan)")
+    add_json(plan)
     plan.set_defaults(command=_plan)
 
 
@@ -80,6 +81,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if room.scenario.capture is not None:
         tables["capture"] = room.scenario.capture.model_dump(mode="json", exclude_none=True)
     paths = files.write(made, tables, arguments.over, arguments.output)
+    write_json(arguments.json, files.numbers(made) | {"files": paths})
     for path in paths:
         print(path)
     own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path  # no packaged mission

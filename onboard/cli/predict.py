@@ -1,12 +1,11 @@
 """``heft predict``: base motion predicted from the joints beside what the gyro measured (figure 4.14)."""
 
 import argparse
-import json
 import math
 import tempfile
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, OK, Commands, load_vehicle, show, warn
+from onboard.cli.common import DAMAGED, OK, Commands, add_json, busy, load_vehicle, show, warn, write_json
 
 _METHODS = ("exiddm", "virtual_manipulator", "generalized_jacobian")
 
@@ -25,7 +24,7 @@ def add(commands: Commands) -> None:
     )
     which.add_argument("--drawn", action="store_true", help="predict with the vehicle's URDF, whatever was identified")
     predict.add_argument("--seconds", type=float, default=30.0, metavar="S", help="of the interval (default 30)")
-    predict.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    add_json(predict)
     predict.add_argument("--figure", type=Path, metavar="FILE", help="also draw it, as SVG or PNG by its ending")
     predict.set_defaults(command=_predict)
 
@@ -49,12 +48,12 @@ def _predict(arguments: argparse.Namespace) -> int:
         vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else vehicle_of(log, Path(directory))
         methods = [Method(name) for name in dict.fromkeys(arguments.method or _METHODS)]
         try:
-            found = predict(vehicle, log, methods, seconds, arguments.urdf, drawn=arguments.drawn)
+            with busy(f"predict {arguments.log.name}"):
+                found = predict(vehicle, log, methods, seconds, arguments.urdf, drawn=arguments.drawn)
         except ModelError as error:
             raise ValueError(str(error)) from error
     show(view.render(found))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     if arguments.figure:
         view.draw(found, arguments.figure)
         print(arguments.figure)

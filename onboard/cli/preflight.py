@@ -2,18 +2,20 @@
 
 import argparse
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from onboard.cli.common import (
     NOT_READY,
     OK,
     Commands,
-    bus_and_url,
+    add_json,
     busy,
     console,
     load_vehicle,
     show,
     show_foreseen,
+    with_urls,
+    write_json,
 )
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ def add(commands: Commands) -> None:
     preflight.add_argument("--seconds", type=float, metavar="S", help="run the devices for this many seconds")
     preflight.add_argument("--minutes", type=float, metavar="M", default=60.0, help="length of the flight (default 60)")
     preflight.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    add_json(preflight)
     preflight.set_defaults(command=_preflight)
 
 
@@ -38,30 +41,31 @@ def _preflight(arguments: argparse.Namespace) -> int:
     minutes: float = arguments.minutes
     if not 0.0 < minutes < 1e6:
         raise ValueError(f"--minutes {minutes:g}: give the length of the flight, e.g. 30")
-    vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
     flight_s = 60.0 * minutes
     with busy("the estimator is built") as told:
         estimator = Estimator(vehicle)  # what heft fly would refuse is refused here
         looks = time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds, flight_s, estimator, time.time()
         found = preflight.preflight(vehicle, *looks, told)
     show(preflight.render(found))
-    _foresee(vehicle)
+    expected = _foresee(vehicle)
+    write_json(arguments.json, {"ready": found.ready, **found._asdict(), "expected": expected})
     return OK if found.ready else NOT_READY
 
 
-def _foresee(vehicle: "config.Vehicle") -> None:
-    """Say what the default motion of a rehearsal determines: preflight knows no other."""
+def _foresee(vehicle: "config.Vehicle") -> list[dict[str, Any]]:
+    """Say what the default motion of a rehearsal determines: preflight knows no other; the same as JSON values."""
     try:
         from hil_sim.devices.vehicle_file import scenario_of
         from hil_sim.plants.planned import default_plan
     except ModuleNotFoundError as error:
         console().print(f"what the vehicle can determine is said where the simulator is installed ({error})")
-        return
+        return []
     motion = "the default motion of a rehearsal"
     try:
         with busy(f"what {motion} determines"):
             plan = default_plan(scenario_of(vehicle.path), 1.0 / vehicle.file.estimation.row_rate_hz)
     except ValueError as error:
         console().print(f"what {motion} determines is not known: {error}")
-        return
-    show_foreseen(vehicle, plan, motion)
+        return []
+    return show_foreseen(vehicle, plan, motion)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, complain, progress
+from onboard.cli.common import DAMAGED, FAILED, Commands, add_json, complain, progress, write_json
 
 
 def add(commands: Commands) -> None:
@@ -11,6 +11,7 @@ def add(commands: Commands) -> None:
     recover = commands.add_parser("recover", help="copy the readable part of a damaged log, and list what is lost")
     recover.add_argument("log", type=Path, nargs="+", help="a log, a flight directory, or all segments of one flight")
     recover.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
+    add_json(recover)
     recover.set_defaults(command=_recover)
 
 
@@ -27,6 +28,7 @@ def _recover(arguments: argparse.Namespace) -> int:
         found = recover(
             logs(arguments.log)[0], arguments.output, lambda done, size: bar.update(task, completed=done, total=size)
         )
+    write_json(arguments.json, found)
     for one in found.damage:
         print(f"damage: {one}")
     for gap in found.gaps:
@@ -36,6 +38,11 @@ def _recover(arguments: argparse.Namespace) -> int:
         return FAILED
     for name, rows in found.rows.items():
         print(f"{name}: {rows} rows")
-    print({OK: "lossless: all that was recorded is there", DAMAGED: "some of it is lost: see above"}[found.exit_code])
+    if found.exit_code == DAMAGED:
+        print("some of it is lost: see above")
+    else:
+        print("lossless: all that was recorded is there" if not found.others else "lossless, for a part of its flight")
+    if found.others:
+        print(f"segments of the flight that are not in it: {', '.join(path.name for path in found.others)}")
     print(arguments.output)
     return found.exit_code

@@ -1,10 +1,9 @@
 """``heft replay`` recomputes the estimates from a log and compares them with those of the flight."""
 
 import argparse
-import json
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, progress, show, warn
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, add_json, progress, show, warn, write_json
 
 
 def add(commands: Commands) -> None:
@@ -18,7 +17,7 @@ def add(commands: Commands) -> None:
         metavar="TOML",
         help="use these settings over the log's own, and show the differences",
     )
-    replay.add_argument("--json", type=Path, metavar="FILE", help="with --with: also write the result as JSON")
+    add_json(replay)
     replay.set_defaults(command=_replay)
 
 
@@ -30,6 +29,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     with progress() as bar:
         result = replay(arguments.log, bar)
     print(result.summary)
+    write_json(arguments.json, result)
     warn(result.damage)
     if not result.identical:
         return FAILED
@@ -42,8 +42,7 @@ def _reestimate(arguments: argparse.Namespace) -> int:
     with progress() as bar:
         found = reestimate(arguments.log, arguments.settings, bar)
     show(render(found))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(arguments.json, found.as_json())
     warn(found.damage)
     if not any(row["supported"] for row in found.now.answers.values()):
         return FAILED

@@ -3,7 +3,18 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import FAILED, OK, Commands, busy, complain, load_vehicle, progress, show
+from onboard.cli.common import (
+    FAILED,
+    OK,
+    Commands,
+    add_json,
+    busy,
+    complain,
+    load_vehicle,
+    progress,
+    show,
+    write_json,
+)
 
 
 def add(commands: Commands) -> None:
@@ -17,13 +28,11 @@ def add(commands: Commands) -> None:
     resync.add_argument("--rate-limit", type=float, default=0.02, help="largest error of a clock's rate (0.02)")
     resync.add_argument("--shocks", action="store_true", help="compare taps of a mallet instead; good to milliseconds")
     resync.add_argument("-o", "--output", type=Path, metavar="FILE", help="merge the logs into FILE as well")
-    resync.add_argument("--json", action="store_true", help="machine-readable")
+    add_json(resync)
     resync.set_defaults(command=_resync)
 
 
 def _resync(arguments: argparse.Namespace) -> int:
-    import json
-
     from onboard.offline.rescue.merge import Part, merge
     from onboard.offline.rescue.resync import render, resync
     from onboard.recording.reader import LogReader
@@ -40,10 +49,8 @@ def _resync(arguments: argparse.Namespace) -> int:
     except ResyncError as error:
         complain(error)
         return FAILED
-    if arguments.json:
-        print(json.dumps([one.as_json() for one in placed], default=str))
-    else:
-        show(render(placed))
+    show(render(placed))
+    write_json(arguments.json, [one.as_json() for one in placed])
     if arguments.output:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
         parts = [Part(group, *clocks.get(group[0], (0, 1.0))) for group in groups]

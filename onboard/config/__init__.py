@@ -1,5 +1,6 @@
 """Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
+from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Zero
 from onboard.config.free_body import Load
@@ -27,4 +28,5 @@ __all__ = [
     "tree_of",
     "validated",
     "with_mission",
+    "with_urls",
 ]

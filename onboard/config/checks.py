@@ -1,19 +1,23 @@
 """Checks across the tables of a vehicle file: references to names, and combinations of devices and methods."""
 
+import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import numpy as np
 
 from drivers.errors import DriverError
 from drivers.transports import url
 from onboard.config.errors import ConfigError
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
+from onboard.dynamics.urdf_check import impossible, inertial_of, require_flyable
+from onboard.dynamics.urdf_reading import Drawing, DrawingError, shortened
 
 Fail = Callable[[list[str], str], NoReturn]
 
-COMPULSORY = {"serial": "baud", "gpio": "line", "gpio-out": "line"}  # option of a URL, by its scheme
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST_NAME = 32  # bytes of it in an event or a gap
 RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick", "health", "health_stream"}
@@ -24,10 +28,7 @@ PLAIN = re.compile(r"[^\W_][\w .+-]{0,63}")  # names used in file names
 
 def check(vehicle: Vehicle) -> None:
     """Raise ConfigError for the first violation."""
-
-    def fail(where: list[str], why: str) -> NoReturn:
-        raise ConfigError(f"{vehicle.origin.place(where)}: {why}")
-
+    fail = _fail_of(vehicle)
     _check_names(vehicle, fail)
     for name, device in vehicle.file.device.items():
         if isinstance(device, BusDevice):
@@ -40,6 +41,27 @@ def check(vehicle: Vehicle) -> None:
     _check_channels(vehicle, fail)
     _check_roles(vehicle, fail)
     _check_rest(vehicle, fail)
+
+
+def with_urls(vehicle: Vehicle, urls: dict[str, str]) -> Vehicle:
+    """The same vehicle with other bus URLs.
+
+    Raises:
+        ConfigError: no such bus, or a URL that its devices cannot be on.
+    """
+    if unknown := sorted(set(urls) - set(vehicle.buses)):
+        raise ConfigError(f"{vehicle.label} has no bus {unknown[0]!r}; there are: {', '.join(vehicle.buses)}")
+    made = vehicle.with_urls(urls)
+    for bus in urls:
+        _check_bus(made, bus, _fail_of(made))
+    return made
+
+
+def _fail_of(vehicle: Vehicle) -> Fail:
+    def fail(where: list[str], why: str) -> NoReturn:
+        raise ConfigError(f"{vehicle.origin.place(where)}: {why}")
+
+    return fail
 
 
 def _check_names(vehicle: Vehicle, fail: Fail) -> None:
@@ -60,9 +82,7 @@ def _check_bus(vehicle: Vehicle, bus: str, fail: Fail) -> None:
         fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(types))}; give each its own bus")
     for bus_type, one in types.items():
         try:
-            parts = url.parse(vehicle.file.bus[bus].url, one.urls)
-            if parts.kind in COMPULSORY:
-                parts.integer(COMPULSORY[parts.kind])
+            url.parse(vehicle.file.bus[bus].url, one.urls)
         except DriverError as error:
             fail(["bus", bus, "url"], f"its devices are on {bus_type}: {error}")
         if not one.shares_bus and len(on_bus) > 1:
@@ -140,6 +160,54 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
             ["vehicle", "urdf"],
             f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file, or give it to heft identify --urdf-in",
         )
+    _check_drawing(vehicle, fail)
+
+
+def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
+    """The URDF, and what the vehicle file says of its links and joints."""
+    told, label = vehicle.file.vehicle, str(vehicle.urdf_path)
+    flies = not all(device.kind.startswith("recorded_") for device in vehicle.file.device.values())
+    try:
+        drawing = require_flyable(vehicle.urdf_text, told.base, told.payload_link, label, simulated=flies)
+    except DrawingError as error:
+        raise ConfigError(str(error)) from error
+    if told.base_link != drawing.root:
+        fail(
+            ["vehicle", "base_link"], f"base_link {told.base_link!r}: the root of the URDF is {drawing.root!r}; name it"
+        )
+    named = [(["vehicle", "payload_link"], told.payload_link)] if told.payload_link is not None else []
+    for where, name in (*named, *_frames(vehicle.tree.get("device"), ["device"])):
+        if name not in drawing.links and name not in drawing.joints:
+            is_joint = where[-1] == "joint"
+            known = [one.name for one in drawing.joints.values() if one.moves] if is_joint else list(drawing.links)
+            near = difflib.get_close_matches(name, known, 1, 0.5)
+            meant = f"did you mean {near[0]!r}?" if near else f"its {'moving joints' if is_joint else 'links'} are"
+            fail(where, f"{where[-1]} {name!r} is not in the URDF; {meant} {'' if near else shortened(known)}".rstrip())
+    for name in vehicle.file.link:
+        if name not in drawing.links:
+            fail(["link", name], f"the URDF has no link {name!r}; it has {shortened(drawing.links)}")
+        if why := _impossible(vehicle, drawing, name):
+            fail(["link", name], f"link {name!r} {why}")
+
+
+def _frames(node: Any, where: list[str]) -> Iterator[tuple[list[str], str]]:
+    """Names of links and joints in the tables of devices."""
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
+        at = [*where, str(key)]
+        if key in ("joint", "frame") and isinstance(value, str):
+            yield at, value
+        else:
+            yield from _frames(value, at)
+
+
+def _impossible(vehicle: Vehicle, drawing: Drawing, link: str) -> str:
+    """Why a link cannot be as it was measured, or as it was measured in part and drawn besides."""
+    own, drawn = vehicle.file.link[link], inertial_of(drawing.links[link])
+    if own.inertia_kg_m2 is None or (own.mass_kg is None and drawn is None):
+        return ""
+    xx, xy, yy, xz, yz, zz = own.inertia_kg_m2
+    mass_kg = own.mass_kg if own.mass_kg is not None or drawn is None else drawn.mass_kg
+    return impossible(float(mass_kg or 0.0), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
 def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:

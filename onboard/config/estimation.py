@@ -167,6 +167,17 @@ class ImuPriorKeys(Section):
     position_m: NotNegative = 0.003
 
 
+class DisturbanceKeys(Section):
+    """What pushes a free base unknown on board, as a random walk: standard deviations of each component at the start.
+
+    In the base's axes; zero: nothing does. ``time_s``: in half of it the variance grows by as much as at the start.
+    """
+
+    force_N: NotNegative = 0.0  # noqa: N815
+    torque_N_m: NotNegative = 0.0  # noqa: N815
+    time_s: Positive = 60.0
+
+
 class MotorKeys(Section):
     """A motor coupled to several joints: its rate per joint rate, and its presliding length (Dahl)."""
 
@@ -243,4 +254,5 @@ class Estimation(Section):
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
     exiddm: ExiddmKeys = ExiddmKeys()
+    disturbance: DisturbanceKeys = DisturbanceKeys()
     imu_prior: ImuPriorKeys = Field(default=ImuPriorKeys(), validation_alias=AliasChoices("imu_prior", "doubt"))

@@ -4,19 +4,17 @@ import difflib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
-from pydantic import AliasChoices, BaseModel, ValidationError
-from pydantic.fields import FieldInfo
+from pydantic import BaseModel, ValidationError
 
 from onboard.config.checks import check
 from onboard.config.errors import ConfigError, Origin
+from onboard.config.explain import explained
 from onboard.config.text import read, tree_of
 from onboard.config.vehicle import Vehicle, VehicleFile
 from onboard.devices.registry import BROKEN
 
-UNIONS = (Union, UnionType)
 File = TypeVar("File", bound=BaseModel)
 
 
@@ -108,7 +106,7 @@ def validated(model: type[File], tree: dict[str, Any], origin: Origin) -> File:
     try:
         file = model.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError("\n".join(_explain(origin, tree, dict(one), model) for one in error.errors())) from error
+        raise ConfigError("\n".join(explained(error, tree, model, [origin]))) from error
     for where, why in _coerced(tree, file, []):
         raise ConfigError(f"{origin.place(where)}: {'.'.join(where)!r}: {why}")
     return file
@@ -135,78 +133,3 @@ def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str
             yield from _coerced(value, part, [*where, str(number)])
     elif isinstance(given, bool | str) and isinstance(read, int | float) and type(given) is not type(read):
         yield where, f"a number is wanted here (found {json.dumps(given)}); write it without quotes"
-
-
-def _explain(origin: Origin, tree: dict[str, Any], error: dict[str, Any], model: type[BaseModel]) -> str:
-    where = _place([str(part) for part in error["loc"]], tree)
-    place, name = origin.place(where), ".".join(where)
-    if error["type"] == "extra_forbidden":
-        known = list(_model_at(where[:-1], tree, model).model_fields)
-        near = difflib.get_close_matches(where[-1], known, 1, 0.5)
-        remedy = f"did you mean {near[0]!r}? Units are in the key" if near else f"known here: {', '.join(known)}"
-        return f"{place}: unknown key {name!r}; {remedy}"
-    if error["type"] == "missing":
-        return f"{place}: {name!r} is missing; add it"
-    return f"{place}: {name!r}: {error['msg']} (found {error['input']!r})"
-
-
-def _place(loc: list[str], tree: dict[str, Any]) -> list[str]:
-    """The path of a key in the file; pydantic adds the kind of a table to ``loc``."""
-    where: list[str] = []
-    node: Any = tree
-    for part in loc[:-1]:
-        if isinstance(node, dict) and part in node:
-            node = node[part]
-        elif isinstance(node, list) and part.isdigit():
-            node = node[int(part)]
-        else:
-            continue
-        where.append(part)
-    return [*where, *loc[-1:]]
-
-
-def _model_at(where: list[str], tree: dict[str, Any], model: type[BaseModel]) -> type[BaseModel]:
-    """The class that reads the table at ``where``, where ``model`` reads the whole."""
-    said: Any = model  # of the value that is looked at
-    node: Any = tree
-    for part in where:
-        said = _field(model, part).annotation if said is model else _of_items(said)
-        node = node[int(part)] if isinstance(node, list) else node[part]
-        found = _model_of(said, node)
-        if found is not None:
-            said = model = found
-    return model
-
-
-def _field(model: type[BaseModel], key: str) -> FieldInfo:
-    """The field that reads ``key``, by its name or by one that older files have for it."""
-    for field in model.model_fields.values():
-        if isinstance(field.validation_alias, AliasChoices) and key in field.validation_alias.choices:
-            return field
-    return model.model_fields[key]
-
-
-def _of_items(annotation: Any) -> Any:
-    """What an annotation says of the values of a dict, the items of a tuple."""
-    while get_origin(annotation) is Annotated:
-        annotation = get_args(annotation)[0]
-    for one in get_args(annotation) if get_origin(annotation) in UNIONS else [annotation]:
-        if get_origin(one) is dict:
-            return get_args(one)[1]
-        if get_origin(one) in (tuple, list):
-            return get_args(one)[0]
-    return Any
-
-
-def _model_of(annotation: Any, value: Any) -> type[BaseModel] | None:
-    """The class in an annotation that reads a table: of several, the one whose literals (a kind) the table has."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        literals = {
-            k: get_args(f.annotation) for k, f in annotation.model_fields.items() if get_origin(f.annotation) is Literal
-        }
-        fits = isinstance(value, dict) and all(value[k] in said for k, said in literals.items() if k in value)
-        return annotation if fits else None
-    if get_origin(annotation) is Annotated or get_origin(annotation) in UNIONS:
-        found = (_model_of(one, value) for one in get_args(annotation))
-        return next((model for model in found if model is not None), None)
-    return None

@@ -10,6 +10,7 @@ from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
     Carried,
+    DisturbanceKeys,
     Estimation,
     ExiddmKeys,
     Gates,
@@ -161,9 +162,9 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
         "exiddm": _M('Table of method "exiddm".'),
+        "disturbance": _M('Table: what pushes a free base unknown on board, for method "exiddm".'),
         "imu_prior": _M(
-            'Table: standard deviations of the base IMU\'s errors, for method "exiddm"; of rows, the two biases of a '
-            "prescribed base's or a free one's.",
+            "Table: sigmas of the base IMU's errors, for method exiddm; of rows, a moving base's two biases."
         ),
     },
     Phases: {
@@ -260,10 +261,13 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "payload_first_moment_sigma_kg_m": _M("The same of its first moment.", "as above"),
         "payload_inertia_sigma_kg_m2": _M("The same of its inertia.", "as above"),
     },
+    DisturbanceKeys: {
+        "force_N": _M("Each component of a force at the base's origin, 1 sigma at the start.", "air drags, gas leaks"),
+        "torque_N_m": _M("Of a torque, the same.", "as above; 0.01 N and 0.002 N m held for what bench flights had"),
+        "time_s": _M("In half of it the variance of both grows by as much as at the start.", "it changes faster"),
+    },
     ImuPriorKeys: {
-        "gyro_bias_rad_s": _M(
-            "Bias of the gyro at the start, 1 sigma by axis.", "from the data sheet, or a calibration"
-        ),
+        "gyro_bias_rad_s": _M("Bias of the gyro at the start, 1 sigma by axis.", "from a data sheet or a calibration"),
         "gyro_drift_rad_s2": _M("Its drift.", "the IMU warms up in flight"),
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),

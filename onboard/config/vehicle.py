@@ -19,7 +19,7 @@ from onboard.config.parabola import Parabola
 from onboard.config.planar import Planar
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
-from onboard.config.text import MOST_BYTES_URDF, read
+from onboard.config.text import read_urdf
 from onboard.devices.base import BusDevice, Channels, DeviceSection
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
@@ -159,7 +159,7 @@ class Vehicle(BaseModel):
         Raises:
             ConfigError: it cannot be read, or is too long.
         """
-        return read(self.urdf_path, "the vehicle's URDF", MOST_BYTES_URDF)
+        return read_urdf(self.urdf_path)
 
     @property
     def motion(self) -> Path | None:

@@ -9,10 +9,6 @@ class UrdfError(ModelError, ValueError):
     """The URDF cannot be used as this vehicle."""
 
 
-class BaseWeightError(UrdfError):
-    """The URDF gives a base that moves freely no mass."""
-
-
 class UnknownFrameError(ModelError, LookupError):
     """A link, joint or frame name that the URDF does not have."""
 

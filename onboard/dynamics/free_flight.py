@@ -330,33 +330,34 @@ def _integrate_momentum(
     A torque, (n, 3), adds half a step's impulse before each step and half of the next after it: it may jump.
     """
     halves = None if torque is None else (0.5 * h * torque).tolist()
-    middle_J, middle_k = _midpoints(J), _midpoints(k)
-    eta = np.empty((len(J), 3))
-    x, y, z = eta[0] = start
-    # Python floats are faster than arrays of three.
-    stages = list(zip(J.reshape(-1, 9).tolist(), k.tolist(), strict=True))
-    middles = list(zip(middle_J.reshape(-1, 9).tolist(), middle_k.tolist(), strict=True))
+    half, whole, sixth = 0.5 * float(h), float(h), float(h) / 6.0
+    # Python floats are faster than arrays of three, and than NumPy's.
+    stages = np.concatenate([J.reshape(-1, 9), k], axis=1).tolist()
+    middles = np.concatenate([_midpoints(J).reshape(-1, 9), _midpoints(k)], axis=1).tolist()
+    x, y, z = start.tolist()
+    eta = [(x, y, z)]
     for i, middle in enumerate(middles):
         if halves is not None:
             x, y, z = (at + by for at, by in zip((x, y, z), halves[i], strict=True))
-        a1, b1, c1 = _momentum_rate(x, y, z, *stages[i])
-        a2, b2, c2 = _momentum_rate(x + 0.5 * h * a1, y + 0.5 * h * b1, z + 0.5 * h * c1, *middle)
-        a3, b3, c3 = _momentum_rate(x + 0.5 * h * a2, y + 0.5 * h * b2, z + 0.5 * h * c2, *middle)
-        a4, b4, c4 = _momentum_rate(x + h * a3, y + h * b3, z + h * c3, *stages[i + 1])
-        x += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-        y += h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4)
-        z += h / 6.0 * (c1 + 2.0 * (c2 + c3) + c4)
+        a1, b1, c1 = _momentum_rate(x, y, z, stages[i])
+        a2, b2, c2 = _momentum_rate(x + half * a1, y + half * b1, z + half * c1, middle)
+        a3, b3, c3 = _momentum_rate(x + half * a2, y + half * b2, z + half * c2, middle)
+        a4, b4, c4 = _momentum_rate(x + whole * a3, y + whole * b3, z + whole * c3, stages[i + 1])
+        x += sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        y += sixth * (b1 + 2.0 * (b2 + b3) + b4)
+        z += sixth * (c1 + 2.0 * (c2 + c3) + c4)
         if halves is not None:
             x, y, z = (at + by for at, by in zip((x, y, z), halves[i + 1], strict=True))
-        eta[i + 1] = x, y, z
-    return eta
+        eta.append((x, y, z))
+    return np.array(eta)
 
 
-def _momentum_rate(x: float, y: float, z: float, J: list[float], k: list[float]) -> tuple[float, float, float]:
-    """``eta x (J eta - k)``."""
-    u = J[0] * x + J[1] * y + J[2] * z - k[0]
-    v = J[3] * x + J[4] * y + J[5] * z - k[1]
-    w = J[6] * x + J[7] * y + J[8] * z - k[2]
+def _momentum_rate(x: float, y: float, z: float, stage: list[float]) -> tuple[float, float, float]:
+    """``eta x (J eta - k)``; the stage is J, row by row, and k."""
+    xx, xy, xz, yx, yy, yz, zx, zy, zz, k_x, k_y, k_z = stage
+    u = xx * x + xy * y + xz * z - k_x
+    v = yx * x + yy * y + yz * z - k_y
+    w = zx * x + zy * y + zz * z - k_z
     return y * w - z * v, z * u - x * w, x * v - y * u
 
 
@@ -374,7 +375,7 @@ def _integrate_sensitivity(
     push = 0.5 * h * (steps @ forcing[:-1] + forcing[1:])  # trapezoid
     S = np.zeros((len(w), 3, 3 + forcing.shape[2]))
     S[0] = start
-    for i in range(len(w) - 1):
-        S[i + 1] = steps[i] @ S[i]
-        S[i + 1, :, 3:] += push[i]
+    for step, before, after, pushed in zip(steps, S[:-1], S[1:], push, strict=True):
+        np.matmul(step, before, out=after)
+        after[:, 3:] += pushed
     return S

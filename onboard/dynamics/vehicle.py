@@ -16,14 +16,15 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.errors import BaseWeightError, SignalError, UnknownFrameError, UrdfError
+from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.tree import tree_of
+from onboard.dynamics.urdf_check import LEAST_SHARE, inertial_of, require_flyable, vector
+from onboard.dynamics.urdf_reading import Drawing, plain, shortened
 from onboard.estimation.arrays import FloatArray
 
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
 FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
 STANDARD_GRAVITY_M_S2 = 9.80665
-_LEAST_SHARE = 1e-6  # of the vehicle's mass: a lighter link is a frame, to which a converter gave some mass
 _NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
 
 
@@ -59,42 +60,14 @@ class Joint(NamedTuple):
     high: float
 
 
-def _vector(element: ET.Element | None, attribute: str, default: str) -> FloatArray:
-    text = default if element is None else element.get(attribute, default)
-    values = np.array([_number(part) for part in text.split()])
-    if values.shape != (3,):
-        raise UrdfError(f"URDF: {attribute}={text!r} is not three numbers")
-    return values
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise UrdfError(f"URDF: {text!r} is no number") from error
-
-
 def _standard_parameters(link: ET.Element) -> FloatArray:
     """The ten standard parameters of a URDF link about its own frame, (10,); zeros without ``<inertial>``."""
-    inertial = link.find("inertial")
-    if inertial is None:
+    own = inertial_of(link)
+    if own is None:
         return np.zeros(10)
-    mass, tensor = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or tensor is None:
-        raise UrdfError(f"link {link.get('name')!r}: <inertial> needs <mass> and <inertia>")
-    origin = inertial.find("origin")
-    m, c = _number(mass.get("value", "nan")), _vector(origin, "xyz", "0 0 0")
-    R = pin.rpy.rpyToMatrix(_vector(origin, "rpy", "0 0 0"))
-    xx, xy, xz, yy, yz, zz = (_number(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    I_cm = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
-    if not (np.isfinite(I_cm).all() and np.isfinite(c).all() and 0.0 <= m < np.inf):
-        raise UrdfError(f"link {link.get('name')!r}: mass and inertia must be finite, the mass not negative")
-    if m == 0.0 and I_cm.any():
-        raise UrdfError(f"link {link.get('name')!r} has an inertia and no mass; give it its mass, or neither")
-    try:
-        return np.asarray(pin.Inertia(m, c, I_cm).toDynamicParameters(), np.float64)
-    except RuntimeError as error:
-        raise UrdfError(f"link {link.get('name')!r}: {error} Give its inertia about the centre of mass.") from error
+    R = pin.rpy.rpyToMatrix(own.roll_pitch_yaw_rad)
+    inertia = pin.Inertia(own.mass_kg, own.centre_m, R @ own.inertia_kg_m2 @ R.T)
+    return np.asarray(inertia.toDynamicParameters(), np.float64)
 
 
 class VehicleModel:
@@ -110,22 +83,17 @@ class VehicleModel:
     """
 
     def __init__(self, urdf: str, spec: VehicleSpec) -> None:
+        drawing = require_flyable(urdf, spec.base, spec.payload_link)
+        elements = drawing.links
         try:
-            root = ET.fromstring(urdf)
-        except ET.ParseError as error:
-            raise UrdfError(f"the URDF is not XML ({error}); give the text of a URDF file") from error
-        elements = {str(link.get("name")): link for link in root.findall("link")}
-        try:
-            self.model = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+            self.model = pin.buildModelFromXML(plain(drawing), pin.JointModelFreeFlyer())
         except (ValueError, RuntimeError) as error:
             raise UrdfError(f"Pinocchio cannot read the URDF: {error}") from error
-        children = {str(child.get("link")) for child in root.iterfind("joint/child")}
-        if spec.base_link not in elements or spec.base_link in children:
-            roots = ", ".join(sorted(set(elements) - children))
-            raise UrdfError(f"base_link {spec.base_link!r} is not the root of the URDF; the root is {roots}")
+        if spec.base_link != drawing.root:
+            raise UrdfError(f"base_link {spec.base_link!r} is not the root of the URDF; the root is {drawing.root}")
         if spec.payload_link is not None and spec.payload_link not in elements:
             raise UnknownFrameError(
-                f"payload_link {spec.payload_link!r} is not in the URDF; it has {', '.join(elements)}"
+                f"payload_link {spec.payload_link!r} is not in the URDF; it has {shortened(elements)}"
             )
         self.spec = spec
         self.model.gravity.setZero()
@@ -134,31 +102,28 @@ class VehicleModel:
             for frame in self.model.frames
             if frame.type == pin.FrameType.BODY
         }
-        least_kg = _LEAST_SHARE * sum(chi[0] for chi in parameters.values())
+        least_kg = LEAST_SHARE * sum(chi[0] for chi in parameters.values())
         self.links = tuple(name for name, chi in parameters.items() if chi[0] > least_kg or name == spec.payload_link)
         self.chi = np.concatenate([parameters[name] for name in self.links] or [np.zeros(0)])
         self.chi.setflags(write=False)
         if spec.base in (BaseKind.FREE, BaseKind.PLANAR):
             self.base_body()
-        self.joints = tuple(self._joint(root, index) for index in range(2, self.model.njoints))
+        self.joints = tuple(self._joint(drawing, index) for index in range(2, self.model.njoints))
         self.tree = tree_of(self.model, self.joints, self.links)
         self._poses: dict[str, tuple[FloatArray, FloatArray]] = {}  # of frames fixed in the base
         self._neutral = self.model.createData()
         pin.framesForwardKinematics(self.model, self._neutral, pin.neutral(self.model))
 
-    def _joint(self, root: ET.Element, index: int) -> Joint:
+    def _joint(self, drawing: Drawing, index: int) -> Joint:
         name, joint = self.model.names[index], self.model.joints[index]
-        element = next(e for e in root.findall("joint") if e.get("name") == name)
-        kind = element.get("type", "")
-        if kind not in ("revolute", "continuous", "prismatic"):
-            raise UrdfError(f"joint {name!r} is {kind!r}; only revolute, continuous and prismatic joints are known")
-        axis = _vector(element.find("axis"), "xyz", "1 0 0")
+        found = drawing.joints[name]
+        axis = vector(found.element.find("axis"), "xyz", "1 0 0")
         axis /= np.linalg.norm(axis)
         bounded = joint.nq == 1
         return Joint(
             name,
             (float(axis[0]), float(axis[1]), float(axis[2])),
-            kind != "prismatic",
+            found.kind != "prismatic",
             joint.idx_q,
             joint.nq,
             joint.idx_v,
@@ -210,14 +175,13 @@ class VehicleModel:
         """The base link, or the first link with a mass that is fixed to it.
 
         Raises:
-            BaseWeightError: there is none.
+            UrdfError: there is none.
         """
         for link in self.links:
             if self.model.frames[self.frame_id(link)].parentJoint == 1 and link != self.spec.payload_link:
                 return str(link)
-        raise BaseWeightError(
-            f"the base, link {self.spec.base_link!r} with what is fixed to it, weighs nothing in the URDF; a base that "
-            f"is {self.spec.base} moves by its mass and inertia: give it <inertial>"
+        raise UrdfError(
+            f"the base, link {self.spec.base_link!r}, weighs nothing beside the payload; give it <inertial>"
         )
 
     def distal_links(self, frame: str) -> tuple[int, ...]:

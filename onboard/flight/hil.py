@@ -13,6 +13,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
+from drivers.records import Severity
 from onboard import config
 from onboard.channels import Act
 from onboard.flight import simulated
@@ -29,6 +32,7 @@ from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
 from onboard.flight.supervise import runner
 from onboard.flight.supervise.runner_processes import FlightError
+from onboard.recording.texts import printable
 from onboard.ring import RingReader
 
 Progress = Callable[[float], None]
@@ -67,11 +71,13 @@ class World(Protocol):
 
 
 class Flown(NamedTuple):
-    """A flight in the harness: its log, what the devices made, what was true."""
+    """A flight in the harness."""
 
     log: Path
-    produced: dict[str, int]
+    produced: dict[str, int]  # by the devices
     truth: dict[str, Any]
+    answers: Mapping[bytes, np.void] = {}  # the last of each name, whether the log has them or not
+    troubles: tuple[str, ...] = ()  # of the recorder
 
 
 def fly_simulated(
@@ -109,7 +115,8 @@ def fly_simulated(
         inputs = rings.readers(directory, estimator.inputs)
         estimation = EstimationWorker(estimator, inputs, Publisher(answers, "_estimation"))
         requests = rings.readers(directory, ["request"])["request"] if "request" in estimator.outputs else None
-        recorder = open_simulated_recorder(vehicle, directory, log)
+        told: list[np.void] = []
+        recorder = open_simulated_recorder(vehicle, directory, log, told.extend)
 
         def answered(now_ns: int) -> int | None:
             """Pass on what was asked for; a flight that knows enough, or has given up, ends soon after."""
@@ -126,7 +133,10 @@ def fly_simulated(
             lambda now_ns: progress((now_ns - world.start_ns) / span_ns),
             answered,
         )
-    return Flown(log, world.produced(), world.truth())
+        quantities = RingReader(directory / "quantity.ring").read()[0]
+    troubles = tuple(printable(row["text"]) for row in told if row["severity"] >= Severity.ERROR)
+    last = dict(zip(quantities["name"].tolist(), quantities, strict=True))
+    return Flown(log, world.produced(), world.truth(), last, troubles)
 
 
 def _pass_on(requests: RingReader, ask: Callable[[str], object]) -> bool:
@@ -208,9 +218,12 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
             end = _line_of(devices, _DIED.format(log), ANSWER_S)
         finally:
             _end(devices)
+    troubles = flight.troubles
+    if died := [name for name in flight.died if name != "recording"]:
+        raise FlightError(f"died in flight: {', '.join(died)}; the log holds what they said")
     if flight.died:
-        raise FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
-    return Flown(log, end["produced"], end["truth"])
+        troubles += ("the log could not be ended; the next start adds what the rings hold",)
+    return Flown(log, end["produced"], end["truth"], flight.answers, troubles)
 
 
 class _Asked:

@@ -71,10 +71,14 @@ def fly(
     estimation_steps = max(1, round(estimation.period_ns / pause_ns))
     step = 0
     while clock.now_ns < end_ns:
-        step += 1
-        clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
+        idle_ns, estimates, records = acquisition.idle_until(), False, False
+        while not (estimates or records) and clock.now_ns < end_ns:
+            step += 1
+            clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
+            estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
+            if clock.now_ns >= idle_ns:
+                break
         advance_world(clock.now_ns)
-        estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
         acquisition.step(clock.now_ns, hand_over=estimates or records)
         if estimates:
             estimation.step(clock.now_ns)
@@ -84,4 +88,5 @@ def fly(
             progress(clock.now_ns)
     acquisition.stop(clock.now_ns)
     estimation.finish(clock.now_ns)
-    recorder.close(clock.now_ns)
+    if recorder.close(clock.now_ns).failing:
+        recorder.abandon()

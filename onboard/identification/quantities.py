@@ -131,9 +131,8 @@ def mass_quantities(
     """Inertias about the joint, and the masses that follow with the nominal geometry (Limparis 4.6).
 
     A single joint's motion shows inertia, not mass: ``m = ZZ / k^2`` with k the radius of gyration of the link about
-    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses); and arm
-    + payload from ``ZZ_R`` held alone, which needs no rows without the payload but uses the nominal *ratio* of the two
-    masses.
+    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses). None of
+    the masses follows from ``ZZ_R`` held alone: that needs the ratio of the two masses, and the payload is unknown.
 
     Args:
         model: the rows.
@@ -167,18 +166,8 @@ def mass_quantities(
         tolerance = tolerances.get(link, Tolerance())
         leanings.append(_gyration_sigma(parts[index], vehicle.chi[10 * index : 10 * index + 10], 10 * index, tolerance))
     (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
-    both = (m_arm + m_tip) / (zz_arm + zz_tip)
     of_arm = _leaning(arm_link, arm * m_arm / zz_arm, leanings[0])
     of_tip = _leaning(payload, tip * m_tip / zz_tip, leanings[1])
-    shares = zz_arm / (zz_arm + zz_tip), zz_tip / (zz_arm + zz_tip)
-    of_both = (
-        *_leaning(arm_link, (arm + tip) * both * shares[0], leanings[0]),
-        *_leaning(payload, (arm + tip) * both * shares[1], leanings[1]),
-    )
-    ratio = abs(m_tip / (m_arm + m_tip) - shares[1]) * np.hypot(
-        tolerances.get(arm_link, Tolerance()).mass, tolerances.get(payload, Tolerance()).mass
-    )
-    of_ratio = Leaning("the ratio of the two masses", (arm + tip) * both * ratio)
     drawn = "radii of gyration from the drawing"
     known = m_arm, m_arm * tolerances.get(arm_link, Tolerance()).mass
     return (
@@ -189,13 +178,6 @@ def mass_quantities(
             f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn, (*of_arm, *of_tip)
         ),
         Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn, of_tip),
-        Quantity(
-            f"m_{arm_link}+m_{payload}_held",
-            "kg",
-            (arm + tip) * both,
-            f"{drawn}, and the ratio of the two masses",
-            (*of_both, of_ratio),
-        ),
     )
 
 

@@ -5,6 +5,10 @@ can reach, and the gate hands bytes on in both directions. It refuses, by HTTP s
 by its Origin (403), which a browser would let read the flight; a Host that is a foreign name (403), which DNS can have
 point here; a request that is too long or too slow (400); more than ``MOST_CLIENTS`` (503). It disconnects a viewer that
 sends a long message or many, and one that takes nothing for ``stall_s``.
+
+Viewers offer the subprotocol by its new name, ``foxglove.sdk.v1``, or by its old one, ``foxglove.websocket.v1``: their
+messages are the same (github.com/orgs/foxglove/discussions/1131), and the SDK knows the new name only. The gate asks it
+by that, and answers a viewer by the name that this one offered. Without either it refuses (400).
 """
 
 import asyncio
@@ -26,6 +30,7 @@ MOST_BYTES_S, MOST_MESSAGES_S = 1 << 18, 200.0
 WEB_VIEWERS = ("app.foxglove.dev", "lichtblick-suite.github.io")  # pages that a viewer on this computer may come from
 _BLOCK = 1 << 16
 _SO_ATTACH_FILTER = 26  # asm-generic/socket.h
+NEW, OLD = b"foxglove.sdk.v1", b"foxglove.websocket.v1"  # names of the subprotocol
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
@@ -98,7 +103,10 @@ class Gate:
         inward, outward = await asyncio.open_connection(
             "127.0.0.1", self._behind, local_addr=(self._address, 0), limit=_BLOCK
         )
-        outward.write(request)
+        older = NEW not in request
+        outward.write(request.replace(OLD, NEW) if older else request)
+        if older:
+            writer.write((await inward.readuntil(b"\r\n\r\n")).replace(NEW, OLD))
         tasks = [
             asyncio.ensure_future(_to_server(reader, outward)),
             asyncio.ensure_future(_to_viewer(inward, writer, self._stall_s)),
@@ -135,7 +143,9 @@ async def _request(reader: asyncio.StreamReader, clients: int) -> tuple[str, byt
         return "403 Forbidden Host", b""
     if origins and not allowed(origins[0], host):
         return "403 Forbidden Origin", b""
-    return "", request
+    offered = {one.strip() for line in headers.get("sec-websocket-protocol", []) for one in line.split(",")}
+    known = (NEW.decode(), OLD.decode())
+    return "" if offered.intersection(known) else f"400 Offer Subprotocol {known[0]} Or {known[1]}", request
 
 
 def allowed(origin: str, host: str) -> bool:

@@ -6,6 +6,7 @@ request.
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -47,6 +48,7 @@ def serving(log: Path, address: str) -> Iterator[int]:
 def main(arguments: Sequence[str]) -> int:
     """Body of the process; ``arguments`` are the log's path and the checked address."""
     log, address = Path(arguments[0]).absolute(), arguments[1]
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # the flight goes on without its terminal, and viewers with it
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)  # lower priority than the flight
     host, port = parse_address(address)

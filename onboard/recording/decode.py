@@ -18,6 +18,8 @@ _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all mes
 
 
 _FEW = 16
+_MOST_ROW_BYTES = 1 << 20  # the longest, of an estimate, has some 20 kB
+_FARTHEST_NS = 365 * 86_400 * 10**9  # between two chunks with rows of a channel
 _GAP_FIELDS = [(name, "S24" if name == "cause" else GAP[name]) for name in GAP.names or () if name != "counted"]
 _GAP_BEFORE = np.dtype(
     _GAP_FIELDS, align=True
@@ -49,6 +51,32 @@ def rows_of(runs: list[MessageRun]) -> Rows:
         at += len(records)
     rows: Rows = bodies.view(runs[0].channel.dtype).reshape(len(bodies))
     return rows
+
+
+class Times:
+    """Follows the times of a log's rows, channel by channel."""
+
+    def __init__(self) -> None:
+        self._newest_ns: dict[str, int] = {}
+
+    def check(self, runs: list[MessageRun]) -> None:
+        """Takes note of a chunk's rows.
+
+        Raises:
+            LogFormatError: a row is years from those before it, as none of a flight is.
+        """
+        wrong = ""
+        for channel, records in runs:
+            assert channel.dtype.fields is not None
+            at = BODY_AT + channel.dtype.fields["host_ns"][1]
+            times = np.ascontiguousarray(records[:, at : at + 8]).view("<i8")[:, 0]
+            low, high, last = int(times.min()), int(times.max()), int(times[-1])
+            before = self._newest_ns.get(channel.name, low)
+            if max(high, before) - min(low, before) > _FARTHEST_NS:
+                wrong = wrong or f"channel {channel.name!r}: the time of a row is years from the one before it"
+            self._newest_ns[channel.name] = last
+        if wrong:
+            raise LogFormatError(wrong)
 
 
 def _run_length(records: bytes, at: int, size: int) -> int:
@@ -148,6 +176,10 @@ class Decoder:
             known = KnownChannel(channel.number, channel.topic, dtype, units_from_ros2msg(text))
         except SchemaError as error:
             raise LogFormatError(f"channel {channel.topic!r}: {error}") from error
+        if dtype.itemsize > _MOST_ROW_BYTES:
+            raise LogFormatError(
+                f"channel {channel.topic!r} has rows of {dtype.itemsize} bytes, which heft never writes"
+            )
         fields: Mapping[str, Any] = known.dtype.fields or {}
         if [fields[name][0].str if name in fields else "" for name in ("sequence", "host_ns")] != ["<u8", "<i8"]:
             raise LogFormatError(f"channel {channel.topic!r} lacks the fields sequence and host_ns of every record")

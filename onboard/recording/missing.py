@@ -6,7 +6,7 @@ from typing import NamedTuple
 from onboard.recording.decode import MessageRun, rows_of
 from onboard.recording.recorded import ChannelProgress, marks_of, note
 from onboard.recording.scan import Damage
-from onboard.recording.segments import END, METADATA, RECORDED, proven, without_crc
+from onboard.recording.segments import END, METADATA, RECORDED, proven, without_crc, written_as
 
 _NAMED = 4  # channels named in a text
 
@@ -25,14 +25,16 @@ class SegmentsSeen:
     Args:
         first: expected number of the first segment; None where a part of a flight is read.
         to_the_end: whether the last segment must carry ``flight_end``.
+        alone: it is one file.
     """
 
-    def __init__(self, first: int | None, *, to_the_end: bool) -> None:
-        self._next, self._to_the_end = first, to_the_end
+    def __init__(self, first: int | None, *, to_the_end: bool, alone: bool) -> None:
+        self._next, self._to_the_end, self._alone = first, to_the_end, alone
         self._reached: dict[str, ChannelProgress] = {}
         self._lost: list[Lost] = []
         self._newest: dict[str, MessageRun] = {}
-        self._told: list[Mapping[str, str]] = []
+        self._told: dict[str, Mapping[str, str]] = {}
+        self._altered: list[str] = []
         self._checked = self._ended = self._closed = False
 
     def run(self, run: MessageRun) -> None:
@@ -41,15 +43,21 @@ class SegmentsSeen:
 
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Metadata of the present segment."""
-        if name in (METADATA, RECORDED, END):
-            self._told.append({"": name, **items})
+        meant = written_as(name, items)
+        if meant in (METADATA, RECORDED, END):
+            self._told[meant] = items
+            if meant != name or proven(meant, items) is False:
+                self._altered.append(meant)
 
     def unreadable(self, number: int, name: str, reason: str) -> None:
         """The present segment cannot be read."""
         self._gap_before(number, name)
         self._lost.append(Lost(number, name, reason))
         self._next = number + 1
-        self._newest, self._told = {}, []
+        self._forget()
+
+    def _forget(self) -> None:
+        self._newest, self._told, self._altered = {}, {}, []
 
     def end(self, number: int, name: str, *, closed: bool, unused: bool) -> list[Damage]:
         """Ends the present segment; returns the damage found before it.
@@ -60,24 +68,22 @@ class SegmentsSeen:
             closed: it was ended, with a summary.
             unused: it was opened ahead, and nothing is in it.
         """
-        told = {items[""]: {k: v for k, v in items.items() if k} for items in self._told}
+        told = self._told
         said = told.get(METADATA, {})
         self._checked |= proven(METADATA, said) is True
         if proven(METADATA, said) and said.get("number", "").isdecimal():
-            number = int(said["number"])
-        elif METADATA not in told and not self._checked:
-            self._newest, self._told = {}, []
+            number = int(said["number"][:9])
+        elif METADATA not in told and self._alone:
+            self._forget()
             return []  # a log without segments
         self._gap_before(number, name)
         marks = marks_of(told.get(RECORDED, {}))
         damage = self._resolve(marks)
-        altered = [
-            Damage(0, 0, f"its metadata {one!r} is altered", name) for one in told if proven(one, told[one]) is False
-        ]
+        altered = [Damage(0, 0, f"its metadata {one!r} is altered", name) for one in self._altered]
         self._reached |= marks
         for channel, run in self._newest.items():
             note(self._reached, channel, rows_of([run._replace(records=run.records[-1:])]))
-        self._newest, self._told = {}, []
+        self._forget()
         if unused:
             return [*damage, *altered]
         self._next = number + 1

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.records import Batch, Rows
-from onboard.recording.decode import Decoder, KnownChannel, MessageRun, rows_of
+from onboard.recording.decode import Decoder, KnownChannel, MessageRun, Times, rows_of
 from onboard.recording.errors import ChannelError, LogFormatError
 from onboard.recording.mcap_format import LIBRARY, Attachment, Chunk, Header, Metadata
 from onboard.recording.missing import SegmentsSeen
 from onboard.recording.scan import Damage, Scan
-from onboard.recording.segments import number_of, segments, without_crc
+from onboard.recording.segments import is_part, number_of, segments, without_crc, written_as
 
 EXIT_COMPLETE = 0
 EXIT_DAMAGED = 3
@@ -45,7 +45,7 @@ class LogReader:
 
     Raises:
         LogFormatError: a file is not a heft log, or no part of it can be read.
-        OSError: it cannot be opened.
+        OSError: none of its files can be opened.
     """
 
     def __init__(self, path: str | Path | Sequence[Path]) -> None:
@@ -54,8 +54,8 @@ class LogReader:
             self.segments = segments(self.path)
         else:
             self.path, self.segments = path[0], tuple(path)
-        self.size = sum(segment.stat().st_size for segment in self.segments)
-        alone = len(self.segments) == 1 and self.segments[0] == self.path and number_of(self.path) > 0
+        self.size = sum(map(_size, self.segments))
+        alone = self.segments == (self.path,) and is_part(self.path)
         self.is_flight = isinstance(path, str | Path) and not alone
         self._before = 0
         self._scan: Scan | None = None
@@ -64,11 +64,11 @@ class LogReader:
 
     def _require_one_of_ours(self) -> None:
         """Raises LogFormatError unless one of the segments at least is a log of ours."""
-        refused: list[LogFormatError] = []
+        refused: list[LogFormatError | OSError] = []
         for segment in self.segments:
             try:
                 self._require_ours(segment)
-            except LogFormatError as error:
+            except (LogFormatError, OSError) as error:
                 refused.append(error)
             else:
                 return
@@ -181,20 +181,25 @@ class LogReader:
     def _chunks(self) -> Iterator[list[MessageRun]]:
         """One pass: yields the runs of each chunk; stores the other results at the end."""
         found = _Survey({}, {}, {}, [], False)
-        self._before = 0
-        seen = SegmentsSeen(0 if self.is_flight else None, to_the_end=self.is_flight)
+        self._before, times = 0, Times()
+        alone = len(self.segments) == 1
+        seen = SegmentsSeen(0 if self.is_flight else None, to_the_end=self.is_flight, alone=alone)
         for number, segment in enumerate(self.segments):
             last = number == len(self.segments) - 1
-            size = segment.stat().st_size
+            size = _size(segment)
             try:
-                found = yield from self._segment(segment, found, seen, last=last and number > 0)
+                found = yield from self._segment(segment, found, seen, times, last=last and number > 0)
             except LogFormatError as error:
                 seen.unreadable(number_of(segment), segment.name, str(error))
+            except OSError as error:
+                if alone:
+                    raise
+                seen.unreadable(number_of(segment), segment.name, (error.strerror or str(error)).lower())
             self._before, self._scan = self._before + size, None
         self._found = found._replace(damage=[*found.damage, *seen.finish()])
 
     def _segment(
-        self, segment: Path, found: _Survey, seen: SegmentsSeen, *, last: bool
+        self, segment: Path, found: _Survey, seen: SegmentsSeen, times: Times, *, last: bool
     ) -> Generator[list[MessageRun], None, _Survey]:
         """One pass over a segment; returns ``found`` with its findings added.
 
@@ -202,6 +207,7 @@ class LogReader:
             segment: the file.
             found: findings of the segments before.
             seen: receives this segment's metadata.
+            times: of the rows before.
             last: whether it may be an unused segment opened ahead, which is no damage.
 
         Raises:
@@ -218,12 +224,13 @@ class LogReader:
             elif isinstance(record.content, Attachment):
                 found.attachments[record.content.name] = record.content
             elif isinstance(record.content, Metadata):
-                found.metadata[record.content.name] = without_crc(record.content.items)
+                found.metadata[written_as(*record.content)] = without_crc(record.content.items)
                 seen.metadata(record.content.name, record.content.items)
             elif isinstance(record.content, Chunk):
                 used = True
                 try:
                     runs = decoder.runs(record.content.records)
+                    times.check(runs)
                 except LogFormatError as error:
                     damage.append(Damage(record.start, record.end, str(error), name))
                 else:
@@ -244,6 +251,14 @@ class LogReader:
                 pass
         assert self._found is not None
         return self._found
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file; 0 for one that cannot be reached, which reading it reports."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _decodes(chunk: Chunk) -> bool:

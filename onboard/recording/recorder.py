@@ -16,11 +16,12 @@ import numpy as np
 from drivers import records
 from drivers.records import Batch, Rows, Severity
 from onboard.recording.recorded import GAP_CHANNEL, ChannelProgress
+from onboard.recording.segmented import Loss
 from onboard.recording.source import OVERRUN, Ring, RingSource
-from onboard.recording.space import SpaceGuard
+from onboard.recording.space import SpaceGuard, refusal
 
 EVENT_CHANNEL = "recorder_event"
-REFUSED, FULL = "disk_refused", "disk_full"
+REFUSED, FULL, LOG_LOST = "disk_refused", "disk_full", "log_lost"
 _SOURCE = "recorder"
 _KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
 _TELL_NS = _LOOK_NS = 1_000_000_000
@@ -72,6 +73,7 @@ class Recorder:
         recorded: last recorded row of each channel in a log begun by another recorder.
         space: monitors the disk's free space.
         said: told each event of the recorder's own, which go into the log without a ring.
+        losses: gives, and forgets, the segments that somebody removed, renamed or cut off.
 
     Raises:
         SchemaError: the record of a ring cannot be written as a ROS 2 message.
@@ -87,9 +89,10 @@ class Recorder:
         recorded: Mapping[str, ChannelProgress] | None = None,
         space: SpaceGuard | None = None,
         said: Callable[[Rows], object] = lambda rows: None,
+        losses: Callable[[], Iterable[Loss]] = tuple,
     ) -> None:
         recorded = recorded or {}
-        self._writer, self._space, self._said = writer, space, said
+        self._writer, self._space, self._said, self._losses = writer, space, said, losses
         self._sources = [RingSource(ring, recorded.get(ring.name)) for ring in rings]
         own = (GAP_CHANNEL, EVENT_CHANNEL)
         self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
@@ -216,6 +219,11 @@ class Recorder:
             self._writer.sync(now_ns)
         except OSError as error:
             self._refused(now_ns, error)
+        for loss in self._losses():
+            self.say(now_ns, Severity.ERROR, LOG_LOST if loss.is_lost else "log_moved", loss.text)
+            for channel, (before, last) in loss.rows.items():
+                span = before.sequence + 1, last.sequence, max(0, last.host_ns - before.host_ns)
+                self._own(GAP_CHANNEL, records.gap(now_ns, channel, *span, LOG_LOST, counted=True))
         if self._failing_since_ns is not None and not self._writer.failing:
             since_ns, self._failing_since_ns = self._failing_since_ns, None
             text = f"the disk accepts writes again after {(now_ns - since_ns) * 1e-9:.3f} s"
@@ -225,7 +233,7 @@ class Recorder:
         self._refusal = FULL if error.errno in _FULL_ERRORS else REFUSED
         if self._failing_since_ns is None:
             self._failing_since_ns = now_ns
-            text = f"write to the log failed: {error.strerror or error}; the rings hold new rows meanwhile"
+            text = f"write to the log failed: {refusal(error, short=True)}; the rings hold what comes"
             self.say(now_ns, Severity.ERROR, "disk_error", text)
         if self._refusal == FULL:
             self._look(now_ns, refused=True)
@@ -241,6 +249,8 @@ class Recorder:
             self._look_ns = now_ns + 9 * _LOOK_NS
             self.say(now_ns, Severity.WARNING, "disk_not_asked", f"free space is not known: {error}")
             return
+        for text in room.strange:
+            self.say(now_ns, Severity.WARNING, "no_reserve_file", text)
         for path in room.removed:
             self.say(now_ns, Severity.WARNING, "old_flight_removed", f"{path.name}, to make room on the disk")
         if room.for_all != self._room:

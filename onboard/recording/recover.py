@@ -16,7 +16,7 @@ from onboard.recording.errors import LogFormatError
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress, marks_of
 from onboard.recording.scan import Damage
-from onboard.recording.segments import END, METADATA, RECORDED
+from onboard.recording.segments import END, METADATA, RECORDED, beside
 from onboard.recording.texts import printable
 from onboard.recording.writer import LogWriter
 
@@ -43,12 +43,16 @@ class Gap(NamedTuple):
 
 
 class Recovery(NamedTuple):
-    """Result of a recovery. ``problem``: reason if nothing was recovered."""
+    """Result of a recovery.
+
+    ``problem``: reason if nothing was recovered; ``others``: segments of the flight that were not asked for.
+    """
 
     rows: dict[str, int]
     gaps: tuple[Gap, ...]
     damage: tuple[Damage, ...]
     problem: str = ""
+    others: tuple[Path, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -107,6 +111,8 @@ def recover(
         return Recovery({}, (), (), str(error))
     if not reader.channels and damage:
         return Recovery({}, (), damage, "not one chunk of the log can be read")
+    others, missing = ((), None) if reader.is_flight else _elsewhere(reader.segments)
+    damage = damage if missing is None else (missing, *damage)
     before = {} if reader.is_flight else marks_of(LogReader(reader.segments[:1]).metadata.get(RECORDED, {}))
     tracks = {name: _Track(_after(before.get(name))) for name in reader.channels}
     told: list[Gap] = []
@@ -132,7 +138,20 @@ def recover(
             row["sequence"] = number
             writer.write(GAP_CHANNEL, row)
         writer.add_metadata("recovered", _account(reader, untold))
-    return Recovery({name: track.rows for name, track in tracks.items()}, (*told, *untold), damage)
+    return Recovery({name: track.rows for name, track in tracks.items()}, (*told, *untold), damage, "", others)
+
+
+def _elsewhere(given: Sequence[Path]) -> tuple[tuple[Path, ...], Damage | None]:
+    """Segments of the flight that are not among those ``given``, and the missing ones."""
+    found = beside(given[-1])
+    others = tuple(path for path in found.others if path.name not in {one.name for one in given})
+    if not found.missing:
+        return others, None
+    first, *rest = found.missing
+    more = f" and {len(rest)} more" if rest else ""
+    return others, Damage(
+        0, 0, f"segment {first}{more} of its flight is not beside it; put it there if it is elsewhere"
+    )
 
 
 def _after(mark: ChannelProgress | None) -> int:

@@ -4,6 +4,8 @@ The scan needs no summary and checks every length. After an invalid record it se
 or attachment by its CRC, metadata by its lengths, the end by the footer.
 """
 
+import errno
+import os
 import stat
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,6 +20,8 @@ from onboard.recording.errors import ChecksumError, LogFormatError
 from onboard.recording.mcap_format import MAGIC
 
 _WINDOW = 1 << 16
+_MOST_RECORD = 256 << 20  # bytes; the longest heft writes is an attached file
+_MOST_METADATA = 10_000  # of a file, which has ten
 _HEAD = mcap_format.RECORD_HEAD
 _PROVABLE = np.array([Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END], np.uint8)
 
@@ -75,6 +79,7 @@ class Scan:
         self.size = about.st_size
         self.position = start
         self._ended = False
+        self._metadata = 0
         self._crc: int | None = None if start else 0  # of all bytes so far; None after a skipped byte
         with path.open("rb") as file:
             file.seek(max(0, self.size - mcap_format.FOOTER_BYTES))
@@ -118,8 +123,14 @@ class Scan:
             yield self._cut(start)
             return
         opcode, length = _HEAD.unpack(head)
+        self._metadata += opcode == Opcode.METADATA
         if length > self.size - self.position:
             yield self._lost(file, start, "a record is longer than the rest of the log")
+        elif length > _MOST_RECORD:
+            yield self._lost(file, start, f"a record has {length} bytes, more than heft writes")
+        elif self._metadata > _MOST_METADATA:
+            self._ended = True
+            yield Damage(start, self.size, f"more than {_MOST_METADATA} metadata records: the rest is not read")
         elif opcode == Opcode.DATA_END and length == 4:
             yield from self._end(file, start, crc)
         else:
@@ -134,6 +145,8 @@ class Scan:
 
     def _cut(self, start: int) -> Damage:
         self._ended = True
+        if not self.size:
+            return Damage(0, 0, "the log is empty: not one byte was written, or it was cut to nothing")
         where = "inside a record" if start < self.size else "after a whole record"
         return Damage(start, self.size, f"the log ends {where}: it was not closed")
 
@@ -165,16 +178,25 @@ class Scan:
     def _find(self, file: BinaryIO, start: int) -> int | None:
         """Offset of the first valid record at or after ``start``."""
         overlap = _HEAD.size - 1
-        for base in range(start, self.size, _WINDOW):
-            file.seek(base)
-            block = np.frombuffer(file.read(_WINDOW + overlap), np.uint8)
-            count = len(block) - overlap
-            if count <= 0:
-                return None
-            high = block[5 : count + 5] | block[6 : count + 6] | block[7 : count + 7] | block[8 : count + 8]
-            for hit in np.flatnonzero(np.isin(block[:count], _PROVABLE) & (high == 0)):
-                if self._proves_itself(file, base + int(hit)):
-                    return base + int(hit)
+        base = start
+        with self._path.open("rb", buffering=0) as holes:
+            while base < self.size:
+                try:
+                    base = os.lseek(holes.fileno(), base, os.SEEK_DATA)  # a record begins in no hole of a file
+                except OSError as error:
+                    if error.errno == errno.ENXIO:
+                        return None
+                    raise
+                file.seek(base)
+                block = np.frombuffer(file.read(_WINDOW + overlap), np.uint8)
+                count = len(block) - overlap
+                if count <= 0:
+                    return None
+                high = block[5 : count + 5] | block[6 : count + 6] | block[7 : count + 7] | block[8 : count + 8]
+                for hit in np.flatnonzero(np.isin(block[:count], _PROVABLE) & (high == 0)):
+                    if self._proves_itself(file, base + int(hit)):
+                        return base + int(hit)
+                base += _WINDOW
         return None
 
     def _proves_itself(self, file: BinaryIO, start: int) -> bool:
@@ -183,7 +205,7 @@ class Scan:
         body_at = start + _HEAD.size
         if opcode == Opcode.DATA_END:
             return self._footer is not None and self._footer.summary_start == body_at + 4 and length == 4
-        if length > self.size - body_at:
+        if length > min(self.size - body_at, _MOST_RECORD):
             return False
         if opcode == Opcode.CHUNK and not mcap_format.Chunk.plausible(file.read(mcap_format.CHUNK_HEAD_BYTES), length):
             return False

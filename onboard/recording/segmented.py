@@ -9,6 +9,7 @@ import contextlib
 import errno
 import json
 import os
+import resource
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -19,9 +20,9 @@ import numpy as np
 from drivers.records import Rows
 from onboard.recording.decode import Decoder, MessageRun, rows_of
 from onboard.recording.errors import LogFormatError
+from onboard.recording.left import may_have_messages, recorded_at_end
 from onboard.recording.mcap_format import Attachment, Chunk
-from onboard.recording.reader import LogReader
-from onboard.recording.recorded import ChannelProgress, marks_of, note
+from onboard.recording.recorded import ChannelProgress, note
 from onboard.recording.scan import Damage, Scan
 from onboard.recording.seal import seal
 from onboard.recording.segments import (
@@ -59,6 +60,14 @@ class Limits(NamedTuple):
 
 
 LIMITS = Limits()
+
+
+class Loss(NamedTuple):
+    """A segment that somebody removed, renamed or cut off while it was written."""
+
+    text: str
+    is_lost: bool  # False: its rows are in the renamed file
+    rows: dict[str, tuple[ChannelProgress, ChannelProgress]]  # by channel: the last row before those lost, their last
 
 
 class Progress(NamedTuple):
@@ -122,10 +131,12 @@ class SegmentedLog:
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
         self._end_said = False
         self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
-        self._number = number
+        self._number, self._ahead = number, number + 1
         self._opened_ns: int | None = None
         self._open_again_ns = self._seal_ns = 0
-        segment_path(log, number).parent.mkdir(parents=True, exist_ok=True)
+        self._at_head = dict(self.recorded)  # of the segment in use
+        self._losses: list[Loss] = []  # for the recorder to tell
+        self._astray, self._why_not_ahead = False, ""  # nobody finds the file in use; why the next could not be opened
         self._writer = self._open(number)
         self._ending: LogWriter | None = None
         self._next: LogWriter | None = None
@@ -168,7 +179,7 @@ class SegmentedLog:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(found[0]))
         for path in found[-_UNSEALED_AT_MOST:]:
             if Scan(path).truncated:
-                if path == found[0] or _may_have_messages(path):
+                if path == found[0] or may_have_messages(path):
                     seal(path)
                 else:
                     path.unlink()  # opened ahead
@@ -176,7 +187,7 @@ class SegmentedLog:
         number = number_of(found[-1]) + 1 if found else 0
         if (torn := segment_path(log, number)).exists() and torn.stat().st_size <= HEADER_BYTES:
             torn.unlink()  # opened in advance, before its metadata was written
-        return begin(number=number, recorded=_recorded(found))
+        return begin(number=number, recorded=recorded_at_end(found))
 
     @property
     def path(self) -> Path:
@@ -185,8 +196,8 @@ class SegmentedLog:
 
     @property
     def failing(self) -> bool:
-        """The disk has refused, and no ``sync`` has succeeded since."""
-        return self._writer.failing
+        """The disk has refused, and no ``sync`` has succeeded since; or the file is gone, and no other can be made."""
+        return self._writer.failing or self._astray
 
     @property
     def ended(self) -> bool:
@@ -210,20 +221,28 @@ class SegmentedLog:
         synced = self._writer.sync(now_ns)
         if self._opened_ns is None:
             self._opened_ns, self._seal_ns = now_ns, now_ns + SEAL_AFTER_NS
-        if synced:
+        if synced or (self._astray and not self._writer.failing):
             self._end_segment()
             if self._next is None:
                 self._open_ahead(now_ns)
             if self._full(now_ns):
                 self._change(now_ns)
+            self._look_after_files(now_ns)
             self._told(Progress(self._number, self._writer.bytes_written, dict(self.recorded)))
             if self._unsealed and now_ns >= self._seal_ns:
                 self._seal(self._unsealed.pop())
         return synced
 
+    def take_losses(self) -> list[Loss]:
+        """What has befallen segments since the last call."""
+        losses, self._losses = self._losses, []
+        return losses
+
     def close(self) -> None:
         """See ``LogWriter.close``."""
         self._end_segment()
+        if self._astray:
+            self._look_after_files(self._open_again_ns)
         while self._unsealed:
             self._seal(self._unsealed.pop())
         if not self._end_said:
@@ -234,9 +253,10 @@ class SegmentedLog:
         if self._next is not None:
             self._next.abandon()
             self._next = None
-            unused = segment_path(self._log, self._number + 1)
-            unused.unlink()
-            sync_directory(unused.parent)
+            unused = segment_path(self._log, self._ahead)
+            with contextlib.suppress(FileNotFoundError):  # somebody has removed it
+                unused.unlink()
+                sync_directory(unused.parent)
 
     def abandon(self) -> None:
         """See ``LogWriter.abandon``."""
@@ -246,10 +266,13 @@ class SegmentedLog:
 
     def _full(self, now_ns: int) -> bool:
         opened_ns = now_ns if self._opened_ns is None else self._opened_ns
-        return now_ns - opened_ns >= self._limits.span_ns or self._writer.bytes_written >= self._limits.size
+        allowed = resource.getrlimit(resource.RLIMIT_FSIZE)[0]  # half of it is for what a sync brings, and the summary
+        size = self._limits.size if allowed == resource.RLIM_INFINITY else min(self._limits.size, allowed // 2)
+        return now_ns - opened_ns >= self._limits.span_ns or self._writer.bytes_written >= size
 
     def _open(self, number: int) -> LogWriter:
         path = segment_path(self._log, number)
+        path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
         writer = LogWriter(self._open_sink(path), sync_interval_ns=self._sync_interval_ns)
         try:
             told = {"flight": self._preamble.flight, "number": str(number)}
@@ -272,18 +295,57 @@ class SegmentedLog:
         if now_ns < self._open_again_ns:
             return
         self._open_again_ns = now_ns + _OPEN_AGAIN_NS
-        with contextlib.suppress(OSError):  # meanwhile the current segment grows beyond its limit
-            self._next = self._open(self._number + 1)
+        try:
+            self._next, self._why_not_ahead = self._open(self._ahead), ""
+        except OSError as error:  # meanwhile the current segment grows beyond its limit
+            self._why_not_ahead = str(error)
 
     def _change(self, now_ns: int) -> None:
         """Switch to the next segment; all earlier rows are on the medium."""
         if self._next is None or self._ending is not None:
             return
         self._ending, self._writer, self._next = self._writer, self._next, None
-        self._number, self._opened_ns = self._number + 1, now_ns
-        self._open_again_ns = 0
+        self._number, self._ahead, self._opened_ns = self._ahead, self._ahead + 1, now_ns
+        self._open_again_ns, self._at_head = 0, dict(self.recorded)
         self._say_recorded()
         self._end_segment()
+
+    def _look_after_files(self, now_ns: int) -> None:
+        """Go on in the next segment where somebody removed, renamed or cut off the one in use; all rows are in it.
+
+        Raises:
+            OSError: no other can be made; it is tried again.
+        """
+        if self._next is not None and self._next.taken() is not None:
+            self._next.abandon()
+            self._next, self._open_again_ns = None, 0
+            while segment_path(self._log, self._ahead).exists():  # the one in use was renamed to this
+                self._ahead += 1
+            self._open_ahead(now_ns)
+        taken = self._writer.taken()
+        if taken is None or self._ending is not None:
+            return
+        if self._next is None:
+            self._open_ahead(now_ns)
+        self._astray = self._next is None
+        if self._astray:
+            raise OSError(errno.ENOENT, f"{self.path.name} was {taken.how}, and no other can be made: {self._why_not_ahead}")
+        path, before, nothing = self.path, self._at_head, ChannelProgress(-1, now_ns)
+        is_lost = taken.rest < self._writer.bytes_written
+        if is_lost:
+            self._writer.abandon()
+        if is_lost and taken.rest:
+            before = before | recorded_at_end([path])
+        rows = {
+            name: (before.get(name, nothing), last)
+            for name, last in self.recorded.items()
+            if is_lost and last.sequence > before.get(name, nothing).sequence
+        }
+        count = sum(last.sequence - first.sequence for first, last in rows.values())
+        what = f"{count} rows of {len(rows)} channels are lost" if is_lost else "its rows are there"
+        where = segment_path(self._log, self._ahead).name
+        self._losses.append(Loss(f"{path.name} was {taken.how}: {what}; goes on in {where}", is_lost, rows))
+        self._change(now_ns)
 
     def _end_segment(self) -> None:
         if self._ending is not None:
@@ -307,7 +369,7 @@ def _recorded_since(log: Path, progress: Progress) -> dict[str, ChannelProgress]
     further = segment_path(log, progress.number + 2)
     if further.exists() or not path.exists() or path.stat().st_size < progress.offset:
         return None
-    if ahead.exists() and _may_have_messages(ahead):
+    if ahead.exists() and may_have_messages(ahead):
         return None
     recorded, decoder = dict(progress.recorded), Decoder()
     try:
@@ -324,28 +386,3 @@ def _recorded_since(log: Path, progress: Progress) -> dict[str, ChannelProgress]
     except LogFormatError:
         return None
     return recorded
-
-
-def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
-    """Last recorded row of each channel at the end of segments ``found``."""
-    rows: dict[str, ChannelProgress] = {}
-    for segment in reversed(found):
-        try:
-            log = LogReader([segment])
-        except LogFormatError:
-            continue  # unreadable
-        here: dict[str, ChannelProgress] = {}
-        for channel, batch in log.batches():
-            note(here, channel, batch)
-        rows = here | rows
-        if marks := marks_of(log.metadata.get(RECORDED, {})):
-            return marks | rows
-    return rows
-
-
-def _may_have_messages(segment: Path) -> bool:
-    """False for a segment opened ahead, with a whole or torn head."""
-    try:
-        return any(True for _ in LogReader([segment]).batches())
-    except LogFormatError:
-        return True

@@ -24,7 +24,8 @@ METADATA = "segment"
 RECORDED = "recorded"  # newest row of each channel at a segment's head
 END = "flight_end"  # in the last segment of a flight that was closed: number of segments
 _CRC = "#crc"
-_NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,9})")
+_MOST_NAMED = 1000  # missing segments
+_NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,9})", re.DOTALL)  # a name may hold a line end
 
 
 def with_crc(name: str, items: Mapping[str, str]) -> dict[str, str]:
@@ -35,6 +36,11 @@ def with_crc(name: str, items: Mapping[str, str]) -> dict[str, str]:
 def proven(name: str, items: Mapping[str, str]) -> bool | None:
     """Whether the CRC of metadata is right; None without a CRC."""
     return None if _CRC not in items else items[_CRC] == _crc(name, without_crc(items))
+
+
+def written_as(name: str, items: Mapping[str, str]) -> str:
+    """The name under which metadata was written: what its CRC proves, where ``name`` itself is altered."""
+    return next((one for one in (METADATA, RECORDED, END) if one != name and proven(one, items)), name)
 
 
 def without_crc(items: Mapping[str, str]) -> dict[str, str]:
@@ -60,6 +66,11 @@ class Head(NamedTuple):
         return "" if self.is_proven is False else self.segment.get("flight", "")
 
     @property
+    def is_altered(self) -> bool:
+        """Whether a flight's name may have stood there and is lost."""
+        return self.is_damaged or self.is_proven is False
+
+    @property
     def number(self) -> int | None:
         """Number of the segment; None where it is uncertain."""
         number = self.segment.get("number", "") if self.is_proven else ""
@@ -82,6 +93,44 @@ def number_of(segment: Path) -> int:
     return int(numbered["number"]) if numbered else 0
 
 
+def _number(segment: Path) -> int:
+    """Number of a segment by its metadata, else by its name; 0 for a log without segments."""
+    head = _head(segment)
+    if head.number is not None:
+        return head.number
+    return number_of(segment) if head.segment or head.is_altered else 0
+
+
+def is_part(segment: Path) -> bool:
+    """Whether the file is not the first of its log."""
+    return _number(segment) > 0
+
+
+class Beside(NamedTuple):
+    """Segments of the flight that a file is a part of."""
+
+    others: tuple[Path, ...]
+    missing: tuple[int, ...]  # numbers; those after the last that is there are not known
+
+
+def beside(part: Path) -> Beside:
+    """The other segments of the flight that the log ``part`` is a segment of, and those missing (1000 at most).
+
+    Raises:
+        OSError: the directory cannot be read.
+    """
+    numbered = _NUMBERED.fullmatch(part.stem)
+    if numbered is None or not is_part(part):
+        return Beside((), ())
+    log = part.with_stem(numbered["stem"])
+    if not log.exists() and part.parent.resolve().name == numbered["stem"]:
+        log = part.parent
+    others = {path.name: _number(path) for path in segments(log) if path.exists() and path.name != part.name}
+    numbers = {_number(part), *others.values()}
+    missing = sorted(set(range(max(numbers))) - numbers)
+    return Beside(tuple(part.with_name(name) for name in others), tuple(missing[:_MOST_NAMED]))
+
+
 def read_head(path: Path) -> Head:
     """The head of the file at ``path``, as far as it can be read.
 
@@ -95,7 +144,7 @@ def read_head(path: Path) -> Head:
             head = head._replace(is_damaged=True)
         elif isinstance(record.content, Header):
             head = head._replace(library=record.content.library)
-        elif isinstance(record.content, Metadata) and record.content.name == METADATA:
+        elif isinstance(record.content, Metadata) and written_as(*record.content) == METADATA:
             items = record.content.items
             return head._replace(segment=without_crc(items), is_proven=proven(METADATA, items))
         elif isinstance(record.content, Chunk):
@@ -137,27 +186,26 @@ def segments(log: Path) -> tuple[Path, ...]:
     """
     if log.is_dir():
         log = log.resolve()
-        candidates = [path for path in log.glob(f"*{SUFFIX}") if _continues(path, log.name)]
-        if not candidates:
+        heads = {path: _head(path) for path in log.glob(f"*{SUFFIX}") if _continues(path, log.name)}
+        if not heads:
             raise LogFormatError(f"{log} is not the directory of one flight; name a flight or a log in it")
-        return _in_order(candidates, {path: _head(path) for path in candidates})
-    further = [path for path in log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}") if _continues(path, log.stem)]
-    heads = {path: _head(path) for path in further}
-    if not log.exists():
         flight = _most_common(heads)
-        if not flight:
-            return (log,)  # opening it reports that it is missing
-        return _of_flight(flight, heads)
-    if not further:
+        return _of_flight(flight, heads) if flight else _in_order(heads, heads)
+    beside = log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}")
+    heads = {path: _head(path) for path in beside if _continues(path, log.stem)}
+    if not heads:
         return (log,)
-    heads[log] = _head(log)
-    flight = heads[log].flight
-    if not flight and heads[log].is_damaged:
+    if log.exists():
+        heads[log] = _head(log)
+        flight = heads[log].flight
+        if not flight and heads[log].is_altered:
+            flight = _most_common(heads)
+    else:
         flight = _most_common(heads)
     if not flight:
-        return (log,)
+        return (log,)  # of a missing log: opening it reports that
     found = _of_flight(flight, heads)
-    return found if log in found else (log, *found)
+    return found if log in found or not log.exists() else (log, *found)
 
 
 def _most_common(heads: Mapping[Path, Head]) -> str:

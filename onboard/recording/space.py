@@ -8,9 +8,11 @@ gaps are recorded until there is space again.
 """
 
 import contextlib
+import errno
 import fcntl
 import os
-from collections.abc import Callable
+import resource
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,11 +24,42 @@ BALLAST_SUFFIX = ".heft-reserve"
 MARGIN = 4_000_000  # free space at which the ballast is deleted: some seconds of recording and a segment's head
 
 
+def refusal(error: OSError, *, short: bool = False) -> str:
+    """Why a file was not written: which, how large it is, and what to do; other errors in the system's words.
+
+    ``short``: without its directory, as events have room for.
+    """
+    what = f"{Path(error.filename).name if short else error.filename}: " if error.filename else ""
+    with contextlib.suppress(OSError, TypeError):
+        what += f"{os.stat(error.filename).st_size} bytes, then "
+    reason = (error.strerror or str(error)).lower()
+    if error.errno == errno.EFBIG:
+        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        return f"{what}{reason}: a file may have {limit} bytes here; raise it (ulimit -f, LimitFSIZE=)"
+    remedy = {
+        errno.ENOSPC: "remove what is not needed, or write to another disk",
+        errno.EDQUOT: f"the quota of user {os.getuid()} is used up; remove files, or have it raised",
+    }.get(error.errno or 0)
+    return what + reason if remedy is None else f"{what}{reason}: {remedy}"
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """A refused write to the file at ``path`` says its name, which the system leaves out."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
 class Room(NamedTuple):
     """Result of a check of the disk."""
 
     for_all: bool  # False: for events and gaps only
     removed: tuple[Path, ...] = ()
+    strange: tuple[str, ...] = ()  # what stands where a reserve would, and is left alone; told once
 
 
 def free_bytes(directory: Path) -> int:
@@ -67,9 +100,15 @@ class SpaceGuard:
         self._descriptor: int | None = None  # of the ballast: locked while it is held
         self._kept: set[Path] = set()  # files not to be removed
         self.free = -1  # bytes, as last looked
+        self._strange: list[str] = []
         for stale in flights.glob(f"*{BALLAST_SUFFIX}"):
-            if not is_locked(stale):
-                stale.unlink()
+            try:
+                if not is_locked(stale):
+                    stale.unlink()
+            except FileNotFoundError:
+                continue  # of a flight that ended just now
+            except OSError as error:
+                self._strange.append(_refused(stale, error))
 
     def look(self, *, refused: bool = False) -> Room:
         """Check the free space, and remove earlier flights if there is too little.
@@ -87,7 +126,8 @@ class SpaceGuard:
         elif self._descriptor is None and free >= self._reserve + 2 * MARGIN:
             self._hold()
         enough = not refused and free >= self._reserve + 2 * MARGIN
-        return Room(self._descriptor is not None or enough, removed)
+        strange, self._strange = tuple(self._strange), []
+        return Room(self._descriptor is not None or enough, removed, strange)
 
     def close(self) -> None:
         """Delete the ballast."""
@@ -101,7 +141,7 @@ class SpaceGuard:
         if not self._reserve:
             return
         with contextlib.suppress(OSError):
-            self._descriptor = os.open(self._ballast, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._descriptor = os.open(self._ballast, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.posix_fallocate(self._descriptor, 0, self._reserve)
             return
@@ -122,15 +162,19 @@ class SpaceGuard:
 
     def _earlier(self) -> list[Path]:
         """Segments of earlier flights, the oldest first."""
-        files = [path for path in self._flights.glob(f"*{SUFFIX}") if path.is_file()]
+        files = [path for path in self._flights.glob(f"*{SUFFIX}") if path.is_file() and not path.is_symlink()]
         for directory in self._flights.iterdir():
             if directory.is_dir() and not directory.is_symlink():
                 try:
-                    files += segments(directory)
-                except LogFormatError:
-                    continue  # no flight
+                    files += [path for path in segments(directory) if path.is_file() and not path.is_symlink()]
+                except (LogFormatError, OSError):
+                    continue  # no flight, or another user's
         flight_of = {path: flight_or_none(path) for path in files if path not in self._kept}
         self._kept |= {path for path, flight in flight_of.items() if flight in ("", self._flight)}
-        flying = {flight for path, flight in flight_of.items() if is_locked(path)}
+        flying = {flight for path, flight in flight_of.items() if flight and is_locked(path)}
         may_go = [path for path, flight in flight_of.items() if path not in self._kept and flight not in flying]
         return sorted(may_go, key=lambda path: (path.stat().st_mtime_ns, path))
+
+
+def _refused(path: Path, error: OSError) -> str:
+    return f"{path.name} is no reserve of a flight and is left as it is ({(error.strerror or str(error)).lower()})"

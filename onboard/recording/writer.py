@@ -23,7 +23,7 @@ from onboard.recording import mcap_format
 from onboard.recording.chunk import ChunkBuilder, PackedChannel
 from onboard.recording.errors import ChannelError, RecordingError
 from onboard.recording.schema import message_name, ros2msg
-from onboard.recording.sink import FileSink, Sink
+from onboard.recording.sink import FileSink, Sink, Taken
 from onboard.recording.summary import SummarySection
 from onboard.recording.wall_clock import FLIGHT_METADATA, utc_offset_ns
 
@@ -271,6 +271,10 @@ class LogWriter:
         self._drain()
         self._fsync()
         self.abandon()
+
+    def taken(self) -> Taken | None:
+        """See ``Sink``."""
+        return None if self._closed else self._sink.taken()
 
     def abandon(self) -> None:
         """Close the file without a summary. A repeated call has no effect."""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.rows import BaseMotion, RowFold, RowModel, skew
 from onboard.regressor.signals import SignalNoise, Signals
@@ -46,46 +47,56 @@ class RowNoise:
         Returns:
             ``(changes, group)``: (groups, rows, s, p + 1), and the group of each tick, (t,).
         """
-        changes: list[FloatArray] = []
+        ticks: list[np.intp] = []
         group = np.empty(at.size, np.intp)
         for held in (True, False):
             kind = np.flatnonzero(attached[at] == held)
             for first in range(0, kind.size, _NOISE_TICKS):
                 mine = kind[first : first + _NOISE_TICKS]
-                group[mine] = len(changes)
-                changes.append(self._at(signals, noise, at[mine[mine.size // 2]], held, mean))
-        return np.stack(changes), group
+                group[mine] = len(ticks)
+                ticks.append(at[mine[mine.size // 2]])
+        return self._at(signals, noise, np.array(ticks), attached, mean), group
 
     def _at(
-        self, signals: Signals, noise: SignalNoise, tick: np.intp, held: bool, mean: FloatArray | None
+        self,
+        signals: Signals,
+        noise: SignalNoise,
+        at: NDArray[np.intp],
+        attached: BoolArray,
+        mean: FloatArray | None,
     ) -> FloatArray:
-        """The same at one tick, (rows, s, p + 1), by finite differences one standard deviation wide."""
+        """The same at each of some ticks, (t, rows, s, p + 1), by finite differences one standard deviation wide."""
         R_BS, p_BS = self._imu_pose
-        nj = len(self._model.vehicle.joints)
+        nj, n = len(self._model.vehicle.joints), len(at)
         s = 3 * nj + 9
-        joints = np.stack([signals.q[tick], signals.dq[tick], signals.ddq[tick]])  # (3, nj)
-        moved = np.repeat(joints[None], s + 1, axis=0)  # (s + 1, 3, nj); the last one stays as it is
-        spread = np.stack([noise.q[tick], noise.dq[tick], noise.ddq[tick]])
-        for source in range(3 * nj):
-            moved[source].flat[source] += spread.flat[source]
-        w, dw, f = (np.repeat(v[tick][None], s + 1, axis=0) for v in signals.motion)  # (s + 1, 3) each
+        joints = np.stack([signals.q[at], signals.dq[at], signals.ddq[at]], axis=1)  # (t, 3, nj)
+        moved = np.repeat(joints[:, None], s + 1, axis=1)  # (t, s + 1, 3, nj); the last one stays as it is
+        spread, source = np.stack([noise.q[at], noise.dq[at], noise.ddq[at]], axis=1), np.arange(3 * nj)
+        moved.reshape(n, s + 1, 3 * nj)[:, source, source] += spread.reshape(n, 3 * nj)
+        w, dw, f = (np.repeat(v[at][:, None], s + 1, axis=1) for v in signals.motion)  # (t, s + 1, 3) each
         rate, acceleration, force = (slice(3 * nj + 3 * k, 3 * nj + 3 * k + 3) for k in range(3))
-        dw_noise, w_noise = (R_BS * noise.acceleration[tick]).T, (R_BS * noise.rate[tick]).T  # row k: axis k of the IMU
+        dw_noise, w_noise, f_noise = (  # row k: axis k of the IMU
+            (R_BS * of[at][:, None]).swapaxes(1, 2) for of in (noise.acceleration, noise.rate, noise.specific_force)
+        )
         # Errors of rate and angular acceleration also enter the lever-arm part of f.
-        arm, turning = skew(p_BS), skew(w[-1])
-        f[rate] -= w_noise @ skew(turning @ p_BS) - w_noise @ arm @ turning
-        f[acceleration] -= dw_noise @ arm
-        f[force] += (R_BS * noise.specific_force[tick]).T
-        w[rate] += w_noise
-        dw[acceleration] += dw_noise
-        flags, none = np.full(s + 1, held), np.zeros((s + 1, len(self._model.rows)))
-        joints_moved = moved[:, 0], moved[:, 1], moved[:, 2]
-        z = None if signals.friction is None else np.repeat(signals.friction[tick][None], s + 1, axis=0)
-        Y = self._model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold, z)
-        change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
+        arm, turning = skew(p_BS), hat(w[:, -1])
+        f[:, rate] -= w_noise @ hat(turning @ p_BS) - w_noise @ arm @ turning
+        f[:, acceleration] -= dw_noise @ arm
+        f[:, force] += f_noise
+        w[:, rate] += w_noise
+        dw[:, acceleration] += dw_noise
+        every = n * (s + 1)
+        motion = BaseMotion(*(v.reshape(every, 3) for v in (w, dw, f)))
+        q, dq, ddq = (moved[:, :, k].reshape(every, nj) for k in range(3))
+        none = np.zeros((every, len(self._model.rows)))
+        z = None if signals.friction is None else np.repeat(signals.friction[at], s + 1, axis=0)
+        held = np.repeat(attached[at], s + 1)
+        Y = self._model.regressor(q, dq, ddq, motion, held, False, none, self._fold, z)
+        Y = Y.reshape(n, s + 1, *Y.shape[1:])
+        change = (Y[:, :-1] - Y[:, -1:]).transpose(0, 2, 1, 3)
         change[..., -1] *= -1.0  # the known part moves to the other side
         if mean is not None:
-            predicted = change @ [*mean, -1.0]  # (rows, s)
+            predicted = change @ [*mean, -1.0]  # (t, rows, s)
             for row, column in self._scales:
-                change[row, :, column] = predicted[row]
-        return np.asarray(change, np.float64)
+                change[:, row, :, column] = predicted[:, row]
+        return np.ascontiguousarray(change)

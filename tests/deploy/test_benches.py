@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from bench import all as benches
+from bench import mutants
 from bench.all import BENCHES, ROOT, Bench, Outcome, run
 
 
@@ -13,6 +14,16 @@ def test_every_bench_is_there_under_a_name_of_its_own() -> None:
     for bench in BENCHES:
         path = ROOT / "bench" / bench.module
         assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), bench.module
+
+
+def test_every_mutant_still_has_its_line_and_its_test() -> None:
+    every = mutants.read(mutants.LIST)
+    assert len(every) >= 30
+    for one in every:
+        assert mutants.mutated(one, ROOT) != (ROOT / one.file).read_text(encoding="utf-8"), one
+        file, *names = one.test.split("[", maxsplit=1)[0].split("::")
+        text = (ROOT / file).read_text(encoding="utf-8")
+        assert all(f"def {name}(" in text or f"class {name}" in text for name in names), one
 
 
 def test_what_a_bench_printed_is_kept_and_one_that_fails_is_told(tmp_path: Path) -> None:

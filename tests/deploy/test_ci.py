@@ -58,14 +58,14 @@ def gates(done):
 def test_all_gates_run_and_the_tests_have_the_last_word(run):
     done = run()
     assert done.returncode == 0, done.stdout + done.stderr
-    assert gates(done) == ["ruff check", "ruff format", "mypy --strict", "tests", "kernel tier"]
+    assert gates(done) == ["ruff check", "ruff format", "mypy --strict", "tests", "other processors", "kernel tier"]
     assert done.stdout.endswith("cannot: none\nfailed gates: none\n-m not realtime: 1 passed\n-m realtime: 1 passed\n")
 
 
 def test_arguments_go_to_one_run_of_all_tests(run):
     done = run("-k", "some of them")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert gates(done)[3:] == ["tests", "kernel tier"]
+    assert gates(done)[3:] == ["tests", "other processors", "kernel tier"]
     assert done.stdout.endswith("-k some of them: 1 passed\n")
 
 
@@ -77,6 +77,7 @@ def test_arguments_go_to_one_run_of_all_tests(run):
         ("mypy", "mypy --strict"),
         ("pytest -m not", "tests"),
         ("pytest -m realtime", "tests"),
+        ("pytest -q", "other processors"),
     ],
 )
 def test_one_failure_fails_the_run_and_the_rest_is_run_all_the_same(run, fails, gate):

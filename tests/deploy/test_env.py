@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -259,3 +260,15 @@ def test_the_scripts_are_posix_and_executable() -> None:
     for name in ("hil.sh", "test.sh", "lock.sh"):
         assert os.access(DEPLOY / name, os.X_OK), name
         assert (DEPLOY / name).read_text().startswith("#!/bin/sh\n"), name
+
+
+def test_the_installed_heft_is_found_beside_a_checkout_of_that_name(tmp_path: Path) -> None:
+    """A clone in the home directory is a directory ``heft``, a namespace package to a Python that is started there."""
+    for name in ("heft", "onboard", "drivers", "hil_sim"):
+        (tmp_path / name).mkdir()
+    script = "import heft, onboard.cli, drivers.records, hil_sim.mission; print(heft.open.__name__)"
+    clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    ran = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, env=clean, capture_output=True, text=True, check=False
+    )
+    assert (ran.returncode, ran.stdout) == (0, "open_log\n"), ran.stderr

@@ -53,3 +53,13 @@ def test_a_drive_beyond_its_limit_is_named(told, late_ms):
     said = told(1.5 * RATE, late_by(late_ms, 1.0))
     assert said[3] == ""
     assert set(said[8:]) == {"moves at 54.0 deg/s, faster than its limit"}
+
+
+@pytest.mark.parametrize(("counts", "sent"), [(-700, -500), (-500, -500), (3, 3), (800, 800), (801, 800)])
+def test_a_target_beyond_the_limits_is_cut_to_them(counts, sent):
+    frames = []
+    config = Cia402Config(1, 100_000, position="a", status="a_status")
+    limits = AxisConfig(config, "a_sent", -500, 800, RATE, 1e6, 1e6, 1000, 1000)
+    sync = SyncCounter(PERIOD_MS * MS)
+    DriveAxis(limits, CYCLIC, sync, (127, 100), lambda *frame: frames.append(frame), Reporter("can_0")).target(counts)
+    assert frames == [(0x301, sent.to_bytes(4, "little", signed=True))]

@@ -23,6 +23,7 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "node_frame": 500,
     "sync_pulse": 500,
     "vehicle": 12,
+    "urdf": 30,
     "log": 60,
     "recover": 60,
     "import": 100,

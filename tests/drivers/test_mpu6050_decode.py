@@ -107,7 +107,7 @@ def test_a_temperature_that_drifts_is_no_slip():
         {"sample_rate_hz": 300},
         {"sample_rate_hz": 2},
         {"sample_rate_hz": 0},
-        {"poll_period_ms": 19.0},
+        {"poll_period_ms": 37.0},
         {"poll_period_ms": 0.0},
         {"poll_period_ms": math.nan},
         {"max_transfer_bytes": 13},

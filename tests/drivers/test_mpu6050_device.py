@@ -144,6 +144,15 @@ def test_clones_are_named_and_flown(flight, identity, name, temperature):
     flight.check()
 
 
+@pytest.mark.parametrize(("identity", "drained_ms"), [(0x68, 20), (0x70, 18)])
+def test_a_small_fifo_is_drained_before_it_is_half_full(clock, identity, drained_ms):
+    flight = Flight(clock, Mpu6050Config(poll_period_ms=20.0))
+    flight.chip.identity = identity
+    flight.chip.reset()
+    flight.start()
+    assert flight.device.period_ns == drained_ms * MS
+
+
 @pytest.mark.parametrize(("identity", "named"), [(0x12, "ICM-20602"), (0x00, "unknown"), (0xFF, "unknown")])
 def test_another_device_is_named_by_address_and_value(flight, identity, named):
     flight.chip.identity = identity

@@ -27,7 +27,7 @@ def clock():
         (open_can, "can+socketcan://", "needs one name"),
         (open_can, "can+socketcan://can0?bitrate=fast", "bitrate=fast is not a whole number"),
         (open_can, "can+socketcan://can0?bit_rate=5", "use only bitrate, receive_buffer"),
-        (open_can, "can+virtual://x?timestamps=sundial", "use monotonic or realtime"),
+        (open_can, "can+virtual://x?timestamps=sundial", "use one of monotonic, realtime"),
         (open_can, "can+slcan:///dev/ttyS0", "lacks bitrate: add '\\?bitrate="),
         (open_can, "can+slcan:///dev/ttyS0?bitrate=333333", "use one of 10000, 20000"),
         (open_pulse, "gpio:///dev/gpiochip0", "lacks line"),
@@ -36,9 +36,24 @@ def clock():
         (open_pulse_output, "gpio:///dev/gpiochip0?line=27", "begin it with one of gpio-out"),
         (open_pulse_output, "gpio-out:///dev/gpiochip0", "lacks line"),
         (open_serial, "serial:///dev/ttyUSB0", "lacks baud"),
-        (open_serial, "serial:///dev/ttyUSB0?baud=9600&parity=X", "parity=N, E or O"),
-        (open_serial, "serial:///dev/ttyUSB0?baud=9600&stop_bits=3", "stop_bits=1 or 2"),
-        (open_serial, "serial:///dev/null?baud=-5", "choose a rate"),
+        (
+            open_serial,
+            "serial:///dev/ttyUSB0?baud=9600&parity=X",
+            "parity=X is none that it can have: use one of N, E, O",
+        ),
+        (open_serial, "serial:///dev/ttyUSB0?baud=9600&stop_bits=3", "stop_bits=3 is none .* use one of 1, 2"),
+        (open_i2c, "i2c:///dev/i2c-1#2", "has a '#'"),
+        (open_can, "can+socketcan://can0?bitrate=-1", "bitrate=-1 is not a whole number"),
+        (open_can, "can+socketcan://can0?bitrate=1000001", "is not within 1 and 1000000"),
+        (open_can, "can+socketcan://can0?bitrate=500_000", "is not a whole number"),
+        (open_can, "can+socketcan://can0?receive_buffer=4294967296", "is not within 1 and 2147483647"),
+        (open_can, "can+python:///pcan?bitrate=500000", "needs an interface and a channel"),
+        (open_pulse, "gpio:///dev/gpiochip0?line=-17", "line=-17 is not a whole number"),
+        (open_pulse, "gpio:///dev/gpiochip0?line=0x11", "is not a whole number"),
+        (open_serial, "serial:///dev/ttyUSB0?baud=9600&baud=19200", "gives an option twice"),
+        (open_serial, "serial:///dev/ttyUSB0?baud", "baud= is not a whole number"),
+        (open_serial, "serial:///dev/ttyUSB0?baud=9600&timeout_s=nan", "timeout_s=nan is not a number"),
+        (open_serial, "serial:///dev/null?baud=-5", "baud=-5 is not a whole number"),
     ],
 )
 def test_a_wrong_url_is_answered_with_the_right_one(opener, url, remedy):
@@ -47,6 +62,19 @@ def test_a_wrong_url_is_answered_with_the_right_one(opener, url, remedy):
     assert url in str(caught.value)
     assert isinstance(caught.value, DriverError)
     assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("url", ["i2c:///dev/i2c\0", "i2c:///dev/i2c\n-1", f"i2c:///dev/{'i' * 5000}", "i2c:///\ud800"])
+def test_a_url_that_no_system_call_takes_is_refused(url):
+    with pytest.raises(UrlError, match="cannot be printed, or more than 4096") as caught:
+        open_i2c(url, clock)
+    assert len(str(caught.value)) < 400
+
+
+def test_many_options_are_refused_with_a_short_message():
+    with pytest.raises(UrlError, match="none: Max number of fields") as caught:
+        open_serial("serial:///dev/tty?" + "&".join(f"a{n}=1" for n in range(500)))
+    assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize(

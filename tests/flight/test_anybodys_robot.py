@@ -121,10 +121,10 @@ def test_what_it_has_not_is_named(
             '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a"/></robot>',
             "write it out first: xacro",
         ),
-        ("<mujoco><worldbody/></mujoco>", "its root is <mujoco>, not <robot>"),
+        ("<mujoco><worldbody/></mujoco>", "its first tag is <mujoco>, not <robot>"),
         ("<robot><!-- \xe9 --></robot>", "is not UTF-8"),
-        ("<robot/>", "hangs on nothing"),
-        ("robot", "is no URDF"),
+        ("<robot/>", "it has no <link>"),
+        ("robot", "no XML"),
     ],
 )
 def test_what_is_no_urdf_is_said(text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

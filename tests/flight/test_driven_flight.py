@@ -83,7 +83,11 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
     vehicle, segments = written(tmp_path), tmp_path / "plan" / "segments.npz"
     vehicle.write_text(vehicle.read_text().replace('motion = "motion.csv"', ""))
     fast = ["--segments", "--masses", "0.7,3", "--starts", "2", "--iterations", "3"]
-    assert cli.main(["plan", str(vehicle), *fast, "--output", str(segments.parent)]) == cli.OK
+    told = tmp_path / "plan.json"
+    assert cli.main(["plan", str(vehicle), *fast, "--output", str(segments.parent), "--json", str(told)]) == cli.OK
+    planned = json.loads(told.read_text())
+    assert planned["masses_kg"] == [0.7, 3.0]
+    assert all(one["duration_s"] > 0.0 and len(one["limit"]) == 2 for one in planned["segments"])
     vehicle.write_text(f'{vehicle.read_text()}\n[mission]\nuntil = "mass 30 %"\nsegments = "{segments}"\n')
     mission, log = world(vehicle, None, 21, 60.0), tmp_path / "flight.mcap"
     with plugged(mission) as urls:

@@ -102,7 +102,7 @@ def test_off_unless_armed(bench, tmp_path, said):
         (Fault("off", "sync_box", 2.4, 2.45), "no SYNC for"),
         (Fault("reset", "elbow", 2.4), "elbow has not answered SYNC"),
         (Fault("frame_drop", BUS, 2.4, 2.6, 0x181), "shoulder has not answered SYNC"),
-        (Fault("bus_off", BUS, 2.4, 2.6), "no SYNC for"),
+        (Fault("bus_off", BUS, 2.4, 2.6), "SYNC for"),  # the producer, or a drive: whichever limit is over first
         (Fault("garbage", "elbow", 2.4, 2.6), "elbow "),
     ],
     ids=lambda value: f"{value.kind}-{value.device}" if isinstance(value, Fault) else None,
@@ -155,7 +155,7 @@ def test_a_computer_that_stood_still_stops_the_arm(bench):
 
 
 @pytest.mark.parametrize(("at_s", "late_s"), [(2.3, 0.02), (2.7, 0.03), (2.7, 0.05), (2.55, 0.07)])
-def test_a_computer_that_was_late_catches_up_within_the_rate_limits(bench, at_s, late_s):
+def test_a_computer_that_was_late_goes_on_from_rest_within_the_limits(bench, at_s, late_s):
     flown = bench(drive="sync_limit_ms = 100").run(at_s).run(late_s, pumped=False)
     flown.run(2.5)
     assert flown.codes == ["drive_armed", "drive_started", "drive_done"]
@@ -163,7 +163,7 @@ def test_a_computer_that_was_late_catches_up_within_the_rate_limits(bench, at_s,
         rows = flown.kept.of(f"{name}_sent")
         sent = rows["data"][rows["cob_id"] == 0x300 + node][:, :4].copy().view("<i4").ravel()
         steps = np.abs(np.diff(sent.astype(float))) * 2.0 * np.pi / counts / 5e-3
-        assert 0.6 < steps.max() < 1.07, "the limit is 1 rad/s; targets are whole counts"
+        assert 0.6 < steps.max() < 0.86, "the motion's own largest is 0.785 rad/s; targets are whole counts"
     assert flown.axis("shoulder").highest_rad == pytest.approx(0.5, abs=5e-3)
 
 

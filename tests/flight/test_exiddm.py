@@ -216,7 +216,7 @@ def test_a_phase_tells_that_the_payload_was_taken_and_let_go(vehicle):
         ("link.base", "link.bass", "prior.link names 'bass'"),
         ("smoothing_ms = 100", 'smoothing_ms = 100\nbase_rows = ["force"]', "base_rows is for"),
         ("smoothing_ms = 100", 'smoothing_ms = 100\nnuisance = ["m"]', "nuisance is for"),
-        ("gyro_bias_rad_s = 0.01", "gyro_bias_rad_s = -0.01", "greater than or equal to 0"),
+        ("gyro_bias_rad_s = 0.01", "gyro_bias_rad_s = -0.01", "0 or more"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_remedy(tmp_path, old, new, message):

@@ -27,6 +27,7 @@ from onboard.identification.quantities import Findings
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
 from onboard.timebase.timebase import Timebase
+from tests.flight import mixed
 
 ROCKSAT = config.load(config.packaged("rocksat"))
 
@@ -175,13 +176,17 @@ def test_rows_of_a_channel_are_joined_but_not_past_an_event() -> None:
     assert made[0].rows.flags.writeable
 
 
+BODY = """<robot name="t"><link name="body"><inertial><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+
+
 def recorded_vehicle(tmp_path: Path) -> config.Vehicle:
     text = (
         '[vehicle]\nname="t"\nurdf="t.urdf"\nbase="free"\nbase_link="body"\n'
         '[device.imu]\nkind="recorded_imu"\nframe="body"\nperiod_ms=1\naccel_noise_m_s2=0.1\ngyro_noise_rad_s=0.01\n'
         "[estimation]\nsmoothing_ms=50\n"
     )
-    (tmp_path / "t.urdf").write_text("<robot/>")
+    (tmp_path / "t.urdf").write_text(BODY)
     return config.parse(text, tmp_path / "vehicle.toml")
 
 
@@ -313,7 +318,7 @@ def _unlocked() -> Timebase:
 
 def mixed_vehicle(tmp_path: Path) -> config.Vehicle:
     text = (Path(__file__).with_name("mixed.toml")).read_text(encoding="utf-8")
-    (tmp_path / "mixed.urdf").write_text("<robot/>")
+    (tmp_path / "mixed.urdf").write_text(mixed.urdf())
     return config.parse(text, tmp_path / "vehicle.toml")
 
 

@@ -104,12 +104,25 @@ def test_info_tells_clocks_delays_and_answers(
         "imu_base": "locked", "can_sync": "locked"
     }  # fmt: skip
     assert {delay["channel"] for delay in about["delays"]} >= {"imu_base", "load_cell"}
-    assert len(mission.table["masses"]) == 3
+    assert len(mission.table["masses"]) == 4
     for mass in mission.table["masses"]:
         assert about["answers"][mass["quantity"]]["value"] == mass["value"]
     pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3)
     for red, green, blue in ((31, 102, 176), (47, 158, 91)):  # a line, the strip of a locked clock
         assert (np.abs(pixels.astype(int) - (red, green, blue)).max(axis=1) < 8).sum() > 100
+
+
+def test_what_reads_a_log_answers_in_json_alone_on_stdout(
+    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, joined = str(mission.path), str(tmp_path / "joined.mcap")
+    found = {}
+    for command in (["replay", log], ["recover", log, "-o", joined], ["info", joined]):
+        assert cli.main([*command, "--json", "-"]) == cli.OK, command
+        found[command[0]] = json.loads(capsys.readouterr().out)
+    assert found["replay"]["identical"] is True
+    assert found["recover"]["rows"]["imu_base"] == len(mission.log.read("imu_base"))
+    assert found["info"]["answers"]["m_tip_mass"]["value"] == mission.mass("m_tip_mass")["value"]
 
 
 def test_the_same_settings_make_the_same_answers_and_others_are_shown(

@@ -145,7 +145,7 @@ def test_a_urdf_at_hand_keeps_its_links_and_gets_the_frames_it_lacks(tmp_path):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--urdf", "none.urdf"], "no URDF"),
+        (["--urdf", "none.urdf"], "none.urdf: No such file"),
         (["--urdf", str(OWN / "planar_arm.urdf"), "--joints", "2"], "name those that are measured"),
         (["--urdf", str(OWN / "planar_arm.urdf"), "--imu-frame", "nose"], "no link 'nose'"),
         (["--payload-link", "fore"], "give the --urdf"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.channels import QUANTITY
-from onboard.identification.corrections import together
+from onboard.identification.corrections import contradicted, together, too_large
 
 
 def posterior_of(told: float, rng: np.random.Generator, k: int = 80) -> np.ndarray:
@@ -24,6 +24,14 @@ def test_of_sound_flights_as_many_are_improbable_as_chance_makes(told: float, rn
     assert (chances < 0.01).mean() < 0.02
     assert not any(one.refused() or one.doubted() for one in found)
     assert np.mean([one.widening > 1.0 for one in found]) < 0.01
+
+
+@pytest.mark.parametrize("judged", [contradicted, too_large])
+def test_one_correction_is_refused_beyond_five_sigmas(judged) -> None:
+    assert judged({"scale": 4.9, "bias": 0.1}) == ()
+    [said] = judged({"scale": -5.1, "bias": 0.1})
+    assert "scale" in said
+    assert "by 5 " in said
 
 
 def test_many_that_are_each_within_two_sigmas_are_refused_together(rng: np.random.Generator) -> None:

@@ -28,7 +28,9 @@ def server(caplog: pytest.LogCaptureFixture) -> Iterator[LiveServer]:
     made.close()
 
 
-def status(server: LiveServer, origin: str | None = None, host: str | None = None) -> int:
+def status(
+    server: LiveServer, origin: str | None = None, host: str | None = None, protocols: tuple[str, ...] = (PROTOCOL,)
+) -> int:
     """Of a viewer's request: 101 where it is let in."""
 
     async def ask() -> int:
@@ -38,10 +40,11 @@ def status(server: LiveServer, origin: str | None = None, host: str | None = Non
             async with connect(
                 url,
                 origin=None if origin is None else Origin(origin),
-                subprotocols=[PROTOCOL],  # type: ignore[list-item]
+                subprotocols=list(protocols) or None,  # type: ignore[arg-type]
                 host="127.0.0.1",
                 port=port,
             ) as client:
+                assert client.subprotocol in protocols
                 assert json.loads(await asyncio.wait_for(client.recv(), 20))["op"] == "serverInfo"
         except InvalidStatus as error:
             return error.response.status_code
@@ -55,6 +58,23 @@ def status(server: LiveServer, origin: str | None = None, host: str | None = Non
 )
 def test_viewers_are_let_in(server: LiveServer, origin: str | None) -> None:
     assert status(server, origin) == 101
+
+
+@pytest.mark.parametrize(
+    ("protocols", "expected"),
+    [
+        ((PROTOCOL,), 101),
+        (("foxglove.websocket.v1",), 101),
+        (("other", "foxglove.websocket.v1"), 101),
+        (("foxglove.websocket.v1", PROTOCOL), 101),
+        ((), 400),
+        (("other",), 400),
+    ],
+)
+def test_both_names_of_the_protocol_are_understood(
+    server: LiveServer, protocols: tuple[str, ...], expected: int
+) -> None:
+    assert status(server, protocols=protocols) == expected
 
 
 @pytest.mark.parametrize(

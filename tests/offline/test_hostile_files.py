@@ -1,6 +1,9 @@
 """Files that somebody crafted: refused with a sentence and the exit code, or shown without harm."""
 
+import json
 import os
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -11,13 +14,131 @@ from drivers import records
 from onboard import channels, cli, config
 from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.foreign import read_npz
+from onboard.offline.estimate_again.replay import Pass, steps
 from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.recording import mcap_format
+from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import MemorySink
 
 ROCKSAT = config.packaged("rocksat").read_text(encoding="utf-8")
 URDF = config.packaged("rocksat").with_name("rocksat.urdf").read_bytes()
+
+
+# A process that is spawned begins with its parent's peak of memory: a small one stands between pytest and the command.
+SPAWN = """import json, os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, used = os.wait4(process.pid, 0)
+print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss / 1000]))
+"""
+
+
+def cost(*arguments):
+    """Exit code, CPU seconds, megabytes and messages of a command in a process of its own."""
+    command = [sys.executable, "-m", "onboard.cli", *map(str, arguments)]
+    done = subprocess.run([sys.executable, "-c", SPAWN, *command], capture_output=True, text=True, check=True)
+    return *json.loads(done.stdout), done.stderr
+
+
+MOST_S, MOST_MB = (
+    6.0,
+    350.0,
+)  # a command that does nothing takes 1.5 s and 140 MB; before, these took 17 to 60 s, or 3 GB
+BIG = {
+    "dotted": (".".join("a" * 40_000) + " = 1\n" + ROCKSAT, "nested too deep"),
+    "header": (ROCKSAT + "\n[" + ".".join("a" * 40_000) + "]\n", "nested too deep"),
+    "quoted": (ROCKSAT + "\n[" + " . ".join(["'a'"] * 40_000) + "]\n", "nested too deep"),
+    "devices": (
+        ROCKSAT + "".join(f'[device.d{n}]\nkind = "qsb"\nbus = "x"\n' for n in range(20_000)),
+        "a table has 20006 keys",
+    ),
+    "url": (
+        ROCKSAT.replace("://can0", "://can0?" + "&".join(f"o{n}=1" for n in range(90_000))),
+        "or more than 4096",
+    ),
+    "value": (ROCKSAT.replace('kind = "', 'kind = "' + "x" * 900_000, 1), "device"),
+    "errors": (
+        ROCKSAT + "".join(f"[device.d{n}]\n" for n in range(900)),
+        "more like these",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BIG)
+def test_a_large_vehicle_file_is_refused_at_once(tmp_path, name):
+    text, why = BIG[name]
+    (tmp_path / "vehicle.toml").write_text(text, encoding="utf-8")
+    code, seconds, megabytes, said = cost("preflight", tmp_path / "vehicle.toml")
+    assert code == cli.BAD_INPUT
+    assert why in said
+    assert len(said) < 11_000
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
+
+
+def test_a_large_vehicle_file_in_a_log_stops_nobody(tmp_path):
+    with LogWriter.create(tmp_path / "x.mcap", durable=False) as writer:
+        writer.attach("vehicle.toml", "application/toml", BIG["dotted"][0].encode())
+        writer.register("sync", records.CAN_SYNC)
+        writer.write("sync", np.zeros(1, records.CAN_SYNC))
+    code, seconds, megabytes, _ = cost("info", tmp_path / "x.mcap")
+    assert code == cli.OK
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
+
+
+def test_a_tag_of_many_attributes_is_refused_at_once(tmp_path):
+    (tmp_path / "vehicle.toml").write_text(ROCKSAT, encoding="utf-8")
+    many = b"<robot " + b" ".join(b'a%d="1"' % n for n in range(100_000))
+    (tmp_path / "rocksat.urdf").write_bytes(URDF.replace(b"<robot", many, 1))
+    code, seconds, megabytes, said = cost("preflight", tmp_path / "vehicle.toml")
+    assert code == cli.BAD_INPUT
+    assert "attributes; 64 is the most" in said
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
+
+
+MAPPING = """[mapping]
+name = "b"
+format = "{}"
+[time]
+column = "t"
+[channel.force]
+record = "scalar"
+value = {{ column = "f", scale = 1e-3, unit = "N", values = "physical" }}
+"""
+
+
+def write_long_header(path):
+    """An array whose header has 600 MB of spaces, in an archive of 0.6 MB."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("t.npy", "w") as array:
+        array.write(b"\x93NUMPY\x02\x00" + (600_000_000).to_bytes(4, "little"))
+        for _ in range(60):
+            array.write(b" " * 10_000_000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fill", "why"),
+    [
+        ("npz", write_long_header, "t.npy has a header of 600000000 bytes"),
+        ("csv", lambda path: os.truncate(path, 1_500_000_000), "a line of more than 1048576 characters"),
+        ("csv", lambda path: path.write_text("c" + ",c" * 99_999 + "\n"), "has no column 't'; it has 'c'"),
+        ("csv", lambda path: path.write_text("\n".join(["t,f", *["1,2,3"] * 600_000])), "row 1 has 3 cells"),
+    ],
+    ids=["header", "NUL", "columns", "cells"],
+)
+def test_a_recording_that_swells_is_refused_at_once(tmp_path, kind, fill, why):
+    (tmp_path / "m.toml").write_text(MAPPING.format(kind), encoding="utf-8")
+    source = tmp_path / "run"
+    source.touch()
+    fill(source)
+    code, seconds, megabytes, said = cost("import", tmp_path / "m.toml", source, "-o", tmp_path / "logs")
+    assert code == cli.BAD_INPUT
+    assert why in said
+    assert len(said) < 11_000
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
 
 
 @pytest.mark.parametrize(
@@ -88,6 +209,7 @@ def test_a_log_whose_rows_have_no_time_is_damaged(tmp_path):
     assert cli.main(["recover", str(tmp_path / "x.mcap"), "-o", str(tmp_path / "y.mcap")]) == cli.FAILED
 
 
+TICK = [(name, *wanted) for name, *wanted in channels.tick_dtype(1).descr if name]
 NAMES = (b"[/b]", b"[red]m", b"\x1b[2J", b"\xff\xfa", b":skull:")
 
 
@@ -123,3 +245,64 @@ def test_an_attachment_is_never_written_outside(tmp_path, name):
     assert vehicle_of(LogReader(log), place).file.vehicle.name == "rocksat"
     made = set(tmp_path.rglob("*")) - before
     assert {path.relative_to(place).as_posix() for path in made} == {"vehicle.toml", "rocksat.urdf"}
+
+
+def crafted(path, text, metadata=0):
+    """A log of one channel with the schema ``text``, and so many pieces of empty metadata."""
+    definitions = mcap_format.Schema(1, "heft/msg/X", text).pack() + mcap_format.Channel(1, 1, "x").pack()
+    head = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
+    empty = mcap_format.Metadata("", {}).pack()
+    path.write_bytes(head + mcap_format.Chunk(0, 0, definitions).pack() + empty * metadata)
+
+
+@pytest.mark.parametrize("kind", ["wide rows", "metadata", "sparse"])
+@pytest.mark.parametrize("command", [["info"], ["dump", "--to", "npz", "out"]], ids=["info", "dump"])
+def test_a_log_that_swells_is_damage_at_once(tmp_path, monkeypatch, kind, command):
+    """Rows of 800 MB; 1,000,000 pieces of empty metadata (before: 20 s); a file of 6 GB with nothing in it (60 s)."""
+    monkeypatch.chdir(tmp_path)
+    plain = "uint64 sequence\nint64 host_ns\n"
+    wide = "uint64[100000000] more\n" if kind == "wide rows" else ""
+    crafted(tmp_path / "x.mcap", plain + wide, metadata=1_000_000 if kind == "metadata" else 0)
+    if kind == "sparse":
+        os.truncate(tmp_path / "x.mcap", 6 << 30)
+    code, seconds, megabytes, said = cost(command[0], tmp_path / "x.mcap", *command[1:])
+    assert code == cli.DAMAGED, said
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
+
+
+@pytest.mark.parametrize("at", [0, 1, 250, 499])
+def test_a_row_that_is_years_from_the_others_is_damage_and_costs_its_chunk(tmp_path, at):
+    rows = np.zeros(500, records.CAN_SYNC)
+    rows["sequence"] = np.arange(500)
+    rows["host_ns"] = 10**9 + 10**6 * np.arange(500)
+    rows["host_ns"][at] = 2**63 - 1
+    with LogWriter.create(tmp_path / "x.mcap", durable=False) as writer:
+        writer.register("sync", records.CAN_SYNC)
+        for part in np.split(rows, 100):
+            writer.write("sync", part)
+            writer.flush()
+    log = LogReader(tmp_path / "x.mcap")
+    assert 490 <= len(log.read("sync")) <= 495
+    assert log.read("sync")["host_ns"].max() < 2 * 10**9
+    assert "years from the one before it" in str(log.damage[0])
+    assert log.exit_code == cli.DAMAGED
+
+
+def test_steps_of_the_estimator_that_are_none_are_refused(tmp_path):
+    for dtype, now_ns, why in (
+        (
+            np.dtype([(name, *rest, (1,)) if name == "final" else (name, *rest) for name, *rest in TICK], align=True),
+            0,
+            "none of",
+        ),
+        (np.dtype(TICK, align=True), 10**15, "is 1000000 s after the one before it"),
+    ):
+        rows = np.zeros(2, dtype)
+        rows["host_ns"][1] = now_ns
+        path = tmp_path / f"{now_ns}.mcap"
+        with LogWriter.create(path, durable=False) as writer:
+            writer.register("tick", dtype)
+            writer.write("tick", rows)
+        with pytest.raises(ChannelError, match=why):
+            list(steps(Pass(LogReader(path), ["tick"]), ("imu_base",)))

@@ -52,8 +52,8 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
     ("old", "new", "expected"),
     [
         ('bus = "i2c_1"', 'bus = "i2c_9"', "no bus 'i2c_9'; there are: i2c_1, can_0, sync_line"),
-        ("address = 0x68", "address = 0x10", "greater than or equal to 104"),
-        ('kind = "mpu6050"', 'kind = "mpu9999"', "'cia404'"),
+        ("address = 0x68", "address = 0x10", "104 or more is wanted here (found 16)"),
+        ('kind = "mpu6050"', 'kind = "mpu9999"', "is none of canopen_"),
         ("node = 2\n", "", "'device.load_cell.node' is missing"),
         ("[estimation.gates]", "[estimation.gate]", "did you mean 'gates'"),
         (
@@ -63,7 +63,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         ),
         ('urdf = "rocksat.urdf"', 'urdf = "lost.urdf"', "put the URDF beside the vehicle file"),
         ("[vehicle]", "[vehicle", "not TOML"),
-        ('base = "prescribed"', 'base = "floating"', "'free', 'prescribed', 'fixed' or 'planar'"),
+        ('base = "prescribed"', 'base = "floating"', "none of free, prescribed, fixed, planar"),
         ("lever_m = 0.040", "lever_mm = 40", "did you mean 'lever_m'"),
         (
             "[estimation.gates]",
@@ -71,7 +71,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
             "give one of the two",
         ),
         ("step_ms = 50", 'method = "instrumental"\nstep_ms = 50', 'method "instrumental" is for base = "free"'),
-        ("step_ms = 50", 'smoothing = "kalman"\nstep_ms = 50', "'spline', 'filter' or 'smoother'"),
+        ("step_ms = 50", 'smoothing = "kalman"\nstep_ms = 50', "none of spline, filter, smoother"),
         ("[estimation.gates]", "[estimation.memory]\nwindow_ms = 9\n[estimation.gates]", "did you mean 'window_s'"),
     ],
 )
@@ -114,25 +114,25 @@ NODE_GYRO = '[[device.wrist.channel]]\nname = "gyro_x"\nrole = "gyro"\naxis = "x
         ("node = 4", "node = 1", "'upper' and 'shoulder' are both node 1; a node has one profile"),
         ("node = 3", 'node = 1\nsupervision = "guarding"', "'phase' and 'shoulder' are one node; give both the same"),
         ("node = 3", 'node = 3\nsupervision = "guarding"\nguard_time_ms = 0', "guard_time_ms = 0: use 1..65535"),
-        ("node = 3", 'node = 3\nsupervision = "watching"', "'heartbeat' or 'guarding'"),
+        ("node = 3", 'node = 3\nsupervision = "watching"', "none of heartbeat, guarding"),
         ("torque = true", "torque = true\ntpdos = [1]", "its values fill 2 TPDOs: name more tpdos"),
         ("torque = true", "torque = true\ngear_ratio = 0", "gear_ratio = 0.0: motor revolutions"),
         ('format = "u8"', 'format = "u64"\nbyte_offset = 4', "byte_offset = 4: the object must end in 8 bytes"),
         ('kind = "canopen_sync"', 'kind = "canopen_sync"\nnode = 9', "unknown key 'device.can_sync.node'"),
         # drivers refuse what does not go together
         ("noise_rad_s = 1.95e-3", "noise_rad_s = 1.95e-3\nsample_rate_hz = 300", "use a whole fraction of 1000"),
-        ("noise_rad_s = 1.95e-3", "noise_rad_s = 1.95e-3\npoll_period_ms = 50", "over 18 samples would gather"),
-        ("noise_rad_s = 1.95e-3", 'noise_rad_s = 1.95e-3\nmode = "stream"', "'fifo' or 'burst'"),
+        ("noise_rad_s = 1.95e-3", "noise_rad_s = 1.95e-3\npoll_period_ms = 50", "over 36 samples would gather"),
+        ("noise_rad_s = 1.95e-3", 'noise_rad_s = 1.95e-3\nmode = "stream"', "none of fifo, burst"),
         ('unit = "N"\n', "", "scale and unit go together"),
         ("sample_period_ms = 20", "sample_period_ms = 20\ntimeout_ms = 10", "the manual allows an answer 50 ms"),
-        ("sample_period_ms = 10", "sample_period_ms = 10\naddress = 300", "less than or equal to 247"),
-        ("sample_period_ms = 10", 'sample_period_ms = 10\nvalues = ["tare"]', "'gross' or 'net'"),
+        ("sample_period_ms = 10", "sample_period_ms = 10\naddress = 300", "247 or less"),
+        ("sample_period_ms = 10", 'sample_period_ms = 10\nvalues = ["tare"]', "none of gross, net"),
         ('bus = "tty_joint"', 'bus = "tty_joint"\ninterval_ticks = 0', "interval_ticks = 0: use 1 to"),
-        ('bus = "tty_joint"', 'bus = "tty_joint"\nsync_edge = "both"', "'rising', 'falling' or 'none'"),
+        ('bus = "tty_joint"', 'bus = "tty_joint"\nsync_edge = "both"', "none of rising, falling, none"),
         ("sample_rate_hz = 150", "", "'device.imu_tip.sample_rate_hz' is missing; add it"),
-        ("sample_rate_hz = 150", 'sample_rate_hz = 150\nchecksum_span = "all"', "'packet', 'after_sync' or 'payload'"),
+        ("sample_rate_hz = 150", 'sample_rate_hz = 150\nchecksum_span = "all"', "none of packet, after_sync, payload"),
         # a node's channels
-        ('role = "record"', 'role = "recorded"', "'record', 'joint', 'force', 'gyro', 'accel'"),
+        ('role = "record"', 'role = "recorded"', "none of record, joint, force, gyro, accel; did you mean 'record'?"),
         ("noise_rad = 1e-6", "noise_deg = 1e-6", "did you mean 'noise_rad'"),
         ('name = "mode"', 'name = "angle"', "name each channel of the node, once"),
         (NODE_GYRO, "", "'wrist' is an IMU by parts; give gyro x, y, z and accel x, y, z, each once"),
@@ -180,20 +180,23 @@ def test_an_slcan_adapter_cannot_be_opened_twice() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('frame = "imu_base"', 'frame = "nose"', "no link, joint or frame 'nose'"),
+        (
+            'frame = "imu_base"',
+            'frame = "nose"',
+            "vehicle.toml:\\d+: frame 'nose' is not in the URDF; its links are plate",
+        ),
         (
             'joint = "joint_1"\ncounts',
             'joint = "elbow"\ncounts',
-            "moving joints are joint_1, the devices measure elbow",
+            "vehicle.toml:\\d+: joint 'elbow' is not in the URDF; its moving joints are joint_1",
         ),
         ("arm = 1.0, ", "", "give a relative sigma for each of plate, arm, tip_mass"),
     ],
 )
 def test_names_that_the_urdf_does_not_have_are_refused_before_the_flight(old: str, new: str, expected: str) -> None:
     assert old in TEXT
-    vehicle = config.parse(TEXT.replace(old, new, 1), config.packaged("rocksat"))
     with pytest.raises(config.ConfigError, match=expected):
-        Estimator(vehicle)
+        Estimator(config.parse(TEXT.replace(old, new, 1), config.packaged("rocksat")))
 
 
 @pytest.mark.parametrize(("payload", "refused"), [("1.0", True), ("0.0", False)])
@@ -257,9 +260,9 @@ def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
     [
         ("joint_limits_deg = [-13.0, 13.0]", "joint_limits_deg = [13, -13]", "write the lower limit first"),
         ("joint_limits_deg = [-13.0, 13.0]", "joint_limits_deg = [nan, 13]", "finite number"),
-        ("step_ms = 50", "step_ms = 1e-300", "greater than or equal to 1 "),
+        ("step_ms = 50", "step_ms = 1e-300", "1 or more is wanted"),
         ("lag_ms = 300", "lag_ms = inf", "finite number"),
-        ("lag_ms = 300", "lag_ms = 9e9", "less than or equal to 5000 "),
+        ("lag_ms = 300", "lag_ms = 9e9", "5000 or less is wanted"),
         ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (found true)"),
         ("row_rate_hz = 100", 'row_rate_hz = "100"', "write it without quotes"),
         ("[device.load_cell]", "[device.recorder_gap]", "is one of heft's own"),

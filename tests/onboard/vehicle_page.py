@@ -11,6 +11,7 @@ from pydantic import AliasChoices
 from onboard.config.drive import Drive
 from onboard.config.estimation import (
     Carried,
+    DisturbanceKeys,
     Estimation,
     ExiddmKeys,
     Gates,
@@ -53,6 +54,7 @@ TABLES: dict[str, type[Section]] = {
     "[estimation.motor.NAME]": MotorKeys,
     "[estimation.masses.drawing.NAME]": LinkTolerance,
     "[estimation.exiddm]": ExiddmKeys,
+    "[estimation.disturbance]": DisturbanceKeys,
     "[estimation.imu_prior]": ImuPriorKeys,
     "[estimation.carried]": Carried,
     "[free_body]": FreeBody,

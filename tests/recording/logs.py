@@ -113,6 +113,9 @@ class MemorySink:
     def sync(self):
         self.syncs += 1
 
+    def taken(self):
+        return None
+
     def close(self):
         assert not self.closed
         self.closed = True

@@ -221,3 +221,12 @@ def test_whatever_is_done_to_it_what_comes_back_was_written(module_log, edits):
         return
     all_good(rows)
     assert log.exit_code == (0 if data == module_log.read_bytes() else 3)
+
+
+def test_a_log_of_no_bytes_is_empty_and_not_one_that_was_not_closed(tmp_path):
+    (tmp_path / "none.mcap").touch()
+    log = LogReader(tmp_path / "none.mcap")
+    assert list(log.batches()) == []
+    [damage] = log.damage
+    assert "the log is empty" in str(damage)
+    assert "not closed" not in str(damage)

@@ -113,15 +113,76 @@ def test_exchanged_segments_are_put_in_order_and_a_neighbours_is_no_part(tmp_pat
     assert [str(one).split(";")[0] for one in copied.damage] == ["segment 2 is missing"]
 
 
-def test_a_flipped_bit_of_the_segments_own_metadata_drops_nothing(tmp_path, whole):
-    place = whole["x_002.mcap"].index(b"\x06\x00\x00\x00flight")
-    for bit in range(8 * (place + 4), 8 * (place + 14)):
-        data = bytearray(whole["x_002.mcap"])
+@pytest.mark.parametrize("number", [0, 2])
+@pytest.mark.parametrize("word", [b"segment", b"flight", b"f1", b"number", b"#crc"])
+def test_a_flipped_bit_of_the_segments_own_metadata_drops_nothing(tmp_path, whole, number, word):
+    name = sorted(whole)[number]
+    place = whole[name].index(word)
+    for bit in range(8 * place, 8 * (place + len(word))):
+        data = bytearray(whole[name])
         data[bit // 8] ^= 1 << bit % 8
-        log = LogReader(lay(tmp_path, whole | {"x_002.mcap": bytes(data)}))
+        log = LogReader(lay(tmp_path, whole | {name: bytes(data)}))
         assert len(log.segments) == 5
         assert len(log.read("a")) == ROWS
         assert log.exit_code == cli.DAMAGED
+        assert {one.file for one in log.damage} == {name}
+
+
+def test_a_killed_flight_whose_first_head_is_altered_is_whole_but_for_its_end(tmp_path, whole):
+    """Without the CRC of a whole file, which only a closed one has."""
+    data = whole["x.mcap"][: -mcap_format.FOOTER_BYTES].replace(b"segment", b"segmenu", 1)
+    log = LogReader(lay(tmp_path, whole | {"x.mcap": data}))
+    assert len(log.read("a")) == ROWS
+    assert log.metadata["segment"]["flight"] == "f1"
+    assert str(log.damage[0]) == "x.mcap: its metadata 'segment' is altered"
+
+
+def test_a_line_end_in_a_name_hides_no_segment(tmp_path):
+    write(tmp_path / "two\nlines.mcap", "f1")
+    log = LogReader(tmp_path / "two\nlines.mcap")
+    assert len(log.segments) == 5
+    assert log.complete
+
+
+@pytest.mark.parametrize("what", ["loop", "dangling", "pipe", "directory"])
+def test_what_lies_in_a_segments_place_is_named(tmp_path, whole, capsys, what):
+    log = lay(tmp_path, {name: data for name, data in whole.items() if name != "x_001.mcap"})
+    place = tmp_path / "x_001.mcap"
+    if what == "pipe":
+        os.mkfifo(place)
+    elif what == "directory":
+        place.mkdir()
+    else:
+        place.symlink_to(place if what == "loop" else tmp_path / "nowhere")
+    for command in (["info"], ["recover", "-o", str(tmp_path / "out.mcap")], ["dump", "--to", "npz", str(tmp_path)]):
+        assert cli.main([command[0], str(log), *command[1:]]) == cli.DAMAGED
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("x_001.mcap: segment 1 cannot be read: ") == 2
+    assert said.count("it held 800 rows over 0.4 s: a 440 to 839, b 440 to 839") == 2
+
+
+@pytest.mark.parametrize("name", ["x", "x.mcap"])
+@pytest.mark.parametrize("gone", [0, 1, 3, None])
+def test_a_segment_that_is_recovered_alone_is_not_called_the_flight(tmp_path, capsys, name, gone):
+    write(tmp_path / name, "f1")
+    files = sorted(path for path in tmp_path.rglob("*.mcap") if path.is_file())
+    if gone is not None:
+        files.pop(gone).unlink()
+    part = next(path for path in files if path.name == "x_002.mcap")
+    code = cli.main(["recover", str(part), "-o", str(tmp_path / "out.mcap")])
+    said = capsys.readouterr().out
+    assert code == (cli.OK if gone is None else cli.DAMAGED)
+    others = ", ".join(path.name for path in files if path != part)
+    assert f"segments of the flight that are not in it: {others}" in said
+    assert "all that was recorded is there" not in said
+    assert (f"segment {gone} of its flight is not beside it" in said) == (gone is not None)
+
+
+def test_segments_of_another_flight_in_its_directory_are_no_part(tmp_path, other):
+    write(tmp_path / "x", "f1")
+    (tmp_path / "x" / "x_002.mcap").write_bytes(other["x_002.mcap"])
+    log = LogReader(tmp_path / "x")
+    assert [str(one).split(";")[0] for one in log.damage] == ["segment 2 is missing"]
 
 
 HARMS = ("flip", "flip head", "cut", "zero", "noise", "delete", "exchange", "copy", "foreign", "append", "rewrite")

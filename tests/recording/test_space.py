@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from onboard.recording.recorder import Recorder
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
 from onboard.recording.segments import segments
 from onboard.recording.sink import FileSink, is_locked
@@ -133,3 +134,44 @@ def test_a_ballast_that_a_dead_flight_left_is_removed_and_a_living_one_s_is_not(
     guard(disk, reserve=RESERVE)
     assert [path.name for path in tmp_path.iterdir()] == ["living.mcap.heft-reserve"]
     living.close()
+
+
+def lay(path, what):
+    """Something in a place whose name can be foreseen."""
+    if what == "pipe":
+        os.mkfifo(path)
+    elif what == "directory":
+        path.mkdir()
+    else:
+        path.symlink_to("/nowhere")
+    return path
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["other.mcap.heft-reserve", "now.mcap.heft-reserve"])
+@pytest.mark.parametrize("what", ["pipe", "directory", "link"])
+def test_what_lies_in_the_ballasts_place_stops_no_flight_and_is_told_by_name(tmp_path, disk, what, name):
+    strange = lay(tmp_path / name, what)
+    said = []
+    writer = SegmentedLog(tmp_path / "now.mcap", Preamble("now"), sync_interval_ns=0)
+    recorder = Recorder(writer, [], space=guard(disk, reserve=RESERVE), said=said.append)
+    for second in range(1, 5):
+        recorder.step(second * 10**9)
+    recorder.close(5 * 10**9)
+    assert [row["code"] for rows in said for row in rows] == [b"no_reserve_file"]
+    assert said[0]["text"][0].decode().startswith(f"{name} is no reserve of a flight and is left as it is")
+    assert os.path.lexists(strange)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("what", ["pipe", "directory", "link"])
+def test_what_lies_among_the_segments_of_an_earlier_flight_is_not_waited_for(tmp_path, disk, what):
+    old = fly(tmp_path / "old", "f1")
+    lay(tmp_path / "old" / f"old_{len(old):03d}.mcap", what)
+    lay(tmp_path / "pipe.mcap", what)
+    assert guard(disk, min_free=10**12).look().removed == old
+
+
+def test_a_log_is_of_this_user_alone(tmp_path):
+    FileSink(tmp_path / "a.mcap").close()
+    assert (tmp_path / "a.mcap").stat().st_mode & 0o777 == 0o600

@@ -34,6 +34,10 @@ def test_a_point_is_left_exactly_when_it_satisfies_every_cut(
         assert not polygon or not inside(polygon, x, y, -1e-6)
 
 
+def test_a_cut_meets_the_sides_where_the_line_does() -> None:
+    assert set(geometry.clip(geometry.box(0.0, 4.0, 0.0, 2.0), 1.0, 0.0, 1.0)) == {(0, 0), (1, 0), (1, 2), (0, 2)}
+
+
 @given(cuts=st.lists(half_planes, max_size=6), segment=st.tuples(coordinates, coordinates), share=st.floats(-1.0, 1.0))
 def test_widening_holds_every_point_moved_along_the_segment(
     cuts: list[tuple[float, float, float]], segment: tuple[float, float], share: float

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Final, Protocol, runtime_checkable
 
 from hil_sim.devices.canopen.frame_length import INTERMISSION_BITS, frame_bits
-from hil_sim.devices.canopen.sync_train import SyncTrains, Train, WireFrame
+from hil_sim.devices.canopen.sync_train import SYNC, SyncTrains, Train, WireFrame
 from hil_sim.faults import NEVER
 
 
@@ -60,12 +60,11 @@ _Waiting = tuple[int, int, bytes, int, int | None]
 """Identifier, order, data, sender, bytes that a remote frame asks for; sorts by arbitration."""
 
 _HOST: Final = -1
-_SYNC: Final = 0x080
 
 
 def is_process_data(identifier: int) -> bool:
     """SYNC and PDOs by the predefined connection set (CiA 301, 7.3.3): of these only the newest is worth sending."""
-    return identifier == 0x080 or 0x180 < identifier < 0x580
+    return identifier == SYNC or 0x180 < identifier < 0x580
 
 
 class CanWire:
@@ -140,6 +139,8 @@ class CanWire:
                 if node_ns > now_ns:
                     break
                 self._dissolve(node_ns - 1)
+            if self._run(node_ns, now_ns):
+                node_ns = self._nodes_due_ns()
             wire_ns = self._wire_due_ns() if self._on_wire is None else self._on_wire[0]
             if node_ns <= wire_ns:
                 if node_ns > now_ns:
@@ -157,6 +158,23 @@ class CanWire:
         self._reached_ns = now_ns
         received, self._received = self._received, []
         return received
+
+    def _run(self, node_ns: int, now_ns: int) -> bool:
+        """Let SYNCs and their answers pass that are whole before anything else happens; whether there were any.
+
+        Args:
+            node_ns: When the first node acts.
+            now_ns: Up to when the wire goes on.
+        """
+        box: object = self._trains.box
+        if box is None or self._on_wire is not None or self._later or self._ready or node_ns < self._idle_ns:
+            return False
+        others_ns = min([node.due_ns for node in self._nodes if node is not box], default=NEVER)
+        frames = self._trains.run(node_ns, min(now_ns, others_ns - 1)) if others_ns > node_ns else []
+        if frames:
+            self._received += frames
+            self._idle_ns = frames[-1].end_ns + self._gap_ns
+        return bool(frames)
 
     def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int, asked: int | None = None) -> None:
         if self._train is not None:
@@ -210,7 +228,7 @@ class CanWire:
                 if index != sender:
                     node.receive(identifier, data, end_ns)
             return bool(self._hearing)
-        if asked is None and identifier == _SYNC and self._set_off(end_ns, sender):
+        if asked is None and identifier == SYNC and self._set_off(end_ns, sender):
             return False
         if asked is None:
             for node in self._others[sender]:

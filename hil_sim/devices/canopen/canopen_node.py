@@ -381,7 +381,7 @@ class CanopenNode:
             self._transmit(identifier, data, ready_ns)
 
     def _refresh(self) -> None:
-        self.due_ns = min((timer[0] for timer in self._timers.values()), default=NEVER)
+        self.due_ns = min([timer[0] for timer in self._timers.values()], default=NEVER)
 
     def _add_communication_objects(self, device_type: int) -> None:
         add, u8, u16, u32 = self.dictionary.add, DataType.U8, DataType.U16, DataType.U32

@@ -6,16 +6,17 @@ other in the order of their identifiers. Whatever else happens (a frame of the f
 ends a train where it stands, and the wire goes on frame by frame; so both ways give the same frames at the same times.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from itertools import repeat
+from itertools import chain, repeat
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil_sim.devices.canopen.frame_length import INTERMISSION_BITS, frame_bits, frames_bits
 from hil_sim.devices.canopen.tpdo import ANSWER_NS, Tpdo
 
+SYNC = 0x080
 _MOST_SYNCS = 256  # computed at once
 _FEWEST_SYNCS = 8  # for fewer it does not pay
 
@@ -41,8 +42,15 @@ class AnswersAhead(Protocol):
 class SendsSyncs(Protocol):
     """A box whose next SYNCs are known."""
 
+    @property
+    def due_ns(self) -> int:
+        """When it next does something."""
+
     def next_syncs(self, before_ns: int, most: int) -> list[tuple[int, bytes]]:
         """Times and data of the SYNCs after the last one sent, before ``before_ns``; none if that is not known."""
+
+    def have_sent(self, count: int) -> None:
+        """So many of these were sent, each at its time."""
 
 
 class WireFrame(NamedTuple):
@@ -70,18 +78,23 @@ class Train(NamedTuple):
 
 
 class SyncTrains:
-    """Trains by the end of the SYNC that they answer.
+    """Trains by the end of the SYNC that they answer, and whole rounds: SYNCs with their trains.
 
     Args:
         bit_ns: Length of a bit.
+
+    Attributes:
+        box: What sends the SYNCs that are known; None while none is.
     """
 
     def __init__(self, bit_ns: float) -> None:
+        self.box: SendsSyncs | None = None
         self._bit_ns = bit_ns
-        self._trains: dict[int, Train] = {}
+        self._gap_ns = round(INTERMISSION_BITS * bit_ns)
         self._tpdos: list[Tpdo] = []
         self._nodes: list[AnswersAhead] = []
         self._revisions: list[int] = []
+        self._forget()
 
     def take(self, sync_end_ns: int, nodes: Sequence[object], box: object, known_ns: int) -> Train | None:
         """The train that answers the SYNC that ends now; None where it is not known.
@@ -92,20 +105,54 @@ class SyncTrains:
             box: That of them that sent it.
             known_ns: Before when the plant is computed.
         """
-        if self._trains and [node.revision for node in self._nodes] != self._revisions:
-            self._trains = {}
-        train = self._trains.pop(sync_end_ns, None)
-        if train is None and sync_end_ns < known_ns:
+        if self._is_other():
+            self._forget()
+        place = self._places.get(sync_end_ns)
+        if place is None and sync_end_ns < known_ns:
             self._compute(sync_end_ns, nodes, box, known_ns)
-            train = self._trains.pop(sync_end_ns, None)
-        if train is not None:
+            place = self._places.get(sync_end_ns)
+        if place is None:
+            return None
+        self._next = place + 1
+        for tpdo in self._tpdos:
+            tpdo.answered(1)
+        first = place * (1 + len(self._senders))
+        frames = self._frames[first + 1 : first + 1 + len(self._senders)]
+        return Train(sync_end_ns + ANSWER_NS, frames, self._begins_ns[place], self._senders)
+
+    def run(self, start_ns: int, until_ns: int) -> list[WireFrame]:
+        """SYNCs, the first of them sent at ``start_ns`` on an idle bus, and their answers, up to ``until_ns``.
+
+        They are those that are whole by then, and have been sent afterwards; none where they are not known.
+        """
+        first, size = self._next, 1 + len(self._senders)
+        if self.box is None or first >= len(self._starts_ns) or self._starts_ns[first] != start_ns or self._is_other():
+            return []
+        self._next = bisect_right(self._lasts_ns, until_ns, first)
+        if self._next > first:
+            self.box.have_sent(self._next - first)
             for tpdo in self._tpdos:
-                tpdo.answered()
-        return train
+                tpdo.answered(self._next - first)
+        return self._frames[first * size : self._next * size]
+
+    def _is_other(self) -> bool:
+        """Whether a node does not stand as it stood."""
+        return [node.revision for node in self._nodes] != self._revisions
+
+    def _forget(self) -> None:
+        self.box = None
+        self._places: dict[int, int] = {}  # by the end of the SYNC
+        self._starts_ns: list[int] = []  # of SYNCs
+        self._lasts_ns: list[int] = []  # ends of rounds, as far as no round delays the next one
+        self._frames: list[WireFrame] = []  # round by round
+        self._begins_ns: list[Sequence[int]] = []  # of the answers
+        self._senders: list[int] = []  # their places on the wire
+        self._next = 0  # the first round that has not been on the wire
 
     def _compute(self, sync_end_ns: int, nodes: Sequence[object], box: object, known_ns: int) -> None:
         """Compute the trains of the SYNC that ends now and of those after it."""
-        self._trains, self._nodes, self._tpdos = {}, [], []
+        self._forget()
+        self._nodes, self._tpdos = [], []
         senders: list[tuple[Tpdo, int]] = []
         for place, node in enumerate(nodes):
             if node is box:
@@ -123,32 +170,33 @@ class SyncTrains:
             return
         self._revisions = [node.revision for node in self._nodes]
         self._tpdos = [tpdo for tpdo, _ in senders]
+        syncs = [(-1, b""), *box.next_syncs(known_ns, _MOST_SYNCS)]
         ends_ns = [sync_end_ns]
-        for start_ns, data in box.next_syncs(known_ns, _MOST_SYNCS):
-            ends_ns.append(start_ns + round(frame_bits(0x080, data) * self._bit_ns))
-        times_ns = np.array([end_ns for end_ns in ends_ns if end_ns < known_ns], np.int64)
-        if len(times_ns) >= _FEWEST_SYNCS:
-            self._fill(times_ns, senders)
+        ends_ns += [start_ns + round(frame_bits(SYNC, data) * self._bit_ns) for start_ns, data in syncs[1:]]
+        count = bisect_left(ends_ns, known_ns)
+        if count >= _FEWEST_SYNCS:
+            self.box = box
+            self._fill(syncs[:count], ends_ns[:count], senders)
 
-    def _fill(self, times_ns: NDArray[np.int64], senders: list[tuple[Tpdo, int]]) -> None:
-        gap_ns = round(INTERMISSION_BITS * self._bit_ns)
-        begin_ns = times_ns + max(gap_ns, ANSWER_NS)
-        columns: list[list[WireFrame]] = []
+    def _fill(self, syncs: list[tuple[int, bytes]], ends_ns: list[int], senders: list[tuple[Tpdo, int]]) -> None:
+        times_ns = np.array(ends_ns, np.int64)
+        begin_ns = times_ns + max(self._gap_ns, ANSWER_NS)
+        last_ns = times_ns
+        columns = [list(map(WireFrame, ends_ns, repeat(SYNC), [data for _, data in syncs]))]
         begins: list[list[int]] = []
         for tpdo, _ in senders:
             contents = tpdo.samples(times_ns)
             identifier, size = tpdo.cob_id, contents.shape[1]
-            end_ns = begin_ns + np.rint(frames_bits(identifier, contents) * self._bit_ns).astype(np.int64)
+            last_ns = begin_ns + np.rint(frames_bits(identifier, contents) * self._bit_ns).astype(np.int64)
             whole = contents.tobytes()
             pieces = [whole[at : at + size] for at in range(0, len(whole), size)]
-            columns.append(list(map(WireFrame, end_ns.tolist(), repeat(identifier), pieces)))
+            columns.append(list(map(WireFrame, last_ns.tolist(), repeat(identifier), pieces)))
             begins.append(begin_ns.tolist())
-            begin_ns = end_ns + gap_ns
-        places = [place for _, place in senders]
-        frames = zip(*columns, strict=True) if columns else repeat(())
-        begin = zip(*begins, strict=True) if begins else repeat(())
-        ready = (times_ns + ANSWER_NS).tolist()
-        self._trains = {
-            sync_end_ns: Train(ready_ns, of_sync, begins_ns, places)
-            for sync_end_ns, ready_ns, of_sync, begins_ns in zip(times_ns.tolist(), ready, frames, begin, strict=False)
-        }
+            begin_ns = last_ns + self._gap_ns
+        self._frames = list(chain.from_iterable(zip(*columns, strict=True)))
+        self._begins_ns = list(zip(*begins, strict=True)) if begins else [()] * len(syncs)
+        self._senders = [place for _, place in senders]
+        self._places = {end_ns: place for place, end_ns in enumerate(ends_ns)}
+        self._starts_ns = [start_ns for start_ns, _ in syncs]
+        late = np.flatnonzero(np.array(self._starts_ns[1:]) < last_ns[:-1] + self._gap_ns)
+        self._lasts_ns = last_ns[: late[0] if len(late) else None].tolist()

@@ -128,9 +128,9 @@ class Tpdo:
         """Contents at each of ``times_ns`` (n,), which do not count as produced before ``answered``: (n, bytes)."""
         return np.concatenate([entry.pack_many(times_ns) for entry in self._mapped], axis=1)
 
-    def answered(self) -> None:
-        """One of ``samples`` is sent."""
-        self.produced += 1
+    def answered(self, count: int) -> None:
+        """So many of ``samples`` are sent."""
+        self.produced += count
         self.pending = False
 
     def _compile(self, value: int, now_ns: int) -> None:

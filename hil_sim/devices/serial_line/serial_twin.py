@@ -144,4 +144,4 @@ class SerialTwin:
         self._refresh()
 
     def _refresh(self) -> None:
-        self._due_ns = min((timer[0] for timer in self._timers.values()), default=NEVER)
+        self._due_ns = min([timer[0] for timer in self._timers.values()], default=NEVER)

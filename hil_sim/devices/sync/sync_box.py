@@ -162,6 +162,20 @@ class SyncBox:
             found.append((time_ns, bytes([sync % _COUNTER_MAX + 1])))
         return found
 
+    def have_sent(self, count: int) -> None:
+        """So many SYNCs were sent as ``next_syncs`` said; drives the edges that belong to them."""
+        after = self._sync + count
+        while self._next_pulse[0] < after:
+            sync, late_ns = self._next_pulse
+            if sync >= self._sync:
+                rise_ns = self._clock.time_ns(self._clock.chip_ns(self._sync_time_ns(sync)) + late_ns)
+                self.pulses += 1
+                for pin in self._pins:
+                    pin(rise_ns, self._high_ns)
+            self._next_pulse = next(self._pulse_places)
+        self.produced += count
+        self._sync, self._sync_ns = after, self._sync_time_ns(after)
+
     def _counter(self, now_ns: int) -> bytes:
         if not self._is_faulty:
             return bytes([self._sync % _COUNTER_MAX + 1])

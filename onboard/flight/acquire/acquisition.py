@@ -81,6 +81,11 @@ class Acquisition:
         if hand_over:
             self._hand_over()
 
+    def idle_until(self) -> int:
+        """Before when a step that hands nothing over pumps no device, CLOCK_MONOTONIC; as long as all that rest do."""
+        times_ns = [max(self._due_ns[device.name], self._rests_ns[device.name]) for device in self.devices]
+        return min(times_ns, default=0)
+
     def _hand_over(self) -> None:
         if self._held:
             held, self._held = self._held, []

@@ -37,7 +37,6 @@ _STILL_rad_s, _NEAR_rad = 0.01, 0.05  # an arm at rest in the posture
 _LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the last
 _FEWEST = 3  # segments before it is given up
 _PROBES = 5  # motions with nothing known to be held
-_KEPT = 0.02  # over a limit, of it
 _ANY_RATE_rad_s = 0.1
 
 
@@ -237,7 +236,7 @@ class Asking:
         last = min(int(np.searchsorted(library.masses, high)), len(library.masses) - 1)
         between = slice(min(first, last), last + 1)
         rate = library.base_rate[:, between].max(axis=1) + known.rate_rad_s
-        fits = (library.excess[:, between].max(axis=1) <= _KEPT) & (rate <= library.most)
+        fits = (library.excess[:, between].max(axis=1) <= 0.0) & (rate <= library.most)
         allowed = np.flatnonzero(fits)
         at = int(np.argmin(np.abs(np.log(library.masses / np.sqrt(max(low, 1e-3) * max(high, 2e-3))))))
         both = zip(library.roots[:, at], self._own, strict=True)

@@ -145,9 +145,22 @@ class EstimationWorker:
         rows, lost = self._read(name, until_ns)
         return len(rows) + lost
 
-    def finish(self, now_ns: int) -> None:
-        """The last step: nothing more will arrive, so rows are made up to the last sample."""
+    def finish(self, now_ns: int, over: Callable[[], bool] = lambda: False) -> None:
+        """The last steps: nothing more will arrive, so rows are made up to the last sample.
+
+        Args:
+            now_ns: time of the call.
+            over: whether the time for that is over; the answer of the last step is the answer then.
+        """
         while (until_ns := self._until(now_ns)) < now_ns:
+            if over():
+                left_s = 1e-9 * (now_ns - (self._reached_ns or now_ns))
+                text = (
+                    f"the last {left_s:.1f} s of the flight are not taken in: the computer is busy; heft identify does"
+                )
+                said = event(now_ns, Severity.WARNING, "estimator_unfinished", "estimation", text)
+                self._publisher.publish([said])
+                return
             self._step(until_ns, None, [], cut=True)
         self._step(now_ns, 0, [], cut=False)
 
@@ -243,9 +256,9 @@ class DurableEstimation:
         """Whether the steps since the last checkpoint have cost so much that it is time for another."""
         return self._cpu_ns() - self._saved_cpu_ns > CHECKPOINT_CPU_NS
 
-    def finish(self, now_ns: int) -> None:
+    def finish(self, now_ns: int, over: Callable[[], bool] = lambda: False) -> None:
         """See :meth:`EstimationWorker.finish`."""
-        self._worker.finish(now_ns)
+        self._worker.finish(now_ns, over)
 
     def _save(self, now_ns: int) -> None:
         self._saved_ns = now_ns

@@ -181,12 +181,15 @@ class Estimator:
         """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""
         if self._next_ns is None:
             self._next_ns = -(-until_ns // self._period_ns) * self._period_ns
-        at_ns: NDArray[np.int64] = np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
-        self._next_ns += len(at_ns) * self._period_ns
-        for first_ns, last_ns in self._left_out_ns:
-            at_ns = at_ns[(at_ns < first_ns) | (at_ns > last_ns)]
+        parts: list[NDArray[np.int64]] = []
+        next_ns, period_ns = self._next_ns, self._period_ns
+        for first_ns, last_ns in sorted(self._left_out_ns):
+            parts.append(np.arange(next_ns, min(first_ns, until_ns + 1), period_ns, dtype=np.int64))
+            next_ns = max(next_ns, self._next_ns + -((self._next_ns - last_ns - 1) // period_ns) * period_ns)
+        parts.append(np.arange(next_ns, until_ns + 1, period_ns, dtype=np.int64))
+        self._next_ns += max(0, (until_ns - self._next_ns) // period_ns + 1) * period_ns
         self._left_out_ns = [one for one in self._left_out_ns if one[1] >= self._next_ns]
-        return at_ns
+        return np.concatenate(parts)
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []

@@ -8,6 +8,7 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.roles import roles_of
+from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 
@@ -37,6 +38,14 @@ def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
     keys = vehicle.file.estimation.imu_prior
     prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
     return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
+
+
+def disturbance_prior(vehicle: config.Vehicle, *, tracked: bool = False) -> DisturbancePrior:
+    """Prior on what pushes the base unknown; none between hands and with a tracker, which does not predict it."""
+    keys = vehicle.file.estimation.disturbance
+    if tracked or vehicle.file.parabola is not None:
+        return DisturbancePrior()
+    return DisturbancePrior(keys.force_N, keys.torque_N_m, keys.time_s)
 
 
 def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:

@@ -139,7 +139,9 @@ def _replace(path: Path, text: str) -> None:
         OSError: it cannot be written.
     """
     unfinished = path.with_name(f".{path.name}.new")
-    unfinished.write_text(text, encoding="utf-8")
+    unfinished.unlink(missing_ok=True)  # whatever it is: neither waited for nor followed
+    with unfinished.open("x", encoding="utf-8") as file:
+        file.write(text)
     unfinished.replace(path)
 
 

@@ -18,7 +18,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
-from onboard.flight.estimate.exiddm_priors import check_springs, exiddm_prior, geometry_prior
+from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.flight.estimate.torques import torque_cell
@@ -156,7 +156,8 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         further += trackers
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
-        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0], thrusters)
+        others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, tracked=bool(trackers))
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others)
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]

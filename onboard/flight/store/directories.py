@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from onboard.recording.sink import open_file
+
 _LOCK = "lock"
 _NAME_LENGTH = 64  # of the part of a directory's name that is taken from a log's
 
@@ -192,7 +194,14 @@ def open_private(path: Path, *, keep: bool = False) -> BinaryIO:
         keep: what was there stays until it is written over, and its memory with it.
 
     Raises:
-        OSError: there is no room, or it cannot be made.
+        NotPrivateError: another user's file is there, or one that others may read.
+        OSError: there is no room, or it cannot be made; a link, a pipe or a directory is there.
     """
-    emptied = 0 if keep else os.O_TRUNC
-    return open(os.open(path, os.O_WRONLY | os.O_CREAT | emptied | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600), "wb")
+    descriptor = open_file(path, os.O_WRONLY | os.O_CREAT)
+    about = os.fstat(descriptor)
+    if about.st_uid != os.getuid() or about.st_mode & 0o077:
+        os.close(descriptor)
+        raise NotPrivateError(f"{path} is not a file of this user's alone (mode 0600); remove it")
+    if not keep:
+        os.ftruncate(descriptor, 0)
+    return open(descriptor, "wb")

@@ -109,17 +109,26 @@ def open_recorder(
         min_free=min_free_bytes,
         reserve=kept.reserve_bytes,
     )
-    return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space, said=said)
+    readers = ring_readers(manifest.directory)
+    return Recorder(writer, readers, recorded=writer.recorded, space=space, said=said, losses=writer.take_losses)
 
 
-def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path) -> Recorder:
+def open_simulated_recorder(
+    vehicle: config.Vehicle, directory: Path, log: Path, said: Callable[[Rows], object] = lambda rows: None
+) -> Recorder:
     """A recorder of every ring in ``directory`` into one file, for a flight on a virtual clock that no power cut meets.
+
+    Args:
+        vehicle: what flies.
+        directory: of the rings.
+        log: the file.
+        said: told each event of the recorder's own.
 
     Raises:
         FileExistsError: there is such a log already.
         OSError: the file cannot be created.
     """
-    return Recorder(open_simulated_log(vehicle, log), ring_readers(directory))
+    return Recorder(open_simulated_log(vehicle, log), ring_readers(directory), said=said)
 
 
 def open_simulated_log(vehicle: config.Vehicle, log: Path) -> LogWriter:

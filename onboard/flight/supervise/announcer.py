@@ -15,6 +15,7 @@ from drivers.records import EVENT, GAP, Rows, Severity
 from onboard import config
 from onboard.channels import QUANTITY
 from onboard.devices.base import BusDevice
+from onboard.recording.recorder import LOG_LOST
 from onboard.ring import RingError, RingReader
 
 LOGGER = logging.getLogger("heft")
@@ -61,6 +62,8 @@ class Announcer:
         self.status = ""  # the last line that said how it stands
         self._estimated_ns: int | None = None
         self.answers: dict[str, AnnouncedAnswer] = {}
+        self.quantities: dict[bytes, np.void] = {}  # the newest by name
+        self.lost, self.troubles = list[str](), list[str]()  # of the log; all that the recorder told as errors
         self._rates = {
             channel: vehicle.rate_hz(name)
             for name, device in vehicle.file.device.items()
@@ -68,8 +71,14 @@ class Announcer:
             for channel in list(device.channels(name))[:1]
         }
 
-    def step(self, now_s: float, health: str = "") -> None:
-        """Announce events since the last step; ``health``: the status word in words."""
+    def step(self, now_s: float, health: str = "", ending: str = "") -> None:
+        """Announce events since the last step.
+
+        Args:
+            now_s: time of the call.
+            health: the status word in words.
+            ending: what the end of the flight waits for; the devices are stopped then.
+        """
         for name in ("event_supervisor", "event", "event_estimation", RECORDER_SAID):
             self._events(self._read(name))
         if len(gaps := self._read("gap")):
@@ -80,19 +89,36 @@ class Announcer:
         quantities = self._read("quantity")
         if len(quantities):
             self._estimated_ns = int(quantities["vehicle_ns"][-1])
+            self.quantities |= zip(quantities["name"].tolist(), quantities, strict=True)
             newest = quantities["host_ns"] == quantities["host_ns"][-1]
             for row in quantities[newest & (quantities["unit"] != b"")]:  # base parameters are no answers
                 self._answer(row)
         if self._status_s is not None and now_s - self._looked_s >= self._status_s:
-            self._say_status(now_s, health)
+            self._say_status(now_s, health, ending)
 
-    def end(self, now_s: float) -> None:
-        """Announce the remaining events and the final estimates."""
+    def end(self, now_s: float, ended_ns: int) -> None:
+        """Announce the remaining events and the final estimates, with their age where the last step is missing.
+
+        Args:
+            now_s: time of the call.
+            ended_ns: when the devices were asked to stop.
+        """
         self.step(now_s)
+        age_s = self._age_s(ended_ns)
+        age = "" if age_s is None else f", as of {age_s:.1f} s before the end"
         for name, answer in self.answers.items():
-            LOGGER.info("%s %s", name, answer, extra={"source": "answer", "code": "answer"})
+            LOGGER.info("%s %s%s", name, answer, age, extra={"source": "answer", "code": "answer"})
         if not self.answers:
-            LOGGER.info("no estimate: not determined by the data", extra={"source": "answer", "code": "no_answer"})
+            text = f"no estimate: not determined by the data{age}"
+            LOGGER.info("%s", text, extra={"source": "answer", "code": "no_answer"})
+
+    def _age_s(self, ended_ns: int) -> float | None:
+        """How long before the end the estimator's last step was; None where it has made the final one, or none."""
+        try:
+            ticks = RingReader(self._directory / "tick.ring").read()[0]
+        except (OSError, RingError, ValueError):
+            return None
+        return None if not len(ticks) or ticks["final"][-1] else max(0.0, 1e-9 * (ended_ns - int(ticks["host_ns"][-1])))
 
     def rows(self) -> dict[str, int]:
         """Rows that each device channel has had, in all."""
@@ -107,6 +133,10 @@ class Announcer:
                 self._phase = text
             elif code == "mode":
                 self._mode = text.partition(":")[0]
+            elif code == LOG_LOST:
+                self.lost.append(text)
+            if source == "recorder" and severity >= Severity.ERROR:
+                self.troubles.append(text)
             if severity >= Severity.WARNING or source == "estimation" or code in _SAID:
                 level = _LEVELS.get(Severity(min(int(severity), Severity.ERROR)), logging.ERROR)
                 LOGGER.log(level, "%s: %s", code, text, extra={"source": source, "code": code})
@@ -122,7 +152,7 @@ class Announcer:
         if new:
             LOGGER.info("%s %s", name, self.answers[name], extra={"source": "answer", "code": "answer"})
 
-    def _say_status(self, now_s: float, health: str) -> None:
+    def _say_status(self, now_s: float, health: str, ending: str) -> None:
         passed_s, self._looked_s = now_s - self._looked_s, now_s
         published = self.rows()
         came = {name: count - self._published.get(name, 0) for name, count in published.items()}
@@ -131,12 +161,12 @@ class Announcer:
             f"{now_s - self._began_s:.0f} s",
             self._mode,
             self._phase,
-            f"{sum(came.values()) / passed_s:.0f} rows/s",
+            ending or f"{sum(came.values()) / passed_s:.0f} rows/s",
         ]
         slow = {
             name: came.get(name, 0) / passed_s
             for name, rate_hz in self._rates.items()
-            if rate_hz * passed_s >= _SLOW_HZ and came.get(name, 0) < SILENT * rate_hz * passed_s
+            if not ending and rate_hz * passed_s >= _SLOW_HZ and came.get(name, 0) < SILENT * rate_hz * passed_s
         }
         parts += [f"{name} {hz:.0f} of {self._rates[name]:.0f} Hz" for name, hz in list(slow.items())[:_NAMED]]
         if len(slow) > _NAMED:

@@ -15,7 +15,6 @@ import json
 import logging
 import os
 import queue
-import stat
 import threading
 import zlib
 from collections.abc import Callable
@@ -29,6 +28,7 @@ from onboard import config
 from onboard.flight.estimate.phases import KnownPhases
 from onboard.flight.store.directories import write_private
 from onboard.flight.supervise.modes import Mode
+from onboard.recording.sink import open_file, sync_directory
 
 _LOGGER = logging.getLogger("heft")
 SUFFIX = ".resume"
@@ -148,7 +148,9 @@ def planned(vehicle: config.Vehicle, new_log: Path, now_ns: int, under_way: set[
         why_not = f"{found.log} ended {age_s:.0f} s ago, longer than recording.resume_s"
     else:
         part = 2
-        while (log := new_log.with_name(f"{found.first}-part{part}{new_log.suffix}")).exists() or log in under_way:
+        while (
+            os.path.lexists(log := new_log.with_name(f"{found.first}-part{part}{new_log.suffix}")) or log in under_way
+        ):
             part += 1
         try:
             return new._replace(vehicle=_resumed(vehicle, found), log=log, first=found.first, before=found)
@@ -173,10 +175,9 @@ def load(path: Path) -> FlightState:
         ResumeError: it is not one, or not this user's alone.
         OSError: it cannot be read.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(descriptor, "rb") as file:
-        about = os.fstat(descriptor)
-        if not stat.S_ISREG(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
+    with open(open_file(path, os.O_RDONLY), "rb") as file:
+        about = os.fstat(file.fileno())
+        if about.st_uid != os.getuid() or about.st_mode & 0o077:
             raise ResumeError("it is not a file of this user's alone (mode 0600)")
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
@@ -243,8 +244,4 @@ def write_durably(path: Path, data: bytes) -> None:
     unfinished = path.with_name(path.name + ".new")
     write_private(unfinished, data, durable=True)
     unfinished.rename(path)
-    directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
+    sync_directory(path.parent)

@@ -7,14 +7,15 @@ comes meanwhile. Before a flight, the rings of flights that died as a whole are 
 import errno
 import math
 import os
-import signal
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from multiprocessing import connection
 from pathlib import Path
-from types import FrameType
 from typing import NamedTuple, Self
+
+import numpy as np
 
 from drivers.records import EVENT, SampleStatus, Severity, event
 from onboard import config
@@ -30,10 +31,13 @@ from onboard.flight.supervise.resume import Keeper, Plan, planned
 from onboard.flight.supervise.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.supervise.runner_notify import Notifier
 from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worker
-from onboard.recording.segments import segment_path
+from onboard.flight.supervise.stop_signals import StopSignals
+from onboard.recording.errors import LogFormatError
+from onboard.recording.segments import segment_path, segments
 from onboard.ring import RingReader
 
 _LOOK_S = 0.1  # between two looks at a flight in which nobody says anything
+ESTIMATOR_ENDS_S = 10.0  # then the answer of its last finished step is the answer
 _LAST_WORDS_S = 0.7  # that the ending phase must last: shorter is a glitch, and an answer may be on its way
 
 
@@ -45,6 +49,9 @@ class Flight(NamedTuple):
     restarted: tuple[str, ...] = ()  # workers that died, once for each time, and were started again
     harvested: tuple[Harvest, ...] = ()  # earlier flights that had died
     missing: tuple[str, ...] = ()  # buses and essential devices that never brought a row
+    lost: tuple[str, ...] = ()  # of the log, what somebody removed or cut off in flight
+    answers: Mapping[bytes, np.void] = {}  # the last QUANTITY row of each name
+    troubles: tuple[str, ...] = ()  # errors that the recorder told
     was_over: bool = False  # the first phase that was seen was the one that ends the mission: nothing was to be flown
 
 
@@ -62,10 +69,11 @@ def fly(
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, ``enough``, SIGINT or SIGTERM; then stop in order.
 
-    Nothing is lost then. What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A
-    flight that is refused leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens
-    the buses after it. With a ``plan`` of it the flight leaves a checkpoint, from which the start after a loss of power
-    goes on. ``servers`` are of this vehicle, and closed in the end.
+    Nothing is lost then. SIGHUP, of a terminal that is gone, ends nothing. What happens is said to the logger ``heft``,
+    and every ``status_s`` how the flight stands. A flight that is refused leaves nothing behind. ``ready`` is called
+    when all is at work but acquisition, which opens the buses after it. With a ``plan`` of it the flight leaves a
+    checkpoint, from which the start after a loss of power goes on. ``servers`` are of this vehicle, and closed in the
+    end.
 
     Raises:
         FlightError: a worker did not start.
@@ -109,18 +117,27 @@ def _flight(
             rings.create(directory, vehicle, *estimation)
             flown = _fly(vehicle, directory, crew, harvested, duration_s, listeners)
         finally:
-            if crew.recording.exit_code == 0 or not segment_path(log, 0).exists():
+            if crew.recording.exit_code == 0 or not any(path.exists() for path in _written(log)):
                 about.remove()
     return flown._replace(log=log)
 
 
 def _require_place(log: Path) -> None:
     """Make the directory of ``log``, and raise OSError unless a new log can be written there."""
-    if log.exists() or segment_path(log, 0).exists() or log.absolute() in {one.log for one in manifest.waiting()}:
+    there = any(map(os.path.lexists, (log, segment_path(log, 0))))  # a link to nothing too
+    if there or log.absolute() in {one.log for one in manifest.waiting()}:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(log))
     log.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(log.parent, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(log.parent))
+
+
+def _written(log: Path) -> tuple[Path, ...]:
+    """Segments of ``log``; none of a directory without any."""
+    try:
+        return segments(log)
+    except LogFormatError:
+        return ()
 
 
 class _Listeners(NamedTuple):
@@ -197,16 +214,27 @@ class _Crew:
         self.acquisition.start()
         self.acquisition.wait_ready()
 
-    def finish(self, before_the_log: Callable[[], None], tell: Callable[[Severity, str, str, str], None]) -> None:
-        """Stop them; ``before_the_log`` is called before the recorder, which closes the log."""
-        for worker in (self.acquisition, self.estimation):
-            if waited_s := worker.finish():
+    def finish(
+        self,
+        before_the_log: Callable[[], None],
+        tell: Callable[[Severity, str, str, str], None],
+        meanwhile: Callable[[str, float], None],
+    ) -> None:
+        """Stop them.
+
+        Args:
+            before_the_log: called before the recorder, which closes the log.
+            tell: of an event.
+            meanwhile: called often, with the worker that is waited for, and since when [s].
+        """
+        for worker, most_s in ((self.acquisition, math.inf), (self.estimation, ESTIMATOR_ENDS_S)):
+            if waited_s := worker.finish(most_s, partial(meanwhile, worker.name)):
                 text = f"had not ended {waited_s:.0f} s after it was asked to: it is killed; its last rows are missing"
                 tell(Severity.ERROR, "worker_killed", worker.name, text)
         before_the_log()
         if self.recording.is_dead:
             self.recording.start()  # to end the log
-        self.recording.finish()
+        self.recording.finish(meanwhile=partial(meanwhile, self.recording.name))
 
     def states(self) -> list[WorkerState]:
         """How they stand."""
@@ -230,7 +258,7 @@ def _fly(
     channels = {**rings.device_channels(vehicle), **CHANNELS, "event_supervisor": EVENT}
     supervisor = Publisher(rings.create(directory, vehicle, channels, rates_hz(vehicle)), "_supervisor")
     everyone = crew.everyone
-    asked_to_stop = _StopSignals()
+    asked_to_stop = StopSignals()
     restarted: list[str] = []
     why = ""  # the flight is ended; empty for an error
 
@@ -242,7 +270,7 @@ def _fly(
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
     _say_plan(listeners.plan, tell)
     modes = Modes(vehicle, directory, tell, Keeper(listeners.plan, time.time_ns) if listeners.plan else None)
-    notifier, told = Notifier(), ""
+    notifier = Notifier()
     announcer = Announcer(vehicle, directory, time.monotonic(), listeners.status_s)
     health = HealthMonitor(vehicle, directory, os.getpid(), time.monotonic_ns())
     end = EndOfMission(vehicle, directory)
@@ -259,6 +287,7 @@ def _fly(
             if listeners.enough(time.monotonic() - started):
                 why = "enough is known, or what is asked for is given up"
                 break
+            asked_to_stop.tell_hangup(tell)
             restarted += [worker.name for worker in everyone if _watch(worker, tell)]
             for name in crew.servers.look():
                 tell(Severity.WARNING, "fork_server_restarted", name, "it had died; the workers went on")
@@ -266,17 +295,17 @@ def _fly(
             announcer.step(time.monotonic(), health.said)
             modes.step(time.monotonic(), announcer.rows())
             notifier.feed(time.monotonic(), answering=all(one.answers(time.monotonic()) for one in everyone))
-            if announcer.status != told:
-                notifier.status(told := announcer.status)
+            notifier.status(announcer.status)
             listeners.progress(time.monotonic() - started)
             crew.wait()
     finally:
         notifier.stopping()
         modes.end(why)
-        crew.finish(modes.stopped, tell)
+        ended_ns = time.monotonic_ns()
+        crew.finish(modes.stopped, tell, partial(_still_ending, announcer, notifier, health))
         modes.close()
         asked_to_stop.restore()
-        announcer.end(time.monotonic())
+        announcer.end(time.monotonic(), ended_ns)
     missing = missing_all_flight(vehicle, announcer.rows())
     for text in missing:
         LOGGER.error(text, extra={"source": "flight", "code": "missing"})
@@ -286,8 +315,19 @@ def _fly(
         tuple(restarted),
         tuple(harvested),
         tuple(missing),
+        tuple(announcer.lost),
+        announcer.quantities,
+        tuple(announcer.troubles),
         end.was_over,
     )
+
+
+def _still_ending(
+    announcer: Announcer, notifier: Notifier, health: HealthMonitor, worker: str, waited_s: float
+) -> None:
+    """Say how a flight stands whose ``worker`` is waited for; how long that may last is bounded."""
+    announcer.step(time.monotonic(), health.said, f"waits for {worker} since {waited_s:.0f} s")
+    notifier.feed(time.monotonic(), answering=True)
 
 
 def _say_plan(plan: Plan | None, tell: Callable[[Severity, str, str, str], None]) -> None:
@@ -301,7 +341,7 @@ def _say_plan(plan: Plan | None, tell: Callable[[Severity, str, str, str], None]
         tell(Severity.WARNING, "not_resumed", "flight", f"a new flight: {plan.why_not}")
 
 
-def _why_ended(asked: "_StopSignals", end: "EndOfMission", elapsed_s: float, duration_s: float | None) -> str:
+def _why_ended(asked: StopSignals, end: "EndOfMission", elapsed_s: float, duration_s: float | None) -> str:
     """Why the flight is over; empty while it is not."""
     if asked.seen:
         return "a signal asked for an end"
@@ -335,21 +375,6 @@ def _tell(worker: Worker, happened: str, tell: Callable[[Severity, str, str, str
     else:
         worker.make_spare()
         tell(Severity.INFO, "worker_back", worker.name, f"at work {1e3 * worker.started_in_s:.0f} ms after its start")
-
-
-class _StopSignals:
-    """SIGINT and SIGTERM asked for an end. Children get SIGINT from a terminal too: they ignore it, we tell them."""
-
-    def __init__(self) -> None:
-        self.seen = False
-        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.seen = True
-
-    def restore(self) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
 
 class EndOfMission:

@@ -29,6 +29,7 @@ from typing import NamedTuple
 from onboard.flight.supervise import pages
 
 ANSWER_TIMEOUT_S = 60.0
+OF_TERMINAL = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # and of a service: to all processes of a flight
 _PR_SET_CHILD_SUBREAPER = 36
 _PRELOADED = (
     "numpy.random",
@@ -283,6 +284,12 @@ def serve(control: Connection, *built: object) -> None:
         return
 
 
+def leave_signals_to_supervisor() -> None:
+    """Ignore what a terminal or a service manager sends to all: the supervisor says what comes of it."""
+    for number in OF_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def name_process(name: str) -> None:
     """For the lists of processes that an operator looks at."""
     with contextlib.suppress(OSError):
@@ -296,8 +303,7 @@ def main() -> None:
 
 def _run(control: Connection) -> None:
     """The process of :class:`ForkServer`."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
-        signal.signal(number, signal.SIG_IGN)
+    leave_signals_to_supervisor()
     name_process("forks")
     transports = import_module("drivers.transports")
     for found in pkgutil.iter_modules(transports.__path__, "drivers.transports."):

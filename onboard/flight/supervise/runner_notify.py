@@ -23,15 +23,17 @@ class Notifier:
         watchdog_us = environment.get("WATCHDOG_USEC", "")
         ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self._period_s = 0.5e-6 * int(watchdog_us) if watchdog_us.isdigit() and ours else 0.0
-        self._fed_s = 0.0
+        self._fed_s, self._status = 0.0, ""
 
     def ready(self) -> None:
         """Every worker is at work."""
         self._send("READY=1")
 
     def status(self, text: str) -> None:
-        """How the flight stands, in one line."""
-        self._send("STATUS=" + " ".join(text.split()))
+        """How the flight stands, in one line; it is sent where it has changed."""
+        if text != self._status:
+            self._status = text
+            self._send("STATUS=" + " ".join(text.split()))
 
     def stopping(self) -> None:
         """The flight is being ended."""

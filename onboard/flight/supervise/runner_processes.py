@@ -20,6 +20,7 @@ LOOK_S = 4.0  # before the end of that time the process's CPU time is looked at:
 PROGRESS_S = 0.02
 LONGEST_SILENCE_S = 60.0  # after which a worker hangs, whatever it does
 _JOIN_PERIOD_S = 0.005
+_TEND_S = 0.1  # between two looks at the rest of a flight that ends
 _LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
 _STABLE_S = 5.0  # a worker that lived so long starts with a clean slate
 
@@ -161,19 +162,26 @@ class Worker:
         if math.isnan(self.started_in_s):
             self.started_in_s = now_s - self._started_s
 
-    def finish(self) -> float:
+    def finish(self, most_s: float = math.inf, meanwhile: Callable[[float], None] = lambda _: None) -> float:
         """Tell it to end, wait for that as long as it works, and kill it where it does not end; after how many s, or 0.
 
-        On a busy computer the estimator has seconds of readings to work off, which takes many times as long.
+        Args:
+            most_s: that it is waited for; :data:`LONGEST_SILENCE_S` at most.
+            meanwhile: called ten times a second with the seconds waited.
         """
         if self.pid is None or self._pipe is None:
             return 0.0
+        most_s = min(most_s, LONGEST_SILENCE_S)
         with contextlib.suppress(OSError):  # it is dead, and reaped below
             self._pipe.send(True)
         asked_s = time.monotonic()
-        look_s, last_s, had_s, killed_s = asked_s + STOP_TIMEOUT_S, asked_s + LONGEST_SILENCE_S, _cpu_s(self.pid), 0.0
+        look_s, last_s = asked_s + min(STOP_TIMEOUT_S, most_s), asked_s + most_s
+        had_s, killed_s, tend_s = _cpu_s(self.pid), 0.0, asked_s + _TEND_S
         while not self.is_dead:
             now_s = time.monotonic()
+            if now_s > tend_s:
+                tend_s = now_s + _TEND_S
+                meanwhile(now_s - asked_s)
             if now_s > look_s:
                 has_s = _cpu_s(self.pid)
                 if has_s - had_s > PROGRESS_S and now_s < last_s:
@@ -184,7 +192,7 @@ class Worker:
                     self.exit_code = exit_code(self.pid, wait=True)
             time.sleep(_JOIN_PERIOD_S)
         self._pipe.close()
-        self.died |= self.exit_code != 0
+        self.died |= self.exit_code != 0 and not (killed_s and most_s < LONGEST_SILENCE_S)  # as was arranged
         if (spare := self._take_spare()) is not None:
             spare.pipe.close()
             with contextlib.suppress(ProcessLookupError):

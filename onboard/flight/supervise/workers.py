@@ -8,7 +8,6 @@ A restarted process finds the progress of its predecessor in the rings or in the
 
 import contextlib
 import ctypes
-import signal
 import sys
 import threading
 import time
@@ -29,7 +28,7 @@ from onboard.flight.health.stream import Beat
 from onboard.flight.store import directories, manifest, rings
 from onboard.flight.supervise import realtime
 from onboard.flight.supervise.announcer import RECORDER_SAID
-from onboard.flight.supervise.runner_forks import name_process, serve
+from onboard.flight.supervise.runner_forks import leave_signals_to_supervisor, name_process, serve
 from onboard.ring import RingWriter
 
 if TYPE_CHECKING:
@@ -47,6 +46,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 _KEPT_BYTES = 32 << 20
 TRIM_S = 5.0
 EVENTS_SAID = 200  # of the recorder, for whoever listens
+WORK_OFF_S = 5.0  # of the 10 s that the estimator has at the end of a flight: the rest is for its final step
 CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
 
@@ -64,8 +64,7 @@ class Supervised:
         self._pipe, self._beat_s = pipe, 0.0
         name_process(name)
         self.stop, self.orphaned = threading.Event(), False
-        for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
-            signal.signal(number, signal.SIG_IGN)
+        leave_signals_to_supervisor()
         threading.Thread(target=self._wait, name="supervised", daemon=True).start()
 
     def ready(self) -> None:
@@ -259,7 +258,8 @@ def estimate(
             supervised.beat(lambda: Beat(pace.missed))
             heap.give_back()
             pace.sleep()
-        worker.finish(time.monotonic_ns())
+        over_s = time.monotonic() + WORK_OFF_S
+        worker.finish(time.monotonic_ns(), lambda: time.monotonic() > over_s)
 
 
 class _Heap:

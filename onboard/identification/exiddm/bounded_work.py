@@ -20,7 +20,7 @@ BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
 _FLEXIBLE = 7  # times the work of a tick is that of one with flexible joints, measured with five
 _FLEXIBLE_WORK = 80  # as WORK, of a vehicle that has some: three quarters of a core
-LAST_WORK_s = 10.0  # the same when a flight ends; a worker that has not ended 60 s after it was asked to is killed
+LAST_WORK_s = 6.0  # the same when a flight ends; an estimator that has not ended 10 s after it was asked to is killed
 _TICK_s, _JOINT_s = 11e-6, 21e-6  # of a tick's prediction, and of each joint of it: measured with one and with five
 STEP_WORK = 50  # ticks in whose prediction's time a filter step is done, without flexible joints
 
@@ -35,10 +35,13 @@ class BoundedWork(ABC):
 
     Args:
         call_ticks: ticks of a call that does not come late.
+        period_s: between ticks.
+        none: no ticks, of this vehicle.
         flexible: some of the vehicle's joints are.
     """
 
-    def __init__(self, call_ticks: int, *, flexible: bool = False) -> None:
+    def __init__(self, call_ticks: int, period_s: float, none: Ticks, *, flexible: bool = False) -> None:
+        self._period_s, self._pending = period_s, none  # taken, and not yet of a step or a window
         self._cost, self._work = (_FLEXIBLE, _FLEXIBLE_WORK) if flexible else (1, WORK)
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
@@ -60,8 +63,16 @@ class BoundedWork(ABC):
         """Take in an announcement."""
 
     @abstractmethod
-    def _take(self, ticks: Ticks) -> None:
-        """Take the oldest ticks of the inbox, up to the next piece of work, and do or begin it."""
+    def _wanted(self) -> int:
+        """Ticks until there is something to do."""
+
+    @abstractmethod
+    def _ready(self) -> None:
+        """Do or begin it."""
+
+    @abstractmethod
+    def _bridge(self, after: Ticks) -> None:
+        """Go over a gap between the ticks that are pending and a later one."""
 
     @abstractmethod
     def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
@@ -70,6 +81,20 @@ class BoundedWork(ABC):
     @abstractmethod
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
+
+    def _take(self, ticks: Ticks) -> None:
+        """Take ticks up to the next filter step or window, and do or begin it; the others go back to the inbox."""
+        if len(self._pending.time_s):
+            late_s = ticks.time_s[0] - self._pending.time_s[-1] - self._period_s
+            if abs(late_s) > 0.5 * self._period_s:
+                self._bridge(ticks.part(slice(0, 1)))
+        breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self._period_s - 1.0) > 0.5)
+        last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
+        self._pending = self._pending.and_then(ticks.part(slice(0, last)))
+        if last < len(ticks.time_s):
+            self._inbox.appendleft(ticks.part(slice(last, None)))
+        if self._wanted() == 0:
+            self._ready()
 
     def _go_on(self) -> None:
         """Begin to solve the window that is asked for, or do one prediction of it."""

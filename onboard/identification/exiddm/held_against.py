@@ -6,6 +6,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.corrections import Together, together, told
+from onboard.identification.evidence.bank import Weighed
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
@@ -30,21 +31,24 @@ class HeldAgainst:
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
         self._predictor, self._fusion = predictor, fusion
-        self._of: tuple[FloatArray, FloatArray, list[int]] | None = None
+        self._of: tuple[Weighed, list[int]] | None = None
         self._told: Told | None = None
 
-    def of(self, state: FloatArray, covariance: FloatArray) -> Told:
-        """The corrections in a state, (p,), with its covariance, (p, p)."""
+    def of(self, weighed: Weighed) -> Told:
+        """The corrections if the likeliest hypothesis is true, but of what it says is wrong."""
         left_out, of = self._fusion.left_out, self._of
-        if self._told is None or of is None or of[0] is not state or of[1] is not covariance or of[2] != left_out:
-            self._of, self._told = (state, covariance, [*left_out]), self._hold(state, covariance)
+        if self._told is None or of is None or of[0] is not weighed or of[1] != left_out:
+            self._of, self._told = (weighed, [*left_out]), self._hold(weighed)
         return self._told
 
-    def _hold(self, state: FloatArray, covariance: FloatArray) -> Told:
+    def _hold(self, weighed: Weighed) -> Told:
+        (state, covariance), suspect = weighed.known(weighed.likeliest), weighed.likeliest.suspect
         predictor, stated = self._predictor, self._predictor.stated
         known = np.isfinite(stated) & (stated > 0.0)
         for k in self._fusion.left_out:
             known[predictor.of_each[k]] = False
+        if suspect is not None:
+            known[suspect.at] = False
         steady = known.copy()
         steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
         every, at = np.flatnonzero(known), np.flatnonzero(steady)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
 from onboard.identification.exiddm.fusion import Accusation, Fusion
@@ -52,10 +52,12 @@ class Innovations:
 
     Attributes:
         cells: load cells with a scale that is estimated, by their number among the instruments.
+        may_be_wrong: places in the state of constants that the filter takes for far less certain than stated.
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
         self._fusion, self._predictor, self._lines = fusion, predictor, predictor.lines
+        self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
@@ -152,13 +154,16 @@ class Innovations:
             return refused._replace(batches=0) if misled else refused
         e, effects = innovation.e[:used], innovation.scales[:used].T
         for k, at, effect in zip(self.cells, self._scales, effects, strict=True):
+            if at in self.may_be_wrong:
+                continue
             along, squares = float(effect @ e), float(effect @ effect)
             batches = fusion.off_scale(k, along, squares, float(predictor.sigma[at]))
             if batches and k not in fusion.left_out:
                 return Accusation(k, 0 if self.misled(state, k) else batches, for_good=True)
-        for k, own in enumerate([predictor.of_each[0], *predictor.of_further]):
+        for k, each in enumerate([predictor.of_each[0], *predictor.of_further]):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
+            own = np.setdiff1d(each, self.may_be_wrong)
             moved = predictor.stated[own]
             if k in self.cells:
                 moved = told(moved**2, covariance[own, own])
@@ -189,6 +194,7 @@ class Innovations:
         """
         stated = self._predictor.stated
         known = np.isfinite(stated) & (stated > 0.0)
+        known[self.may_be_wrong] = False
         for k in [*self._fusion.left_out, *([] if but is None else [but])]:
             known[self._predictor.of_each[k]] = False
         return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())

@@ -1,6 +1,7 @@
 """The recursive non-linear ExIDDM as an :class:`onboard.identification.online.OnlineIdentifier`."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -15,6 +16,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
+from onboard.identification.evidence.bank import Hypothesis, Known, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
@@ -144,7 +146,7 @@ class ExiddmIdentifier:
     def _tell_of_capture(self, ticks: Ticks) -> None:
         self._captured.take(ticks)
         if self._answers and self.exiddm.state is not None and self._captured.due:
-            self._captured.tell(Payload(*self._payload(self.exiddm.state)))
+            self._captured.tell(Payload(*self._payload(self._weighed)))
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
@@ -165,7 +167,7 @@ class ExiddmIdentifier:
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if self._answers and exiddm.state is not None:
-            mean, P = self._payload(exiddm.state)
+            mean, P = self._payload(self._weighed)
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -207,7 +209,7 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while there is none."""
         out = np.zeros((11, 11))
         if self._answers and self.exiddm.state is not None:
-            mean, P = self._payload(self.exiddm.state)
+            mean, P = self._payload(self._weighed)
             R, failed = dpotrf(np.linalg.inv(P))
             if not failed:
                 out[:10, :10], out[:10, 10] = R, R @ mean
@@ -217,10 +219,11 @@ class ExiddmIdentifier:
         """Too many outliers, a payload replaced without a release, corrections or innovations larger than stated."""
         if refusal := self._refusal():
             return Findings((refusal,))
-        predictor, fusion, state = self.exiddm.predictor, self.exiddm.fusion, self.exiddm.state
-        if state is None:
+        predictor, fusion = self.exiddm.predictor, self.exiddm.fusion
+        if self.exiddm.state is None:
             return Findings()
-        names, found = predictor.names, self._held_against(state)
+        weighed = self._weighed
+        names, found = predictor.names, self._corrections.of(weighed)
         slow = self.exiddm.lines.slow
         each = {
             **self.exiddm.misfit.by_instrument(),
@@ -233,38 +236,42 @@ class ExiddmIdentifier:
             if ratio > _MOST_SLOW
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
-        doubts += self._of_trackers(state)
+        doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
+        doubts += self._of_trackers(found)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large(dict(zip((names[k] for k in found.known.tolist()), found.in_stated.tolist(), strict=True)))
-        moved = (*contradicted(self._by_the_data(state)), *found.at_once.refused())
+        moved = (*contradicted(self._by_the_data(found)), *found.at_once.refused())
         doubts += [*found.at_once.doubted(), *([] if self._ended else [_GIVEN_UP])]
-        if not self._is_determined(state):  # far from it the linear test of what the data tell is not exact
+        if not self._is_determined(weighed):  # far from it the linear test of what the data tell is not exact
             doubts, moved = [*doubts, *moved], ()
         return Findings((*swaying, *moved, *against), tuple(doubts))
 
-    def _is_determined(self, state: FloatArray) -> bool:
+    def _is_determined(self, weighed: Weighed) -> bool:
         """Whether the mass is known so well that what is known of all else follows from a linear model."""
-        sigma = float(np.sqrt(self.exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
+        state, covariance = weighed.known(weighed.likeliest)
+        sigma = float(np.sqrt(covariance[PAYLOAD.start, PAYLOAD.start]))
         return not self.exiddm.held or sigma < DETERMINED * float(state[PAYLOAD.start])
 
-    def _held_against(self, state: FloatArray) -> Told:
-        """The corrections in a state, (p,), held against what is stated of them."""
-        return self._corrections.of(state, self.exiddm.covariance)
+    @property
+    def _weighed(self) -> Weighed:
+        """What may not be as stated, by the filter's state."""
+        assert self.exiddm.state is not None
+        return self.exiddm.rivals.weighed(self.exiddm.state, self.exiddm.covariance)
 
-    def _by_the_data(self, state: FloatArray) -> dict[str, float]:
+    def _by_the_data(self, found: Told) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
-        names, found = self.exiddm.predictor.names, self._held_against(state)
+        names = self.exiddm.predictor.names
         return dict(zip((names[k] for k in found.steady.tolist()), found.in_told.tolist(), strict=True))
 
-    def _of_trackers(self, state: FloatArray) -> list[str]:
+    def _of_trackers(self, found: Told) -> list[str]:
         """What the data say against a tracker that is used, before it is enough to do without it."""
         ends = tuple(f"_{one.name}" for one in self.further if isinstance(one, FurtherPose))
         if not ends:
             return []
-        off = {name: abs(one) for name, one in self._by_the_data(state).items() if name.endswith(ends)}
+        off = {name: abs(one) for name, one in self._by_the_data(found).items() if name.endswith(ends)}
         return [f"{name} is {one:.1f} sigmas off" for name, one in off.items() if one > DOUBTFUL]
 
     def _refusal(self) -> str:
@@ -291,26 +298,35 @@ class ExiddmIdentifier:
             return f"{_CONTRADICTED}: check the IMU and the joints"
         return f"{_CONTRADICTED}; the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
-    def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard parameters, (10,), and their covariance, (10, 10).
+    def _payload(self, weighed: Weighed) -> Known:
+        """Standard parameters, (10,), and their covariance, (10, 10), over all hypotheses that count.
 
         The covariance is multiplied by the largest that is above one: misfit, strongest line, power below 1.5 Hz, the
-        square of the most contradicted correction over three of its sigmas, or the like of all of them together. Taking
-        the part A of a prior's information on parameters k, of mean zero, away changes a covariance P by
-        ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
+        square of the most contradicted correction over three of its sigmas, or the like of all of them together.
         """
-        line, P = self.exiddm.lines.strongest, self.exiddm.covariance
+        line = self.exiddm.lines.strongest
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
-        found = self._held_against(state)
+        found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
+        mean, covariance = weighed.mixed(partial(self._payload_if, weighed, self._doubted()))
+        return mean, np.asarray(misfit * covariance, np.float64)
+
+    def _payload_if(self, weighed: Weighed, doubted: IndexArray, hypothesis: Hypothesis) -> Known:
+        """The same if a hypothesis is true, with scales that are hardly relied on.
+
+        Taking the part A of a prior's information on parameters k, of mean zero, away changes a covariance P by
+        ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
+        """
+        state, P = weighed.known(hypothesis)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
-        if (at := self._doubted()).size:
+        at = doubted if hypothesis.suspect is None else np.setdiff1d(doubted, hypothesis.suspect.at)
+        if at.size:
             taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))
             gain = np.linalg.solve(taken - P[np.ix_(at, at)], P[at, PAYLOAD]).T
             mean, covariance = mean + gain @ state[at], covariance + gain @ P[at, PAYLOAD]
-        return mean, np.asarray(misfit * covariance, np.float64)
+        return mean, covariance
 
     def _doubted(self) -> IndexArray:
         """Scales of the load cells in use, if an IMU contradicts the others."""

@@ -16,25 +16,29 @@ The effect of the joints' noise, mainly gear transmission error, is added to the
 The work of a call is bounded (:mod:`onboard.identification.exiddm.bounded_work`).
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
-from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.estimation.errors import SingularError
 from onboard.identification.change import Change
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS, BoundedWork
+from onboard.identification.evidence.bank import Known
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.guesses import first_state
+from onboard.identification.exiddm.holding import Holding
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.linearised import Linearised
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.snapshots import Before, Known, Snapshots, bridged, initially
+from onboard.identification.exiddm.snapshots import Before, Snapshots, bridged, initially
 from onboard.identification.exiddm.stepped import Stepped
+from onboard.identification.exiddm.suspects import Rivals
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
@@ -44,7 +48,7 @@ _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kep
 DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
-class RecursiveExiddm(BoundedWork):
+class RecursiveExiddm(Holding):
     """Recursive estimate of a payload.
 
     Args:
@@ -57,9 +61,6 @@ class RecursiveExiddm(BoundedWork):
             decides whether it is still held, or nothing or another one, regardless of ``held``.
 
     Attributes:
-        state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
-        covariance: (p, p).
-        held: a payload is held; None while that is not decided.
         ticks_used: with an IMU, taken in since the start or the last change.
         glitches: number of ticks left out as outliers.
         changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
@@ -69,6 +70,7 @@ class RecursiveExiddm(BoundedWork):
         undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
         lines: coherent lines in the reference IMU's innovations.
         fusion: the instruments, and which of them are left out.
+        rivals: what may not be as stated.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
 
@@ -81,30 +83,25 @@ class RecursiveExiddm(BoundedWork):
         known: Known | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
-        super().__init__(call_ticks, flexible=predictor.bends.size > 0)
-        self.predictor = predictor
+        super().__init__(predictor, call_ticks)
+        self._none = predictor.no_ticks
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self.held = self._before = held if known is None else None
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._left: FloatArray | None = None  # by the last one
-        self._none = self._pending = predictor.no_ticks
-        self.state: FloatArray | None = None
-        self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
-        self.exchanged, self.undecided, self.misfit = False, "", InnovationMisfit()
-        self.ticks_used = self.glitches = 0
+        self.exchanged, self.undecided, self.ticks_used, self.glitches = False, "", 0, 0
         self.changes: list[Change] = []
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
-        self.fusion = Fusion(predictor.instruments, predictor.lines)
+        self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
-        self._linearised, self._initial = Linearised(predictor), initially(predictor, known)
+        self._linearised, self.rivals, self._initial = (
+            Linearised(predictor),
+            Rivals(predictor),
+            initially(predictor, known),
+        )
         self._open(at_first(held, known is not None), self._initial)
-
-    @property
-    def holds(self) -> bool:
-        """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
-        return self.state is not None and bool(self.held) and not self.lets_go
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
@@ -129,26 +126,6 @@ class RecursiveExiddm(BoundedWork):
             self.exchanged, self._suspected = False, None
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen(self._claim.make(held, self.estimate() is not None), 0)
-
-    def _take(self, ticks: Ticks) -> None:
-        """Take ticks up to the next filter step or window, and do or begin it; the others go back to the inbox."""
-        if len(self._pending.time_s):
-            late_s = ticks.time_s[0] - self._pending.time_s[-1] - self.predictor.period_s
-            if abs(late_s) > 0.5 * self.predictor.period_s:
-                self._bridge(ticks.part(slice(0, 1)))
-        breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self.predictor.period_s - 1.0) > 0.5)
-        last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
-        self._pending = self._pending.and_then(ticks.part(slice(0, last)))
-        if last < len(ticks.time_s):
-            self._inbox.appendleft(ticks.part(slice(last, None)))
-        if self._wanted() == 0:
-            self._begin_window() if self._hypotheses else self._step()
-
-    def estimate(self) -> BodyEstimate | None:
-        """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
-        if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
-            return None
-        return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])
 
     # ------------------------------------------------------------------ a window, as a whole
 
@@ -177,8 +154,10 @@ class RecursiveExiddm(BoundedWork):
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, now)
 
+    def _ready(self) -> None:
+        self._begin_window() if self._hypotheses else self._step()
+
     def _wanted(self) -> int:
-        """Ticks until there is something to do."""
         whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
         return max(whole - len(self._pending.time_s), 0)
 
@@ -247,10 +226,9 @@ class RecursiveExiddm(BoundedWork):
 
         That of an accused one is from before it was, but a tracker tells of all the time that it was used.
         """
-        anew = choice.instrument in self.fusion.trackers
+        anew, length = choice.instrument in self.fusion.trackers, self._solves
         old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
         self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
-        length = self._solves
         self._explained(choice.found, instrument=True)
         if anew or (old and (not self.held or self._innovations.misled(choice.found.state))):
             window, self._asked = self._window, None
@@ -356,9 +334,24 @@ class RecursiveExiddm(BoundedWork):
         if not suspect:
             self._compare(innovation, used)
 
-    def _compare(self, innovation: Innovation, used: int) -> None:
-        """Begin a window without an instrument that contradicts the others over some time."""
+    def _free(self, free: Callable[[Known], Known]) -> None:
+        """Go on as if everything may be wrong that is suspected."""
         assert self.state is not None
+        first, self._initial = self._prior[0] is self._initial[0], free(self._initial)
+        self._prior = self._initial if first else free(self._prior)
+        self.state, self.covariance = free((self.state, self.covariance))
+        self._snapshots.become(free)
+        self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
+        self._innovations.may_be_wrong = self.rivals.at
+        self._linearised.forget()
+
+    def _compare(self, innovation: Innovation, used: int) -> None:
+        """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
+        assert self.state is not None
+        # an empty arm that seems to be heavier than drawn may hold something: a change decides
+        if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
+            self._free(free)
+            return
         accused = self.fusion.standing(self._innovations.contradicting(innovation, used, self.state, self.covariance))
         if accused is not None:
             self._before = bool(self.held)
@@ -375,8 +368,8 @@ class RecursiveExiddm(BoundedWork):
         if self._trials is not None and self._trials.changed is not None:
             self._explained(self._trials.changed)
             return
-        self._solves = 0
-        self._hypotheses = after_a_change(bool(self._before), self._prior[0] is not self._initial[0])
+        known = self._prior[0] is not self._initial[0]
+        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), known)
         self._begin_window()
 
     def _alarm(self, score: float, batches: int) -> None:

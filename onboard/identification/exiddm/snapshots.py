@@ -7,13 +7,14 @@ arm since then is wrong if the arm was not empty, so it is given up at the chang
 seconds before the change tell: where they are not explained with the payload held and are without, the arm was empty.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
@@ -23,9 +24,6 @@ from onboard.identification.exiddm.window import Hypothesis
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
 TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so many is kept
-
-
-Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
 
 
 def initially(predictor: ImuPredictor, payload: tuple[FloatArray, FloatArray] | None) -> Known:
@@ -147,14 +145,25 @@ class Snapshots:
     def _stays(self, age: int, number: int) -> bool:
         return age < self._tiers[-1][0] - 1 and any(age < most and number % every == 0 for most, every in self._tiers)
 
+    def become(self, of: Callable[[Known], Known]) -> None:
+        """Replace every state and its covariance by what is made of them."""
+        kept = []
+        for one in self._kept:
+            state, covariance = of(_unpacked(one))
+            kept.append(_Kept(one.number, state, covariance.ravel()[_upper(len(state))]))
+        self._kept = kept
+
     def back(self, batches: int) -> tuple[FloatArray, FloatArray]:
         """State and covariance so many before the newest, or of the next older one; the oldest where there is none."""
         wanted = self._newest - batches
-        _, state, triangle = next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0])
-        p = len(state)
-        upper = np.zeros((p, p))
-        upper.flat[_upper(p)] = triangle
-        return state, upper + np.triu(upper, 1).T
+        return _unpacked(next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0]))
+
+
+def _unpacked(kept: _Kept) -> Known:
+    p = len(kept.state)
+    upper = np.zeros((p, p))
+    upper.flat[_upper(p)] = kept.triangle
+    return kept.state, upper + np.triu(upper, 1).T
 
 
 @lru_cache

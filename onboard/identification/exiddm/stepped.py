@@ -15,9 +15,9 @@ Known limit: in a window the drift of a bias is constant, in steps it is a rando
 
 import numpy as np
 
+from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.snapshots import Known
 from onboard.identification.exiddm.trials import Trial
 from onboard.identification.exiddm.window import Hypothesis, Solved
 

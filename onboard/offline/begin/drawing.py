@@ -13,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.errors import BaseWeightError, ModelError
+from onboard.config.text import MOST_BYTES_URDF
+from onboard.dynamics import urdf_check, urdf_reading
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.urdf_reading import DrawingError
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 
-_MOVING = ("revolute", "continuous", "prismatic")
 PLACEHOLDER = RigidBody(10.0, np.zeros(3), 0.2 * np.eye(3))  # of a base that weighs nothing
 
 
@@ -46,60 +47,53 @@ class Drawn(NamedTuple):
     notes: tuple[str, ...]
 
 
-class _Moving(NamedTuple):
-    name: str
-    child: str
-    follows: str  # the joint that it mimics; "" for one of its own
-
-
-def read(path: Path, base: str, joints: Sequence[str] = ()) -> Drawn:
+def read(path: Path, base: str, joints: Sequence[str] = (), *, recorded: bool = False) -> Drawn:
     """A drawing, made into one of a vehicle.
 
     Args:
         path: a URDF file.
         base: kind of the base; one that moves by its mass is given one where the drawing has none.
         joints: those that are measured; by default all that move of themselves. The others are fixed at zero.
+        recorded: by somebody else; such a vehicle is not simulated.
 
     Raises:
         ConfigError: no URDF, not one tree of links, or a joint that it has not.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        robot = ET.fromstring(text)
-    except UnicodeDecodeError as error:
-        raise config.ConfigError(f"{path} is not UTF-8: {error}; save it as that") from error
-    except (OSError, ET.ParseError) as error:
-        raise config.ConfigError(f"{path} is no URDF: {error}; give the path of a URDF file") from error
-    if any("/xacro}" in element.tag for element in robot.iter()):
-        raise config.ConfigError(f"{path} is written for xacro; write it out first: xacro {path} > robot.urdf")
-    if robot.tag != "robot":
-        raise config.ConfigError(f"{path} is no URDF: its root is <{robot.tag}>, not <robot>; convert it")
-    frames = tuple(str(link.get("name")) for link in robot.findall("link"))
-    root, moving = _tree(path, robot, frames)
+        return _read(config.read(path, "a URDF file", MOST_BYTES_URDF), str(path), base, joints, recorded=recorded)
+    except DrawingError as error:
+        raise config.ConfigError(str(error)) from error
+
+
+def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: bool) -> Drawn:
+    whole = urdf_reading.read(text, label)
+    moving = _outwards(whole)
     if unknown := [name for name in joints if name not in moving]:
-        raise config.ConfigError(f"{path} has no moving joint {unknown[0]!r}; it has {', '.join(moving) or 'none'}")
+        raise config.ConfigError(f"{label} has no moving joint {unknown[0]!r}; it has {', '.join(moving) or 'none'}")
     notes = []
-    measured = [one for one in moving.values() if one.name in joints or not (joints or one.follows)]
-    for one in moving.values():
-        if one not in measured:
-            text = _fixed(text, one.name)
-            notes.append(f"joint {one.name} is fixed at zero" + (f": it follows {one.follows}" if one.follows else ""))
-    try:
-        if base in ("free", "planar") and not _weighs(text, root):
-            text = with_bodies(text, {root: PLACEHOLDER})
+    follows = {
+        name: str(mimic.get("joint")) for name, one in moving.items() if (mimic := one.find("mimic")) is not None
+    }
+    measured = [name for name in moving if name in joints or not (joints or name in follows)]
+    for name in moving:
+        if name not in measured:
+            text = _fixed(text, name)
             notes.append(
-                f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct"
+                f"joint {name} is fixed at zero" + (f": it follows {follows[name]}" if name in follows else "")
             )
-        model = VehicleModel(text, VehicleSpec(BaseKind(base), root))
-    except ModelError as error:
-        raise config.ConfigError(f"{path}: {error}") from error
-    notes += [
-        f"joint {joint.name} has no range: write its <limit>" for joint in model.joints if joint.low == joint.high
-    ]
-    last = measured[-1].child if measured else root
+    try:
+        drawing = urdf_check.require_flyable(text, "fixed", label=label, simulated=not recorded)
+    except DrawingError as error:
+        raise config.ConfigError(f"{error}{_without(error, measured)}") from error
+    root = drawing.root
+    if base in ("free", "planar") and not urdf_check.base_weighs(drawing):
+        text = with_bodies(text, {root: PLACEHOLDER})
+        notes.append(f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct")
+    model = VehicleModel(text, VehicleSpec(BaseKind(base), root))
+    last = whole.joints[measured[-1]].child if measured else root
     largest = {joint.name: float(model.model.effortLimit[joint.v_index]) for joint in model.joints}
     efforts = {name: effort for name, effort in largest.items() if 0.0 < effort < np.inf}
-    return Drawn(text, root, tuple(one.name for one in measured), model.links, last, frames, efforts, tuple(notes))
+    return Drawn(text, root, tuple(measured), model.links, last, tuple(whole.links), efforts, tuple(notes))
 
 
 def with_frame(drawn: Drawn, name: str, parent: str) -> str:
@@ -115,28 +109,24 @@ def with_frame(drawn: Drawn, name: str, parent: str) -> str:
     return drawn.text[:at] + mount + drawn.text[at:]
 
 
-def _tree(path: Path, robot: ET.Element, frames: Sequence[str]) -> tuple[str, dict[str, _Moving]]:
-    """The root, and the joints that move, from the base outwards."""
-    by_parent: dict[str, list[tuple[str, _Moving]]] = {}
-    children = set()
-    for joint in robot.findall("joint"):
-        parent, child, mimic = joint.find("parent"), joint.find("child"), joint.find("mimic")
-        if parent is None or child is None:
-            raise config.ConfigError(f"{path}: joint {joint.get('name')!r} lacks <parent> or <child>; add it")
-        follows = "" if mimic is None else str(mimic.get("joint"))
-        told = _Moving(str(joint.get("name")), str(child.get("link")), follows)
-        by_parent.setdefault(str(parent.get("link")), []).append((str(joint.get("type")), told))
-        children.add(told.child)
-    roots = [link for link in frames if link not in children]
-    if len(roots) != 1:
-        raise config.ConfigError(f"{path} hangs on {', '.join(roots) or 'nothing'}; a vehicle has one root")
-    moving, waiting = {}, [roots[0]]
+def _outwards(drawing: urdf_reading.Drawing) -> dict[str, ET.Element]:
+    """The joints that move, from the base outwards."""
+    moving, waiting = {}, [drawing.root]
     while waiting:
-        for kind, told in by_parent.get(waiting.pop(0), ()):
-            waiting.append(told.child)
-            if kind in _MOVING:
-                moving[told.name] = told
-    return roots[0], moving
+        for joint in drawing.below(waiting.pop()):
+            waiting.append(joint.child)
+            if joint.moves:
+                moving[joint.name] = joint.element
+    return moving
+
+
+def _without(error: DrawingError, measured: Sequence[str]) -> str:
+    """What to say for an arm without the joints that cannot be flown, where that mends all."""
+    at_fault = {problem.joint for problem in error.problems}
+    rest = [name for name in measured if name not in at_fault]
+    if "" in at_fault or not rest:
+        return ""
+    return f"\nor fly without {'it' if len(at_fault) == 1 else 'them'}: --joints {','.join(rest)}"
 
 
 def _fixed(text: str, joint: str) -> str:
@@ -148,12 +138,3 @@ def _fixed(text: str, joint: str) -> str:
             begin, end = tag.start() + kind.start(1), tag.start() + kind.end(1)
             return f"{text[:begin]}fixed{text[end:]}"
     raise config.ConfigError(f"joint {joint!r} is not written as <joint name=... type=...>; make it fixed by hand")
-
-
-def _weighs(text: str, root: str) -> bool:
-    """Whether the base has a mass, with what is fixed to it."""
-    try:
-        VehicleModel(text, VehicleSpec(BaseKind.FREE, root))
-    except BaseWeightError:
-        return False
-    return True

@@ -1,6 +1,8 @@
 """Reads columns of foreign files (CSV with a header line, NumPy's NPZ); a whole file is held in memory."""
 
 import csv
+import io
+import json
 import lzma
 import os
 import re
@@ -10,10 +12,13 @@ import tokenize
 import warnings
 import zipfile
 import zlib
+from collections import deque
+from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as Columns
+from itertools import islice
 from math import prod
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -28,7 +33,15 @@ BROKEN = (  # what zipfile and NumPy raise for altered archives and array header
     *(ValueError, EOFError, OverflowError, NotImplementedError, RuntimeError, SyntaxError, MemoryError, TypeError),
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, struct.error, OSError),
 )
-_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_HEADERS = {  # by version: bytes of the header's length, and what reads it
+    (1, 0): (2, np.lib.format.read_array_header_1_0),
+    (2, 0): (4, np.lib.format.read_array_header_2_0),
+}
+_LONGEST_HEADER = 10_000  # bytes, as NumPy has it, which reads the whole of one before it looks
+_LONGEST_LINE = 1 << 20  # characters of a CSV
+_MOST_ARRAYS = 10_000  # whose headers take 2 s
+_BLOCK = 1 << 20  # cells of a CSV that are text at a time
+_MOST_NAMED, _LONGEST_NAME = 20, 80  # columns in a message, characters of one
 
 
 def read_npz(path: Path) -> Columns[str, Values]:
@@ -58,12 +71,19 @@ def _require_bounded(path: Path) -> None:
         return  # told by the caller
     with zipfile.ZipFile(path) as archive:
         total = 0
+        if len(archive.infolist()) > _MOST_ARRAYS:
+            raise SourceError(f"{path} has more than {_MOST_ARRAYS} arrays: divide it")
         for member in archive.infolist():
             with archive.open(member) as array:
-                header = _HEADERS.get(np.lib.format.read_magic(array))
-                if header is None:
+                known = _HEADERS.get(np.lib.format.read_magic(array))
+                if known is None:
                     raise SourceError(f"{path}: {member.filename} is no array of a known version; save it again")
-                shape, _, dtype = header(array)
+                bytes_of_length, header = known
+                length = array.read(bytes_of_length)
+                size = int.from_bytes(length, "little")
+                if size > _LONGEST_HEADER:
+                    raise SourceError(f"{path}: {member.filename} has a header of {size} bytes; save it again")
+                shape, _, dtype = header(io.BytesIO(length + array.read(size)))
             total += max(member.file_size, dtype.itemsize * prod(shape))
         if total > LARGEST_BYTES:
             limit = f"{LARGEST_BYTES / 1e9:.1f} GB"
@@ -87,28 +107,61 @@ def read_csv(path: Path, layout: Csv) -> Recording:
         SourceError: a line with another number of cells than the header.
         OSError: the file cannot be read.
     """
+    columns: list[list[Values]] = []  # by name, in blocks
+    rows: list[list[str]] = []  # not in blocks yet
+    count = 0  # of those that are
+
+    def pack(last: int) -> None:
+        """Put all ``rows`` but the ``last`` into blocks."""
+        nonlocal count
+        some, rows[:] = rows[: len(rows) - last], rows[len(rows) - last :]
+        for number, row in enumerate(some, count + 1):
+            if len(row) != len(names):
+                found = f"{len(row)} cells where the header names {len(names)}"
+                raise SourceError(f"{path}: row {number} has {found}; {_separated(names)}")
+        if 8 * (count + len(some)) * len(names) > LARGEST_BYTES:
+            raise SourceError(f"{path} has more numbers than {LARGEST_BYTES / 1e9:.1f} GB hold: divide it")
+        for blocks, cells in zip(columns, zip(*some, strict=True), strict=bool(some)):
+            blocks.append(_numbers(cells, layout.decimal, count))
+        count += len(some)
+
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            for _ in range(layout.header_line - 1):
-                file.readline()
-            lines = csv.reader(file, delimiter=layout.delimiter)
+            text = _lines(path, file)
+            deque(islice(text, layout.header_line - 1), maxlen=0)  # passed over
+            lines = csv.reader(text, delimiter=layout.delimiter)
             names = [name.strip() for name in next(lines, [])]
-            cells = [line for line in lines if line]
+            columns += [[] for _ in names]
+            for line in lines:
+                if line:
+                    rows.append(line)
+                if len(rows) * len(names) > _BLOCK and len(rows) > 2:  # the last two tell whether it is cut off
+                    pack(2)
     except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path} is not CSV text ({error}); check the mapping's format") from error
-    cut = len(cells) > 1 and (len(cells[-1]) < len(names) or (_is_cut(cells) and not _ends_with_a_newline(path)))
-    truncated = f"row {len(cells)}, the last one, is cut off: left out" if cut else ""
-    if cut:
-        cells.pop()
-    for number, line in enumerate(cells, 1):
-        if len(line) != len(names):
-            raise SourceError(
-                f"{path}: row {number} has {len(line)} cells where the header names {len(names)}; check [csv]"
-            )
-    columns = zip(*cells, strict=True) if cells else ([] for _ in names)
-    return Recording(
-        {name: _numbers(path, name, list(column)) for name, column in zip(names, columns, strict=True)}, truncated
+    cut = len(rows) > 1 and (
+        len(rows[-1]) < len(names) or (_is_cut(rows, layout.decimal) and not _ends_with_a_newline(path))
     )
+    truncated = f"row {count + len(rows)}, the last one, is cut off: left out" if cut else ""
+    if cut:
+        rows.pop()
+    pack(0)
+    return Recording({name: _joined(blocks) for name, blocks in zip(names, columns, strict=True)}, truncated)
+
+
+def _lines(path: Path, file: TextIO) -> Iterator[str]:
+    while line := file.readline(_LONGEST_LINE + 1):
+        if len(line) > _LONGEST_LINE:
+            raise SourceError(f"{path} has a line of more than {_LONGEST_LINE} characters; give a CSV file")
+        yield line
+
+
+def _joined(blocks: list[Values]) -> Values:
+    """The numbers of a column; the reason where one of its blocks has one."""
+    for block in blocks:
+        if block.dtype.kind == "U":
+            return np.broadcast_to(block[0], sum(map(len, blocks)))
+    return np.concatenate(blocks) if blocks else np.zeros(0, np.int64)
 
 
 def _ends_with_a_newline(path: Path) -> bool:
@@ -118,12 +171,12 @@ def _ends_with_a_newline(path: Path) -> bool:
         return file.read(1) in (b"\n", b"\r", b"")
 
 
-def _is_cut(cells: list[list[str]]) -> bool:
+def _is_cut(cells: list[list[str]], decimal: str) -> bool:
     """Whether the last cell of the last row is no number, and that of the row before is one."""
 
     def number(cell: str) -> bool:
         try:
-            float(cell)
+            float(cell.replace(decimal, "."))
         except ValueError:
             return False
         return True
@@ -131,14 +184,37 @@ def _is_cut(cells: list[list[str]]) -> bool:
     return len(cells[-2]) == len(cells[-1]) and number(cells[-2][-1]) and not number(cells[-1][-1])
 
 
-def _numbers(path: Path, name: str, cells: list[str]) -> Values:
-    """Numbers of a column; text if a cell is not a number (an error only if the mapping uses the column)."""
+def _separated(names: list[str]) -> str:
+    """What to do about a header of one name that holds another separator."""
+    for other in ";\t" if len(names) == 1 else "":
+        if other in names[0]:
+            return f"they seem to be separated by {other!r}: write delimiter = {json.dumps(other)} into [csv]"
+    return "check delimiter and header_line of [csv]"
+
+
+def _numbers(cells: Sequence[str], decimal: str, before: int) -> Values:
+    """Numbers of a column from row ``before`` on; in every place the reason if one is none: an error if it is used."""
+    text = np.array(cells, dtype=str)
+    text = text if decimal == "." else np.char.replace(text, decimal, ".")
     for kind in (np.int64, np.float64):
         try:
-            return np.array(cells, dtype=str).astype(kind)
+            return text.astype(kind)
         except (ValueError, OverflowError):
             continue
-    return np.array(cells, dtype=str)
+    return np.broadcast_to(np.array(_no_number(text.tolist(), before)), len(cells))
+
+
+def _no_number(cells: list[str], before: int) -> str:
+    """``row 3 has '0,25', with a decimal comma: ...``: the first cell that is no number, and the remedy."""
+    for row, cell in enumerate(cells, before + 1):
+        try:
+            float(cell)
+        except ValueError:
+            shown = repr(cell[:_LONGEST_NAME])
+            if re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell):
+                return f'row {row} has {shown}, with a decimal comma: write decimal = "," into [csv] of the mapping'
+            return f"row {row} has {shown}, which is no number: correct it, or the mapping"
+    return "its numbers are too large: correct them, or the mapping"
 
 
 def read(path: Path, layout: Csv, kind: str) -> Recording:
@@ -182,9 +258,13 @@ def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | N
     """
     values = _found(columns, name)
     if values is None:
-        raise SourceError(f"{path} has no column {name!r}; it has {', '.join(map(repr, columns))}")
+        listed = ", ".join(repr(one)[:_LONGEST_NAME] for one in list(columns)[:_MOST_NAMED])
+        more = f" and {len(columns) - _MOST_NAMED} more" if len(columns) > _MOST_NAMED else ""
+        raise SourceError(f"{path} has no column {name!r}; it has {listed}{more}")
     if values.dtype.kind not in "iuf":
-        raise SourceError(f"{path}: column {name!r} holds cells that are not numbers; correct them or the mapping")
+        told = str(values.flat[0]) if values.strides == (0,) else ""  # of a CSV column: see _numbers
+        wrong = f": {told}" if told else " holds cells that are not numbers; correct them or the mapping"
+        raise SourceError(f"{path}: column {name!r}{wrong}")
     if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):
         wanted = "one value" if width is None else f"{width} values"
         raise SourceError(f"{path}: column {name!r} has shape {values.shape}; the mapping needs {wanted} a row")

@@ -8,6 +8,7 @@
 
     [csv]                           # only for csv; these are the defaults
     delimiter = ","
+    decimal = "."                   # or ",", as 0,25: with another delimiter
     header_line = 1                 # the line that names the columns
 
     [time]
@@ -52,7 +53,7 @@ import math
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from onboard import config
 from onboard.offline.bring_in.errors import MappingError
@@ -93,7 +94,14 @@ class Csv(_Section):
     """Layout of a CSV file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
     header_line: Annotated[int, Field(ge=1)] = 1
+
+    @model_validator(mode="after")
+    def _check_marks(self) -> Self:
+        if self.delimiter == self.decimal:
+            raise ValueError(f"`delimiter` and `decimal` are both {self.decimal!r}: name the one between the cells")
+        return self
 
 
 class Time(_Section):
@@ -255,21 +263,7 @@ def load(name: str | Path) -> Mapping:
     path = known.get(str(name), Path(name))
     try:
         text = config.read(path, f"a mapping file, or one of these names: {', '.join(known)}")
-        file = MappingFile.model_validate(config.tree_of(text, str(path)))
+        file = config.validated(MappingFile, config.tree_of(text, str(path)), config.Origin(str(path), text))
     except config.ConfigError as error:
         raise MappingError(str(error)) from error
-    except ValidationError as error:
-        raise MappingError("\n".join(_explain(path, dict(one)) for one in error.errors())) from error
     return Mapping(path=path, text=text, file=file)
-
-
-def _explain(path: Path, error: dict[str, object]) -> str:
-    where = error["loc"]
-    assert isinstance(where, tuple)
-    # pydantic appends the record type to a channel's name
-    key = ".".join(str(part) for n, part in enumerate(where) if (where[0], n) != ("channel", 2))
-    if error["type"] == "extra_forbidden":
-        return f"{path}: unknown key {key!r}; remove it, or correct its spelling"
-    if error["type"] == "missing":
-        return f"{path}: {key!r} is missing; add it"
-    return f"{path}: {key!r}: {error['msg']}"

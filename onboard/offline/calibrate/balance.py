@@ -1,11 +1,10 @@
 """The base's mass and centre of mass from a load cell that holds it off a hinge, in several orientations."""
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
@@ -45,17 +44,10 @@ def rig(path: Path) -> Rig:
     """Read a rig file.
 
     Raises:
-        ConfigError: it cannot be used.
-        OSError: it cannot be read.
+        ConfigError: it cannot be read or used.
     """
-    try:
-        return Rig.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except tomllib.TOMLDecodeError as error:
-        raise config.ConfigError(f"{path}: not TOML: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise config.ConfigError(f"{path}: {where}: {first['msg']}; see docs/calibration.md") from error
+    said = config.read(path, "a rig file")
+    return config.validated(Rig, config.tree_of(said, str(path)), config.Origin(str(path), said))
 
 
 def calibrate_balance(

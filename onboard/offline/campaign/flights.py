@@ -16,10 +16,11 @@ import tomli_w
 
 from onboard import config
 from onboard.flight import hil
-from onboard.offline.campaign import results
+from onboard.offline.campaign import instants, results
 from onboard.offline.campaign.design import Item
 from onboard.offline.campaign.results import Done, FlightResult
 from onboard.offline.campaign.revision import revision
+from onboard.offline.campaign.scratch import scratch
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.tables import truth
 from onboard.offline.tables.vehicle_file import vehicle_of
@@ -55,8 +56,8 @@ def done(item: Item, expected: str, make_world: MakeWorld) -> Done:
         raise OtherCodeError(
             f"its heft is of revision {own}, and this one of {expected}; NumPy, SciPy, Pinocchio and MuJoCo count too"
         )
-    with _ONE_AT_A_TIME, tempfile.TemporaryDirectory(prefix="campaign_") as directory:
-        log = Path(directory) / "flight.mcap"
+    with _ONE_AT_A_TIME, scratch() as directory:
+        log = directory / "flight.mcap"
         try:
             result = _result(item, log, make_world)
         except Exception:  # noqa: BLE001 - whatever fails in a flight is kept with the campaign, which goes on
@@ -77,7 +78,7 @@ def _result(item: Item, log: Path, make_world: MakeWorld) -> FlightResult:
     with world:
         flown = hil.fly_simulated(vehicle, world, urls, log)
     truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
-    return results.of_mission(mission_table.result(flown))
+    return results.of_mission(mission_table.result(flown)).with_instants(instants.of_flight(log, vehicle, flown.truth))
 
 
 def check(items: Iterable[Item], make_world: MakeWorld) -> None:

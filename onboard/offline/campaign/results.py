@@ -6,12 +6,12 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from onboard.identification.verdict import Level
+from onboard.offline.campaign.instants import WIDER, Instants
 from onboard.offline.tables.truth import Truth
 
 if TYPE_CHECKING:
     from onboard.offline.estimate_again.identified import Identified
 
-WIDER = 3.2905 / 1.9600  # a 99.9 % interval, of a 95 % one
 _UNITS = {"masses": "kg", "centres": "m", "inertias": "kg m^2"}
 MOST_EVENTS = 64
 
@@ -43,6 +43,7 @@ class Answer(NamedTuple):
     level: str = ""
     why: str = ""
     leans: str = ""
+    instants: Instants = Instants()
 
     def outcome(self, *, unseen: bool = False) -> Outcome:
         """Confident nonsense is an answer that is supported while its truth lies beyond its 99.9 % interval.
@@ -85,8 +86,14 @@ class FlightResult(NamedTuple):
 
     @property
     def nonsense(self) -> bool:
-        """Whether an answer is."""
-        return any(one.outcome(unseen=self.unseen) is Outcome.NONSENSE for one in self.answers)
+        """Whether an answer is, or was at any time of the flight."""
+        at_the_end = any(one.outcome(unseen=self.unseen) is Outcome.NONSENSE for one in self.answers)
+        return at_the_end or (not self.unseen and any(one.instants.beyond for one in self.answers))
+
+    def with_instants(self, found: Mapping[str, Instants]) -> "FlightResult":
+        """With what was told in flight, by quantity."""
+        told = (one._replace(instants=found.get(one.quantity, Instants())) for one in self.answers)
+        return self._replace(answers=tuple(told))
 
 
 class Done(NamedTuple):

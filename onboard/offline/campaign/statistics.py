@@ -16,7 +16,8 @@ from scipy import stats
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.verdict import is_positive
-from onboard.offline.campaign.results import WIDER, Outcome, kinds
+from onboard.offline.campaign.instants import WIDER
+from onboard.offline.campaign.results import Outcome, kinds
 from onboard.offline.campaign.store import FACTOR
 
 Row = Mapping[str, Any]

@@ -28,6 +28,8 @@ _COLUMNS: dict[str, Any] = {
     **{"supported": pa.bool_(), "level": pa.string(), "why": pa.string(), "leans": pa.string()},
     **{"outcome": pa.string(), "unseen": pa.bool_(), "accounted": pa.bool_(), "capture_s": pa.float64()},
     **{"detected_s": pa.float64(), "detections": pa.int64(), "events": pa.list_(pa.string())},
+    **{"instants": pa.int64(), "instants_beyond": pa.int64(), "instants_good_beyond": pa.int64()},
+    "instants_farthest": pa.float64(),
 }
 
 
@@ -154,7 +156,9 @@ def _table(address: str, item: Item, revision: str, result: FlightResult) -> pa.
     rows = []
     for one in result.answers or (Answer(""),):
         outcome = str(one.outcome(unseen=result.unseen)) if one.quantity else ""
-        rows.append(_plain({**common, **one._asdict(), "outcome": outcome}))
+        told, beyond, good_beyond, farthest = one.instants
+        seen = {"instants": told, "instants_beyond": beyond, "instants_good_beyond": good_beyond}
+        rows.append(_plain({**common, **one._asdict(), "outcome": outcome, **seen, "instants_farthest": farthest}))
     return pa.Table.from_pylist(rows, schema=pa.schema(list(columns.items())))
 
 

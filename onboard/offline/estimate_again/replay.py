@@ -16,6 +16,7 @@ from rich.progress import Progress
 
 from drivers.records import Batch, Rows
 from onboard import config
+from onboard.channels import tick_dtype
 from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
@@ -24,6 +25,7 @@ from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
 _COMPARED_AT_ONCE = 4096  # rows
+_LONGEST_STEP_NS = 86_400 * 10**9  # of an estimator: it makes a hundred in a second
 _UNANSWERED = 2  # last steps of an interrupted flight with a TICK in the log but no outputs
 
 
@@ -184,8 +186,13 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
     Args:
         rows: a pass over the flight's log, with these channels and ``tick``.
         channels: what the estimator consumed, in its order.
+
+    Raises:
+        ChannelError: the rows of ``tick`` are no such records, or one is a day from the one before it.
     """
+    before_ns: int | None = None
     for tick in rows.following("tick"):
+        _require_tick(tick.dtype, len(channels))
         batches: dict[str, Rows] = {}
         short = ""
         consumed = zip(
@@ -199,7 +206,24 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
                 short = short or f"{name}: {count - len(batches[name])} rows of {first}..{last} are not in the log"
         fresh = "fresh" in (tick.dtype.names or ()) and bool(tick["fresh"])
         skipped_ns = int(tick["skipped_ns"]) if "skipped_ns" in (tick.dtype.names or ()) else 0
-        yield EstimatorStep(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short, skipped_ns)
+        now_ns = int(tick["host_ns"])
+        if before_ns is not None and not 0 <= now_ns - before_ns - skipped_ns < _LONGEST_STEP_NS:
+            text = f"step {int(tick['sequence'])} of the estimator is {1e-9 * (now_ns - before_ns):.0f} s after the one"
+            raise ChannelError(f"{text} before it: its time is altered; heft identify does without the steps")
+        before_ns = now_ns
+        yield EstimatorStep(now_ns, batches, 0 if tick["final"] else None, fresh, short, skipped_ns)
+
+
+def _require_tick(dtype: np.dtype[np.void], count: int) -> None:
+    """Raises ChannelError unless rows of ``tick`` are of this or an earlier version, for ``count`` channels."""
+    wanted = tick_dtype(count)
+    known = wanted.names or ()
+    late = ("skipped_ns", "fresh")  # not in earlier versions
+    fields = {name: dtype[name] for name in dtype.names or ()}
+    if any(name not in fields and name not in late for name in known) or any(
+        name in fields and fields[name] != wanted[name] for name in known
+    ):
+        raise ChannelError("the rows of 'tick' are none of this vehicle's estimator; heft identify does without them")
 
 
 def _restarts_ns(log: LogReader) -> list[int]:

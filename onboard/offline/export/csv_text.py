@@ -173,7 +173,8 @@ def _instants(time_ns: NDArray[np.int64]) -> Cells:
     unknown = time_ns == _NAT
     days, in_day = np.divmod(np.where(unknown, 0, time_ns), _DAY_NS)
     seconds, nanoseconds = np.divmod(in_day, _SECOND_NS)
-    parts = [_by_value(days, lambda d: [str(np.datetime64(int(one), "D")).encode() for one in d.tolist()])]
+    dates = _by_value(days, lambda d: [str(np.datetime64(int(one), "D")).encode() for one in d.tolist()])
+    parts = [np.broadcast_to(dates, (len(days), dates.shape[1]))]  # a flight is in one day, as a rule
     for mark, two in (("T", seconds // 3600), (":", seconds // 60 % 60), (":", seconds % 60)):
         parts += [_filled(mark, len(time_ns)), _groups()[two].view(np.uint8).reshape(-1, 4)[:, 2:]]
     text: Cells = np.column_stack([*parts, _fraction(nanoseconds), _filled("Z", len(time_ns))])

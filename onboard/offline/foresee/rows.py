@@ -120,8 +120,8 @@ def _signals(
     friction = CoulombFriction(row_model.motors, names).follow(plan.q, plan.dq) if row_model.motors else None
     flowing = None if friction is None else np.nan_to_num(friction)
     zero = np.zeros((n, len(row_model.rows)))
-    Y = row_model.regressor(plan.q, plan.dq, plan.ddq, motion, plan.held, predicted=zero, friction=flowing)
-    true = Y @ chi
+    motions = plan.q, plan.dq, plan.ddq, motion, plan.held
+    true = row_model.regressor(*motions, fill_zero_force=False, predicted=zero, friction=flowing) @ chi  # it is zero
     sigma, refused = _of_rows(vehicle, identifier, plan, friction)
     joint_noise = JointNoise(vehicle, row_model.vehicle)
     stated = noise_of_joints(joint_noise.at(plan.dq), plan.dq, plan.ddq)

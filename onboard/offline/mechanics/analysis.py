@@ -17,6 +17,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_model
 from onboard.offline.mechanics.counts import closed_forms
 
+FOLLOWED_M = 1e-3  # what the inverse kinematics keeps where the arm can (docs/mechanics.md, 2.94)
+
 
 class LineMotion(NamedTuple):
     """A tip's straight line at zero momentum, and what it costs with the base floating and with its attitude held."""
@@ -27,6 +29,11 @@ class LineMotion(NamedTuple):
     joint_rate_rad_s: float  # largest
     wheel_momentum: FloatArray  # (m, 3) N m s, attitude held along the same joint motion (2.97)
     wheel_moment: FloatArray  # (m, 3) N m (2.23)
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether the tip stays on the line."""
+        return self.error_m <= FOLLOWED_M
 
 
 @dataclass

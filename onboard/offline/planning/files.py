@@ -49,8 +49,13 @@ def write(made: PlannedMotion | Library, tables: dict[str, Any], over: Path | No
     return paths
 
 
-def numbers(made: PlannedMotion) -> dict[str, Any]:
-    """The plan as JSON values, SI."""
+def numbers(made: PlannedMotion | Library) -> dict[str, Any]:
+    """The plan as JSON values, SI; of a library each segment at each payload, and its nearest limit."""
+    if isinstance(made, Library):
+        told = zip(made.names, made.durations_s, made.base_rate, made.excess, made.breaks, strict=True)
+        keys = ("name", "duration_s", "base_rate_rad_s", "over_limit", "limit")
+        segments = [dict(zip(keys, one, strict=True)) for one in told]
+        return {"joints": made.joints, "masses_kg": made.masses, "segments": segments}
     return {
         "start_s": made.start_s,
         "end_s": made.end_s,

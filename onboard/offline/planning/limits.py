@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, ValidationError
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from onboard import config
@@ -63,13 +63,8 @@ def read(path: Path) -> LimitsFile:
     Raises:
         ConfigError: it cannot be read or used.
     """
-    tree = text.tree_of(text.read(path, "a file of limits"), str(path))
-    try:
-        return LimitsFile.model_validate(tree)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise config.ConfigError(f"{path}: {where}: {first['msg']}; see docs/planning.md") from error
+    said = text.read(path, "a file of limits")
+    return config.validated(LimitsFile, text.tree_of(said, str(path)), config.Origin(str(path), said))
 
 
 class _Place(NamedTuple):

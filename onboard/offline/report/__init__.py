@@ -29,6 +29,8 @@ def report(
         OSError: a file cannot be read or written.
     """
     flight = gather(log, progress, vehicle)
+    if progress is not None:
+        progress.add_task(f"draw {output.name}", total=None)
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(document(flight), encoding="utf-8")
     return flight.info.damage

@@ -1,14 +1,10 @@
 """Final estimates beside true and published values."""
 
-import tomllib
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from onboard import config
 from onboard.offline.report.flight_data import FlightData
-from onboard.offline.views.standing import leans_on, shown
-from onboard.recording.texts import printable
+from onboard.offline.views.answered import SECTIONS, answered, error, error_told, published_of
+from onboard.offline.views.standing import answers_of
 
 
 class Compared(NamedTuple):
@@ -20,15 +16,17 @@ class Compared(NamedTuple):
     value: float
     low: float
     high: float
+    sigma: float
     supported: bool
     truth: float | None
     published: float | None
     standing: str = ""  # what it is good for
 
-    @property
-    def error_percent(self) -> float | None:
-        """Relative error, percent of the truth."""
-        return None if self.truth is None or not self.truth else 100.0 * (self.value / self.truth - 1.0)
+    def error(self, unit: str = "") -> str:
+        """In percent of the truth, with ``unit`` after it; in sigmas where the truth is about zero."""
+        if self.truth is None:
+            return ""
+        return error_told(*error(self.value, self.low, self.high, self.sigma, self.truth), unit)
 
     @property
     def covered(self) -> bool | None:
@@ -37,46 +35,24 @@ class Compared(NamedTuple):
 
 
 def compared(flight: FlightData) -> list[Compared]:
-    """The final estimate of every quantity with a unit, those with a published value first."""
-    rows = _published(flight.name)
-    order = {row["quantity"]: number for number, row in enumerate(rows)}
-    labels = {row["quantity"]: row["label"] for row in rows}
-    published = {row["quantity"]: row["identified_g"] * 1e-3 for row in rows if "identified_g" in row}
-    truths = truths_of(flight)
+    """The final estimate of every answer, those that were published first."""
+    answers = answers_of({name: said[-1] for name, said in flight.quantities.items()})
+    is_published = flight.truth is None or flight.truth.get("published", True)
+    true = None if flight.truth is None else truths_of(flight)
+    rows = answered(flight.vehicle, answers, true, published_of(flight.name) if is_published else {})
     found = []
-    for name, said in flight.quantities.items():
-        last = said[-1]
-        if last["unit"]:
-            value, low, high = (float(last[field]) for field in ("value", "low", "high"))
-            label, unit, supported = labels.get(name, name), printable(last["unit"]), bool(last["supported"])
-            known = truths.get(name), published.get(name)
-            found.append(Compared(name, label, unit, value, low, high, supported, *known, _standing(last)))
-    return sorted(found, key=lambda one: order.get(one.name, len(order)))
+    for row in (row for section in SECTIONS for row in rows[section] if row["quantity"] in answers):
+        one = answers[row["quantity"]]
+        published = row["identified_g"] * 1e-3 if "identified_g" in row else None
+        standing = "; ".join(part for part in (one["standing"], one["leans"]) if part)
+        numbers = {key: one[key] for key in ("value", "low", "high", "sigma", "supported")}
+        names = {"name": row["quantity"], "label": row["label"], "unit": one["unit"] or row["shown_in"]}
+        found.append(Compared(**names, **numbers, truth=row["value"], published=published, standing=standing))
+    return found
 
 
 def truths_of(flight: FlightData) -> dict[str, float]:
     """True values by quantity, SI."""
     if flight.truth is None:
         return {}
-    truths: dict[str, float] = dict(flight.truth.get("quantities", {}))
-    for name in flight.quantities:  # the same mass, from the rows with the payload held alone
-        if name.removesuffix("_held") in truths:
-            truths.setdefault(name, truths[name.removesuffix("_held")])
-    return truths
-
-
-def _published(vehicle: str) -> list[dict[str, Any]]:
-    """Rows of the packaged vehicle's published table, possibly none."""
-    try:
-        path = config.packaged(vehicle).with_name("published.toml")
-    except config.ConfigError:
-        return []
-    if not path.exists():
-        return []
-    tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    return [row for section in ("row", "centre", "inertia") for row in tables.get(section, [])]
-
-
-def _standing(row: np.void) -> str:
-    """Level, reason, and the calibrations that a good answer leans on."""
-    return "; ".join(part for part in (shown(row), leans_on(row)) if part)
+    return dict(flight.truth.get("quantities", {}))

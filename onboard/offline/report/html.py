@@ -6,7 +6,7 @@ from importlib.resources import files
 
 
 class Cell(str):
-    """A table cell with a class: ``n`` a number, ``good``, ``warn``, ``bad``."""
+    """A table cell with a class: ``n`` a number, ``good``, ``warn``, ``bad``, ``long`` text."""
 
     kind: str
 
@@ -18,18 +18,28 @@ class Cell(str):
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; cells are escaped and get the class of their :class:`Cell`. Empty without rows."""
+    """A table; cells are escaped and get the class of their :class:`Cell`. Empty without rows.
+
+    One with a ``long`` cell is a list on a narrow screen, a cell a line behind its heading.
+    """
     body = ""
     kinds = ["" for _ in headings]
     for row in rows:
         cells = [(cell, cell.kind if isinstance(cell, Cell) else "") for cell in row]
         kinds = [kind or old for (_, kind), old in zip(cells, kinds, strict=True)]
-        body += "<tr>" + "".join(f"<td{_class(kind)}>{escape(str(cell))}</td>" for cell, kind in cells) + "</tr>\n"
+        named = zip(cells, headings, strict=True)
+        body += "<tr>" + "".join(_cell(str(cell), kind, heading) for (cell, kind), heading in named) + "</tr>\n"
     if not body:
         return ""
     numeric = ["n" if kind.startswith("n") else "" for kind in kinds]
     head = "".join(f"<th{_class(kind)}>{escape(text)}</th>" for text, kind in zip(headings, numeric, strict=True))
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>\n'
+    shape = _class("stacks" if "long" in kinds else "")
+    return f'<div class="scroll"><table{shape}><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>\n'
+
+
+def _cell(text: str, kind: str, heading: str) -> str:
+    named = f' data-of="{escape(heading)}"' if text and heading else ""
+    return f"<td{_class(kind)}{named}>{escape(text)}</td>"
 
 
 def _class(kind: str) -> str:

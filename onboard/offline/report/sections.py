@@ -98,9 +98,9 @@ def _card(one: Compared) -> str:
     width = factor * (one.high - one.low)
     value, low, high = (answers.digits(factor * x, width) for x in (one.value, one.low, one.high))
     more = [f"95 %: {low} … {high} {unit}"]
-    if one.truth is not None and one.error_percent is not None:
+    if one.truth is not None:
         truth = answers.digits(factor * one.truth, width)
-        more.append(f"truth {truth} {unit}, error {one.error_percent:+.2f} %")
+        more.append(f"truth {truth} {unit}, error {one.error(' %')}")
     return html.card(one.label, value, unit, more)
 
 
@@ -148,8 +148,7 @@ def _answers(found: list[Compared]) -> str:
         if one.supported:
             span = f"{answers.digits(factor * one.low, width)} … {answers.digits(factor * one.high, width)}"
             line += [Cell(answers.digits(factor * one.value, width)), Cell(span), unit]
-            error = one.error_percent
-            line += [Cell("" if error is None else f"{error:+.2f}")]
+            line += [Cell(one.error())]
             line += ["" if one.covered is None else Cell(*(("yes", "good") if one.covered else ("no", "bad")))]
         else:
             line += ["", "no answer", unit, "", ""]
@@ -284,8 +283,9 @@ def _events(flight: FlightData) -> str:
     for row in rows[:_EVENTS_SHOWN]:
         severity = int(row["severity"])
         kind, word = ("bad", "error") if severity >= Severity.ERROR else ("warn", "warning")
-        texts = [printable(row[field]) for field in ("source", "code", "text")]
-        shown.append([Cell(f"{float(flight.seconds(row['host_ns'])):.3f}"), Cell(word, kind), *texts])
+        source, code, text = (printable(row[field]) for field in ("source", "code", "text"))
+        at_s = f"{float(flight.seconds(row['host_ns'])):.3f}"
+        shown.append([Cell(at_s), Cell(word, kind), source, code, Cell(text, "long")])
     more = html.paragraph(f"And {len(rows) - _EVENTS_SHOWN} more: heft info.") if len(rows) > _EVENTS_SHOWN else ""
     table = html.table(["time s", "", "source", "code", "what"], shown)
     return table + more if shown else html.paragraph("No warning and no error.")

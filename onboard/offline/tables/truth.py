@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from onboard.recording.space import naming
+
 Truth = dict[str, Any]
 
 
@@ -19,7 +21,8 @@ def beside(log: Path) -> Path:
 
 def write(log: Path, truth: Truth) -> None:
     """Write ``truth`` (scalars, text, lists, arrays and maps of them) beside ``log``."""
-    beside(log).write_text(json.dumps(truth, indent=1, default=_plain) + "\n", encoding="utf-8")
+    with naming(path := beside(log)):
+        path.write_text(json.dumps(truth, indent=1, default=_plain) + "\n", encoding="utf-8")
 
 
 def read(log: Path) -> Truth | None:

@@ -1,13 +1,10 @@
 """Result table of ``heft hil``: the onboard estimates beside true and published values.
 
-The numbers are the last onboard estimates, read from the log without recomputation. The packaged vehicle's
-``published.toml`` lists what is compared: masses (``row``), centres of mass (``centre``) and ``inertia``, each with its
-display unit and, if there is one, the published value. Of any other vehicle all that it answers is compared, base
-parameters of rows (``parameter``) among it (:mod:`onboard.offline.views.own_mission`).
+The numbers are the last onboard estimates, read from the log without recomputation; which of them are compared says
+:mod:`onboard.offline.views.answered`.
 """
 
 import tempfile
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -21,11 +18,13 @@ from rich.text import Text
 from drivers import records
 from onboard import config
 from onboard.flight.hil import Flown
+from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
 from onboard.offline.estimate_again import runs_view
-from onboard.offline.tables.truth import Truth
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views import accounts, own_mission
-from onboard.offline.views.standing import leans_on, shown
+from onboard.offline.views.answered import SECTIONS, answered, error, error_told, published_of
+from onboard.offline.views.standing import answers_of
+from onboard.recording.errors import LogFormatError
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
 
@@ -37,7 +36,7 @@ def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
     last: dict[bytes, np.void] = {}
     for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
         _note_answers(last, rows)
-    return _answers(last)
+    return answers_of({printable(name): row for name, row in last.items()})
 
 
 def _note_answers(last: dict[bytes, np.void], rows: records.Rows) -> None:
@@ -45,25 +44,16 @@ def _note_answers(last: dict[bytes, np.void], rows: records.Rows) -> None:
     last |= zip(newest["name"].tolist(), newest, strict=True)
 
 
-def _answers(last: dict[bytes, np.void]) -> dict[str, dict[str, Any]]:
-    return {
-        printable(name): {
-            "value": float(row["value"]),
-            "low": float(row["low"]),
-            "high": float(row["high"]),
-            "sigma": float(row["sigma"]),
-            "unit": printable(row["unit"]),
-            "supported": bool(row["supported"]),
-            "standing": shown(row),
-            "leans": leans_on(row),
-            "drawn": float(row["drawn"]) if "drawn" in (row.dtype.names or ()) else 0.0,
-        }
-        for name, row in last.items()
-    }
+def result(flown: Flown, flew: config.Vehicle | None = None) -> Result:
+    """Everything the table shows, as plain JSON values.
 
+    Args:
+        flown: the flight.
+        flew: the vehicle, for a log that has lost its head.
 
-def result(flown: Flown) -> Result:
-    """Everything the table shows, as plain JSON values."""
+    Raises:
+        LogFormatError: the log does not say what flew, and it is not given.
+    """
     log = LogReader(flown.log)
     seen = accounts.Seen(flown.produced, int(flown.truth["start_ns"]))
     last, events = dict[bytes, np.void](), list[np.void]()
@@ -73,27 +63,28 @@ def result(flown: Flown) -> Result:
             _note_answers(last, batch.rows)
         elif batch.rows.dtype == records.EVENT:
             events.extend(batch.rows)
-    name, answers = log.metadata["flight"]["vehicle"], _answers(last)
+    answers = answers_of({printable(name): row for name, row in (last | dict(flown.answers)).items()})
+    is_told = VEHICLE_ATTACHMENT in log.attachments
+    if not is_told and flew is None:
+        raise LogFormatError(f"{log.path} has lost its head, and with it what flew; heft recover shows what is left")
     flown_runs, is_published = list[Result](), bool(flown.truth["published"])
     with tempfile.TemporaryDirectory() as directory:
-        vehicle = vehicle_of(log, Path(directory))
-        phases = vehicle.file.estimation.phases
+        vehicle = vehicle_of(log, Path(directory)) if is_told or flew is None else flew
+        name, phases = vehicle.file.vehicle.name, vehicle.file.estimation.phases
         told = phases is not None and phases.payload_taken is not None
         if own_mission.is_estimated_afterwards(vehicle):
             answers, flown_runs = own_mission.after_the_run(vehicle, log)
-        if is_published:
-            published = _published(name, vehicle, flown.truth)
-        else:
-            published = {"title": f"{name}: rehearsed", **own_mission.compared(vehicle, answers, flown.truth)}
+        true = own_mission.true_values(vehicle, flown.truth)
+        published = published_of(name) if is_published else {}
+        rows = answered(vehicle, answers, true, published)
     masses, centres, inertias, parameters, motions = (
-        [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
-        for section, shown in _SHOWN.items()
+        [_compared(row, answers) for row in rows[section]] for section in SECTIONS
     )
     every = (*masses, *centres, *inertias, *parameters)
     counted = seen.accounts()
     return {
         "vehicle": name,
-        "title": published["title"],
+        "title": published.get("title", f"{name}: rehearsed"),
         "seed": flown.truth["seed"],
         "log": str(flown.log),
         "masses": masses,
@@ -107,35 +98,21 @@ def result(flown: Flown) -> Result:
         else any(one["supported"] for one in every),
         "accounted": all(account.is_whole for account in counted.values()),
         "accounts": accounts.render(counted),
-        "events": _troubles(events),
+        "events": _troubles(events, flown.troubles),
         "runs": runs_view.compared(flown_runs, flown.truth),
         "capture": _capture(events, flown.truth, told=told),
     }
 
 
-def _published(name: str, vehicle: config.Vehicle, truth: Truth) -> Result:
-    """What was published of a packaged vehicle, beside what is true of the one that was flown."""
-    published = tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
-    true = own_mission.true_values(vehicle, truth)
-    given = {
-        section: [row | {"value": true[row["quantity"]]} for row in rows]
-        for section, rows in published.items()
-        if isinstance(rows, list)
-    }
-    return published | given
-
-
-def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:
-    answer = answers.get(row["quantity"])
+def _compared(row: Result, answers: dict[str, Result]) -> Result:
+    answer, true = answers.get(row["quantity"]), float(row["value"])
     supported = answer is not None and answer["supported"]
-    true = float(row["value"] if "value" in row else truth["quantities"][row["quantity"]])
-    standing = "" if answer is None else answer["standing"]
-    leans = "" if answer is None else answer["leans"]
-    made: dict[str, Any] = {**row, "value": None, "truth": true, "supported": supported}
-    made |= {"standing": standing, "leans": leans}
+    made = {**row, "value": None, "truth": true, "supported": supported}
+    made |= {key: "" if answer is None else answer[key] for key in ("standing", "leans")}
     if answer is not None and supported:
-        made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
-        made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true and not row.get("absolute") else None
+        told = {key: answer[key] for key in ("value", "low", "high", "sigma")}
+        made |= told | {key: answer[key] for key in ("drawn", "unit")}
+        made["our_error_percent"], made["our_error_sigmas"] = error(**told, truth=true)
         made["covered"] = answer["low"] <= true <= answer["high"]
     return made
 
@@ -157,13 +134,15 @@ def _capture(events: Iterable[np.void], truth: dict[str, Any], *, told: bool) ->
     return {"true_s": truth["capture_s"], "said_s": said, "told": told}
 
 
-def _troubles(events: Iterable[np.void]) -> list[str]:
-    """Warnings and errors, as sentences."""
-    return [
+def _troubles(events: Iterable[np.void], of_recorder: Iterable[str]) -> list[str]:
+    """Warnings and errors, as sentences; those of the recorder first, which a log on a full disk does not have."""
+    first = [f"recorder: {text}" for text in of_recorder]
+    every = (
         f"{printable(row['source'])}: {printable(row['text'])}"
         for row in events
         if row["severity"] >= records.Severity.WARNING
-    ]
+    )
+    return first + [text for text in every if text not in first]
 
 
 def render(table: Result) -> RenderableType:
@@ -206,16 +185,4 @@ def _ours(row: dict[str, Any]) -> tuple[str, str, str]:
     if not row["supported"] or not np.isfinite(row["value"]):
         return "—", "not determined", ""
     value, low, high = (f"{row['factor'] * row[key]:.{row['digits']}f}" for key in ("value", "low", "high"))
-    percent = row["our_error_percent"]
-    a_share = percent is not None and abs(row["truth"]) > _NOTHING * (row["high"] - row["low"])
-    return value, f"{low} .. {high}", f"{percent:+.2f}" if a_share else ""
-
-
-_NOTHING = 0.05  # of an interval: of a truth so near zero an error is no share
-_SHOWN: dict[str, dict[str, Any]] = {
-    "row": {"shown_in": "g", "factor": 1e3, "digits": 1},
-    "centre": {"shown_in": "mm", "factor": 1e3, "digits": 2},
-    "inertia": {"shown_in": "g m²", "factor": 1e3, "digits": 3},
-    "parameter": {},
-    "motion": {},
-}
+    return value, f"{low} .. {high}", error_told(row["our_error_percent"], row["our_error_sigmas"])

@@ -4,7 +4,7 @@ The world gives mass, centre of mass and inertia of every link as it was built, 
 true values of the quantities that the vehicle answers, and for rows also those of its base parameters.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -25,16 +25,7 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS
 
 Row = dict[str, Any]
-_UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3), "m/s": ("mm/s", 1e3)}
-_SECTIONS = {"kg": "row", "m": "centre", "kg m^2": "inertia", "m/s": "motion", "rad/s": "motion"}
-_KINDS = {  # units of base parameters, by the first part of their names
-    **{"M": "kg", "Ia": "kg m²", "Fv": "N m s", "Fc": "N m"},
-    **dict.fromkeys(("MX", "MY", "MZ"), "kg m"),
-    **dict.fromkeys(("XX", "XY", "YY", "XZ", "YZ", "ZZ"), "kg m²"),
-}
 _UNDETERMINED = "weak: not determined by the data"
-_DIGITS = 5  # significant, of a truth
-_FEWER = 2  # digits, of what is about zero and has those of its interval
 
 
 def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
@@ -53,38 +44,6 @@ def with_quantities(vehicle: config.Vehicle, truth: Truth) -> Truth:
     """A truth whose ``quantities`` are those of all that the vehicle answers, as far as the world knows them."""
     known = {name: value for name, value in true_values(vehicle, truth).items() if np.isfinite(value)}
     return {**truth, "quantities": known}
-
-
-def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) -> dict[str, list[Row]]:
-    """Rows of the result table by section, as a ``published.toml`` has them, with their true values.
-
-    Args:
-        vehicle: that flew.
-        answers: the last QUANTITY of each name.
-        truth: of the world.
-    """
-    true = true_values(vehicle, truth)
-    found: dict[str, list[Row]] = {section: [] for section in (*_SECTIONS.values(), "parameter")}
-    for name, answer in answers.items():
-        value = true.get(name, np.nan)
-        if not np.isfinite(value):
-            continue
-        kind = _KINDS.get(name.split("_", 1)[0], "SI")
-        shown_in, factor = _UNITS.get(answer["unit"], (answer["unit"] or kind, 1.0))
-        section = _SECTIONS.get(answer["unit"], "parameter")
-        row: Row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
-        if section == "motion":  # which is about zero: an error relative to it says nothing
-            row |= {"label": name.replace("_before_capture_", " before, "), "unit": answer["unit"], "absolute": True}
-            size = max(abs(float(value)), *(abs(answer.get(end) or 0.0) for end in ("low", "high")))
-            row["digits"] = max(_digits(factor * size) - _FEWER, 0)
-        else:
-            row["digits"] = _digits(factor * abs(float(value)))
-        found[section].append(row)
-    if (
-        vehicle.file.estimation.method == "exiddm" and vehicle.file.planar is None
-    ):  # their standard parameters say the same as their body
-        found["parameter"] = []
-    return found
 
 
 def is_estimated_afterwards(vehicle: config.Vehicle) -> bool:
@@ -115,12 +74,6 @@ def _answer(unit: str, standing: str, *, told: bool = False) -> Row:
     return {"unit": unit, "supported": told, "standing": standing, "leans": "", "drawn": 0.0}
 
 
-def _digits(size: float) -> int:
-    if size == 0.0 or not np.isfinite(size):
-        return 3
-    return int(np.clip(_DIGITS - 1 - np.floor(np.log10(size)), 0, 6))
-
-
 def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
     """True base parameters and quantities of the rows, by name; NaN where something is not known to the world."""
     model = identifier.model
@@ -141,7 +94,7 @@ def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> d
 def _masses(names: Iterable[str], truth: Truth) -> dict[str, float]:
     """True masses of links and of sums of them: a mass by an inertia has the drawing's radius of gyration, no truth."""
     known = {f"m_{link}": body["mass_kg"] for link, body in truth["links"].items()} | truth["quantities"]
-    terms = {name: name.removesuffix("_held").split("+") for name in names}
+    terms = {name: name.split("+") for name in names}
     return {
         name: float(sum(known[term] for term in own))
         for name, own in terms.items()

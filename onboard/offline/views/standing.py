@@ -1,4 +1,7 @@
-"""Level and reason of a QUANTITY row as text."""
+"""A QUANTITY row as plain values, its level and reason as text."""
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -39,3 +42,18 @@ def shown(row: np.void) -> str:
     rows = float(np.sqrt(max(float(row["sigma"]) ** 2 - drawn**2, 0.0)))
     parts = (f"{200.0 * part / abs(float(row['value'])):.1f} %" for part in (rows, drawn))
     return "{}; ± {} from the rows, ± {} from the drawing".format(found.text, *parts)
+
+
+def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:
+    """Last QUANTITY rows by name as plain values, SI, with what each is good for."""
+    return {
+        name: {
+            **{key: float(row[key]) for key in ("value", "low", "high", "sigma")},
+            "unit": printable(row["unit"]),
+            "supported": bool(row["supported"]),
+            "standing": shown(row),
+            "leans": leans_on(row),
+            "drawn": float(row["drawn"]) if "drawn" in (row.dtype.names or ()) else 0.0,
+        }
+        for name, row in last.items()
+    }

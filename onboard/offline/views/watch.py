@@ -21,7 +21,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.health.status import standing
 from onboard.identification.verdict import Level
 from onboard.offline.views.health import PROCESSES, is_health
-from onboard.offline.views.standing import is_withdrawn, shown, standing_of
+from onboard.offline.views.standing import is_withdrawn, standing_of
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
@@ -46,8 +46,9 @@ class _Channel:
     told: int = 0
     flagged: int = 0
     last_sequence: int | None = None
+    first_ns: int | None = None
     last_ns: int = 0
-    recent: deque[tuple[int, int]] = field(default_factory=deque)  # (newest stamp, rows) of batches
+    recent: deque[tuple[int, int]] = field(default_factory=deque)  # (newest stamp, rows within the window) of batches
 
     def add(self, rows: Rows) -> None:
         sequence = rows["sequence"].astype(np.int64)
@@ -55,15 +56,20 @@ class _Channel:
         steps = np.diff(sequence, prepend=before)
         self.missing += int((steps[steps > 1] - 1).sum())
         self.rows += len(rows)
-        self.last_sequence, self.last_ns = int(sequence[-1]), max(self.last_ns, int(rows["host_ns"].max()))
-        self.recent.append((int(rows["host_ns"][-1]), len(rows)))
+        stamps = rows["host_ns"]
+        self.first_ns = int(stamps[0]) if self.first_ns is None else self.first_ns
+        self.last_sequence, self.last_ns = int(sequence[-1]), max(self.last_ns, int(stamps.max()))
+        # what was in the ring before this viewer came is of many seconds
+        self.recent.append((int(stamps[-1]), int(np.count_nonzero(stamps > stamps[-1] - _RATE_NS))))
         if "status" in (rows.dtype.names or ()):
             self.flagged += int(np.count_nonzero(rows["status"]))
 
     def rate_hz(self, now_ns: int) -> float:
-        while self.recent and self.recent[0][0] < now_ns - _RATE_NS:
+        """Of the window before ``now_ns``, or of the time since the first row where that is shorter."""
+        while self.recent and self.recent[0][0] <= now_ns - _RATE_NS:
             self.recent.popleft()
-        return sum(count for _, count in self.recent) / (_RATE_NS * 1e-9)
+        passed_ns = min(_RATE_NS, now_ns - (self.first_ns or 0))
+        return sum(count for _, count in self.recent) / (passed_ns * 1e-9) if passed_ns > 0 else 0.0
 
 
 @dataclass
@@ -150,7 +156,7 @@ class Board:
         side = Columns(tables, padding=(0, 3))  # one below the other where the terminal is too narrow
         parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
         if self.answers:
-            parts += [Text(), self._answer_table()]
+            parts += [Text(), self._answer_table(), *self._reasons()]
         parts += [Text(), *self._event_lines()] if self._events else []
         return Group(*parts)
 
@@ -216,14 +222,15 @@ class Board:
         return lines
 
     def _answer_table(self) -> Table:
-        table = _table("estimate", "value", "95 % ±", "", "", "interval so far")
+        table = _table("estimate", "value", "95 % ±", "", "", "so far")
+        table.columns[5].no_wrap, table.columns[5].overflow = False, "crop"  # numbers are never cut
         for name, answer in self.answers.items():
             row = answer.last
             unit = printable(row["unit"])
             if not unit and not row["supported"]:
                 continue  # undetermined base parameters are left out to save space
             if not row["supported"]:
-                text = shown(row) if is_withdrawn(row) else "not determined yet"
+                text = str(Level.DO_NOT_USE) if is_withdrawn(row) else "not determined yet"
                 table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "")
                 continue
             said = standing_of(row)
@@ -238,6 +245,20 @@ class Board:
                 Text(trend(answer.widths), "cyan"),
             )
         return table
+
+    def _reasons(self) -> list[RenderableType]:
+        """Why estimates are withdrawn or weak, each reason once."""
+        of_reason: dict[str, list[str]] = {}
+        for name, answer in self.answers.items():
+            row, said = answer.last, standing_of(answer.last)
+            told = is_withdrawn(row) or (row["supported"] and said is not None and said.level is not Level.GOOD)
+            if told and said is not None and said.why and printable(row["unit"]):
+                of_reason.setdefault(said.text, []).append(name)
+        everyone = len(self.answers)
+        return [
+            Text(f"{'all' if 1 < len(names) == everyone else ', '.join(names)}: {reason}", "yellow")
+            for reason, names in of_reason.items()
+        ]
 
     def _event_lines(self) -> list[RenderableType]:
         lines: list[RenderableType] = []

@@ -139,8 +139,8 @@ def test_what_it_costs_that_no_pulse_is_wired(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('frame = "imu_base"', 'frame = "imu_bse"', "no link, joint or frame 'imu_bse'"),
-        ('joint = "joint_1"', 'joint = "elbow"', "the URDF's moving joints are joint_1"),
+        ('frame = "imu_base"', 'frame = "imu_bse"', "frame 'imu_bse' is not in the URDF; did you mean 'imu_base'?"),
+        ('joint = "joint_1"', 'joint = "elbow"', "joint 'elbow' is not in the URDF; its moving joints are joint_1"),
         ('payload_link = "tip_mass"', 'payload_link = "tip"', "payload_link 'tip' is not in the URDF"),
     ],
 )

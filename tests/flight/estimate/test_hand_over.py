@@ -1,6 +1,7 @@
 """The URDF that a flight hands over: there while all ten numbers are good, and gone when they are not."""
 
 import importlib
+import os
 import sys
 import time
 from pathlib import Path
@@ -136,10 +137,24 @@ def test_a_disk_that_refuses_is_told_once_and_tried_again(handed, vehicle, monke
     def refuse(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     assert good(handed, vehicle, 4.0) == ["hand_over_failed"]
     monkeypatch.undo()
     assert codes(handed[0].step(5 * S, answers(vehicle))) == ["handed_over"]
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("what", ["pipe", "link"])
+def test_what_lies_where_the_file_is_made_is_neither_waited_for_nor_followed(handed, vehicle, tmp_path, what):
+    place, elsewhere = handed[1].with_name(f".{handed[1].name}.new"), tmp_path / "elsewhere"
+    elsewhere.write_text("mine", encoding="utf-8")
+    if what == "pipe":
+        os.mkfifo(place)
+    else:
+        place.symlink_to(elsewhere)
+    assert good(handed, vehicle) == ["handed_over"]
+    assert elsewhere.read_text(encoding="utf-8") == "mine"
+    assert not handed[1].is_symlink()
 
 
 def test_what_an_earlier_flight_left_is_removed(handed, vehicle):

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from onboard import cli, config
+from onboard.cli.common import next_log
 from onboard.flight.store import directories, manifest
 from onboard.flight.store.directories import NotPrivateError
+from onboard.flight.supervise.resume import write_durably
 
 
 @pytest.fixture(autouse=True)
@@ -92,3 +94,30 @@ def test_a_killed_run_in_the_simulator_leaves_nothing_beyond_the_next_start() ->
 def test_a_long_name_of_a_log_makes_a_directory_too() -> None:
     with directories.made("x" * 250, "1") as directory:
         assert directory.is_dir()
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("what", ["pipe", "directory", "link", "readable"])
+def test_a_private_file_is_written_into_nothing_else(tmp_path: Path, what: str) -> None:
+    path, elsewhere = tmp_path / "a.resume", tmp_path / "elsewhere"
+    elsewhere.write_bytes(b"mine")
+    place = tmp_path / "a.resume.new"
+    if what == "pipe":
+        os.mkfifo(place, 0o600)
+    elif what == "directory":
+        place.mkdir()
+    elif what == "link":
+        place.symlink_to(elsewhere)
+    else:
+        place.write_bytes(b"mine")
+        place.chmod(0o644)
+    with pytest.raises(OSError, match=r"no file, but|this user's alone"):
+        write_durably(path, b"x")
+    assert elsewhere.read_bytes() == b"mine"
+    assert what != "readable" or place.read_bytes() == b"mine"
+    assert not path.exists()
+
+
+def test_a_link_to_nothing_takes_a_logs_name(tmp_path: Path) -> None:
+    (tmp_path / "x-001.mcap").symlink_to("/nowhere")
+    assert next_log(str(tmp_path), "x") == tmp_path / "x-002.mcap"

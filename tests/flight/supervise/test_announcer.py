@@ -90,7 +90,7 @@ def test_a_line_a_second_says_what_is_slow_missing_and_found(
     quantity.push(answer(5.0, supported=False))
     announcer.step(2.05)
     quantity.push(answer(6.0, supported=True))
-    announcer.end(2.1)
+    announcer.end(2.1, 2_100_000_000)
     told = [r.getMessage() for r in said.records if r.source == "answer"]  # type: ignore[attr-defined]
     assert told == [
         "mass of payload 5 kg (4.9 to 5.1)",

@@ -67,15 +67,16 @@ def test_estimation_is_forked_with_its_estimator_built(prepared: PreparedServer)
 
 
 def test_a_vehicle_that_cannot_be_estimated_is_refused(light: ForkServer, tmp_path: Path) -> None:
-    text = config.load(config.packaged("workshop")).text.replace("urdf =", 'base_link = "none"\nurdf =', 1)
-    whole = [line for line in text.splitlines() if not line.startswith('base_link = "') or "none" in line]
-    source = config.packaged("workshop").parent
-    (tmp_path / "workshop.urdf").write_text(next(source.glob("*.urdf")).read_text())
-    vehicle = config.parse("\n".join(whole), tmp_path / "vehicle.toml", tmp_path / "workshop.urdf")
+    """Its drawing is another one than when its file was read."""
+    packaged = config.packaged("workshop")
+    urdf = tmp_path / "workshop.urdf"
+    urdf.write_text(packaged.with_name("workshop.urdf").read_text())
+    vehicle = config.load(packaged, urdf)
+    urdf.write_text("<robot/>")
     server = PreparedServer(light, workers.prepare_estimation, vehicle)
     first = server.first()
     assert isinstance(first, workers.Refused)
-    assert "none" in first.why
+    assert "it has no <link>" in first.why
     server.close()
 
 

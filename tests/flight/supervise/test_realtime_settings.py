@@ -105,10 +105,10 @@ def test_a_finite_limit_of_locked_memory_is_refused(monkeypatch: pytest.MonkeyPa
     [
         ("recording_priority = 50", "recording would delay acquisition"),
         ("acquisition_priority = 0\nrecording_priority = 1", "recording would delay acquisition"),
-        ("acquisition_priority = 100", "less than or equal to 99"),
-        ("acquisition_cpus = [-1]", "greater than or equal to 0"),
-        ("acquisition_cpus = [1.5]", "integer"),
-        ("lock_memory = 3", "boolean"),
+        ("acquisition_priority = 100", "99 or less"),
+        ("acquisition_cpus = [-1]", "0 or more"),
+        ("acquisition_cpus = [1.5]", "a whole number"),
+        ("lock_memory = 3", "true or false"),
         ("cpus = [1]", "cpus"),
     ],
 )

@@ -52,6 +52,30 @@ def test_a_burn_gives_its_impulse_along_the_axis_of_its_frame(tmp_path: Path) ->
     np.testing.assert_allclose(gained[1], np.cross([0.2, 0.0, 0.05], [0.0, 0.2, 0.0]), atol=0.002)
 
 
+WRENCH = 'wrench = [{ axes = "%s", force_N = [0.0, 0.4, 0.0], torque_N_m = [0.02, 0.0, 0.0], at_s = 0.3%s }]\n'
+
+
+def test_an_unknown_wrench_gives_its_impulse_and_no_thruster_tells_of_it(tmp_path: Path) -> None:
+    pushed = plant(tmp_path, "burn = []\n" + WRENCH % ("space", ", duration_s = 0.5"))
+    free = plant(tmp_path, "burn = []\n")
+    assert not pushed.thrust_n("jet_1").any()
+    gained = [after - before for after, before in zip(momentum(pushed), momentum(free), strict=True)]
+    np.testing.assert_allclose(gained[0], [0.0, 0.2, 0.0], atol=1e-4)
+    np.testing.assert_allclose(gained[1], [0.01, 0.0, 0.0], atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("axes", "force_n", "torque_n_m"), [("space", [0, 0.4], [0, -0.02]), ("base", [-0.4, 0], [0.02, 0])]
+)
+def test_an_unknown_wrench_turns_with_the_base_or_not(
+    tmp_path: Path, axes: str, force_n: list[float], torque_n_m: list[float]
+) -> None:
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # base to world
+    jets = plant(tmp_path, "burn = []\n" + WRENCH % (axes, "")).jets
+    np.testing.assert_allclose(jets.push(1e4, quarter), [*force_n, 0.0, *torque_n_m, 0.0], atol=1e-12)
+    assert not jets.push(0.3 - RISE_s, quarter).any()
+
+
 def test_without_a_force_the_vehicle_gains_a_hundredth_of_a_metre_a_second_squared(tmp_path: Path) -> None:
     made = plant(tmp_path, 'burn = [{ frame = "jet_2", at_s = 0.3, duration_s = 0.4 }]\n')
     assert made.thrust_n("jet_2").max() == pytest.approx(0.01 * sum(body.mass_kg for body in made.bodies.values()))

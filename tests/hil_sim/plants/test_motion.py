@@ -8,7 +8,7 @@ import pytest
 
 from hil_sim.plants.carrier import carried, turned
 from hil_sim.plants.joint_swings import JointSwings
-from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.plants.motion import STANDARD_GRAVITY, dynamic_pressure
 from hil_sim.plants.urdf_drawing import read
 from hil_sim.scenario.load import load
 from tests.hil_sim.plants.rocket import NO_AIR, NO_VIBRATION
@@ -154,6 +154,28 @@ def test_air_takes_hold_in_the_fourth_sweep_and_is_gusty() -> None:
     rate = motion.angular_rate_half_rad_s
     change = np.linalg.norm(rate[round(fourth.end_s / STEP_S)] - rate[round(fourth.start_s / STEP_S)])
     assert change > np.deg2rad(1.0)  # the rate gyro sees it
+
+
+@pytest.mark.parametrize("area", [0.0, 0.011, 0.05])
+@pytest.mark.parametrize("pressure_pa", [0.0, 1.81818])
+def test_the_air_of_an_hour_is_finite_and_carries_what_falls_in_it(area: float, pressure_pa: float) -> None:
+    scenario = load("rocksat", {})
+    assert scenario.air is not None
+    air = scenario.air.model_copy(update={"carrier_area_over_mass_m2_kg": area, "gust_fraction": 0.0})
+    times = np.arange(0.0, 3600.0, 0.1)
+    pressure = dynamic_pressure(pressure_pa, air, times, 0.1, np.random.default_rng(1))
+    assert np.isfinite(pressure).all()
+    early = times < 62.0  # the packaged missions
+    np.testing.assert_allclose(pressure[early], pressure_pa * np.exp((times[early] - 47.1) / 2.8))
+    if area and pressure_pa:
+        assert pressure[-1] * area == pytest.approx(STANDARD_GRAVITY)
+        assert pressure.max() * area == pytest.approx(7000.0 / (2.0 * np.e * 2.8**2), rel=0.05)
+
+
+def test_an_hour_s_attitudes_are_unit_quaternions() -> None:
+    scenario = load("rocksat", NO_VIBRATION)
+    path = carried(scenario, 0.01, 360_000, np.random.default_rng(1))
+    np.testing.assert_allclose(np.linalg.norm(path.pose[:, 3:], axis=1), 1.0)
 
 
 def test_motion_is_drawn_from_the_seed() -> None:

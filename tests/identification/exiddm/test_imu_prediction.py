@@ -7,6 +7,7 @@ from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
@@ -49,6 +50,32 @@ def test_derivatives_of_a_flexible_arm_are_finite_differences(held, monkeypatch)
     recursive = online(held, imu_prior=PRIOR, links=["link_4", "base"], geometry=some)
     assert len(recursive.predictor.names) == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4 + 4 + 4
     check_derivatives(recursive.predictor, held, np.array([0.01, 0.02, -0.05, 0.1]))
+
+
+def test_derivatives_by_a_disturbance_are_finite_differences(held):
+    plain = online(held, imu_prior=PRIOR, links=["base"]).predictor
+    given = 0.01, 5, {"base": plain.drawn["base"][1] @ plain.drawn["base"][1].T}, PRIOR
+    predictor = ImuPredictor(plain.vehicle, "imu_base", *given, disturbance=DisturbancePrior(0.01, 0.002, 60.0))
+    assert predictor.names[-6:] == tuple(f"disturbance_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+    check_derivatives(predictor, held, np.zeros(0))
+
+
+def test_a_disturbance_pushes_the_base_and_wanders(held):
+    """A force of 1 N accelerates all by what it weighs; a torque turns the base."""
+    given = online(held).predictor.vehicle, "imu_base", 0.01, 5, {}, CERTAIN
+    predictor, ticks = ImuPredictor(*given, disturbance=DisturbancePrior(1.0, 1.0, 60.0)), ticks_of(held)
+    x, motion = np.zeros(len(predictor.names)), (ticks.q[:12], ticks.dq[:12], ticks.ddq[:12])
+    still = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
+    x[-6] = 1.0
+    pushed = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
+    mass_kg = predictor.chi(x).reshape(-1, 10)[:, 0].sum()
+    at_centre = np.linalg.norm((pushed - still)[:, 3:], axis=1)
+    assert at_centre.min() > 0.5 / mass_kg
+    x[-6], x[-1] = 0.0, 1.0
+    turned = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
+    assert (np.diff(np.linalg.norm(turned[:, :3], axis=1)) > 0.0).all()
+    aged = predictor.aged(np.zeros((len(x), len(x))), 3000)  # half a minute
+    np.testing.assert_allclose(np.diag(aged)[-6:], 1.0)
 
 
 def check_derivatives(predictor, held, bends):

@@ -8,11 +8,30 @@ import pytest
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.identification.corrections import contradicted, told
+from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+
+
+def as_stated(state: np.ndarray, covariance: np.ndarray) -> Weighed:
+    """Nothing else competes."""
+    return Weighed((state, covariance), (Hypothesis(None, 1.0, 0.0, 0.0, 0.0 * state, covariance[:, :0]),))
+
+
+class Once:
+    """The same for the same state."""
+
+    def __init__(self) -> None:
+        self.made: Weighed | None = None
+
+    def __call__(self, state: np.ndarray, covariance: np.ndarray) -> Weighed:
+        if self.made is None or self.made.stated[0] is not state:
+            self.made = as_stated(state, covariance)
+        return self.made
+
 
 SIGMA, SCALE_AT = 0.0025, 13
 CELL = FurtherCell("cell", "wrist", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 5, CellPrior(0.0, 0.0, SIGMA, 0.0))
@@ -54,7 +73,7 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
     wanted, wide = solved(20.0 * SIGMA if doubted else SIGMA)
-    mean, told = online._payload(state)
+    mean, told = online._payload(as_stated(state, covariance))
     np.testing.assert_allclose(mean, wanted[PAYLOAD], rtol=1e-9)
     np.testing.assert_allclose(told, wide[PAYLOAD, PAYLOAD], rtol=1e-6, atol=1e-12)
 
@@ -99,16 +118,20 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     online = ExiddmIdentifier(
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
-    np.testing.assert_allclose(online._payload(state.copy())[1], 4.0 * covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(
+        online._payload(as_stated(state.copy(), covariance))[1], 4.0 * covariance[PAYLOAD, PAYLOAD]
+    )
     predictor.wandering = [(13, 30.0)]
-    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     predictor.wandering, predictor.biases = [], [(12, 13)]
-    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     predictor.biases = []
     fusion.leave_out(2)
-    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     quiet.slow.by_sensor = lambda _: {"gyro": 6.5, "accelerometer": 2.0}
-    np.testing.assert_allclose(online._payload(state.copy())[1], 6.5 * covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(
+        online._payload(as_stated(state.copy(), covariance))[1], 6.5 * covariance[PAYLOAD, PAYLOAD]
+    )
 
 
 def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIdentifier:
@@ -140,6 +163,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             state=state,
             lines=quiet,
             misfit=quiet,
+            rivals=SimpleNamespace(weighed=Once()),
             held=True,
             holds=True,
             confirmed=True,

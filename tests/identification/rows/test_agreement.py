@@ -335,6 +335,16 @@ def test_a_cell_that_contradicted_the_other_makes_no_good_answer_again(rng, lies
     assert all(contradicted[contradicted.index(True) :])
 
 
+@pytest.mark.parametrize(("sigmas", "doubted"), [(3.2, False), (3.4, True), (4.9, True)])
+def test_answers_that_are_3_3_sigmas_apart_are_doubted(rng, monkeypatch, sigmas, doubted):
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng)
+    monkeypatch.setattr(found, "_apart", lambda _: (sigmas, "the cells are apart"))
+    found._judge()
+    assert ("the cells are apart" in found.findings().doubts) == doubted
+    assert found.findings().against == ()
+
+
 def test_two_cells_that_differ_by_a_little_are_doubted_before_they_are_refused(rng):
     found, said = Hypotheses(identifier, ("cell_1", "cell_2")), list[Findings]()
 

@@ -157,6 +157,14 @@ def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_
     )
 
 
+@pytest.mark.parametrize(("misfit", "doubted"), [(1.25, False), (1.35, True)])
+def test_an_instrument_is_doubted_from_residuals_of_1_3_times_its_variance(fitted, misfit, doubted):
+    flight, whole = fitted
+    said = witnesses.tested(flight, whole._replace(by_instrument={"imu_base": misfit}), lambda time_s: 0).findings
+    assert any("residuals of the imu_base" in one for one in said.doubts) == doubted
+    assert said.against == ()
+
+
 def test_a_fit_that_gets_nowhere_is_given_up(ticks, predictor, fitted, monkeypatch):
     """The gyro's axes are swapped. A fit makes up to 25 predictions of the flight otherwise."""
     _, whole = fitted

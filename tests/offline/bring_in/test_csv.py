@@ -5,8 +5,10 @@ import pytest
 
 from drivers import records
 from drivers.records import SampleStatus
-from onboard.offline.bring_in.errors import SourceError
+from onboard.offline.bring_in import foreign
+from onboard.offline.bring_in.errors import MappingError, SourceError
 from onboard.offline.bring_in.importer import import_recordings
+from onboard.offline.bring_in.mapping import Csv
 from onboard.recording.reader import LogReader
 from tests.offline.bring_in.recordings import CSV_MAPPING, CSV_TEXT
 
@@ -35,7 +37,7 @@ def test_csv_of_physical_values_and_counts(bench):
     ("old", "new", "message"),
     [
         ("world\n", "world;more\n", "row 2 has 11 cells where the header names 10"),
-        ("0.2;1;2;3", "x;1;2;3", "'t' holds cells that are not numbers"),
+        ("0.2;1;2;3", "x;1;2;3", "column 't': row 2 has 'x', which is no number"),
         ("t;ax", "time;ax", "no column 't'"),
     ],
 )
@@ -43,6 +45,28 @@ def test_a_bad_csv_is_refused(bench, old, new, message):
     (bench / "run.csv").write_text(CSV_TEXT.replace(old, new))
     with pytest.raises(SourceError, match=message):
         import_recordings(bench / "bench.toml", bench / "run.csv", bench)
+
+
+def test_decimal_commas_are_named_with_the_key_that_reads_them(bench):
+    """Cells as a German spreadsheet writes them: with the key the log is that of the same file with points."""
+    [points] = import_recordings(bench / "bench.toml", bench / "run.csv", bench / "points")
+    commas = CSV_TEXT.replace(".", ",")
+    assert commas.count(",") > 3
+    (bench / "run.csv").write_text(commas)
+    told = r"column 't': row 1 has '0,1', with a decimal comma: write decimal = \",\" into \[csv\]"
+    with pytest.raises(SourceError, match=told):
+        import_recordings(bench / "bench.toml", bench / "run.csv", bench / "refused")
+    mapping = (bench / "bench.toml").read_text()
+    (bench / "bench.toml").write_text(mapping.replace('delimiter = ";"', 'delimiter = ";"\ndecimal = ","'))
+    [read] = import_recordings(bench / "bench.toml", bench / "run.csv", bench / "commas")
+    for channel in ("imu", "joint"):
+        assert np.array_equal(*(LogReader(one.path).read(channel) for one in (points, read)))
+    (bench / "bench.toml").write_text(mapping.replace('delimiter = ";"', 'decimal = ","'))
+    with pytest.raises(MappingError, match="`delimiter` and `decimal` are both ','"):
+        import_recordings(bench / "bench.toml", bench / "run.csv", bench / "refused")
+    (bench / "bench.toml").write_text(mapping.replace('delimiter = ";"', ""))
+    with pytest.raises(SourceError, match=r"they seem to be separated by ';': write delimiter = \";\" into \[csv\]"):
+        import_recordings(bench / "bench.toml", bench / "run.csv", bench / "refused")
 
 
 @pytest.mark.parametrize("keep", ["0.2;1;2;3;-32768;32767;4;9;-2", "0.2;1;2", "0.2;1;2;3;-32768;32767;4;9;-"])
@@ -89,3 +113,18 @@ def test_an_offset_moves_whole_times_too(bench):
     (bench / "ms.toml").write_text(changed)
     [made] = import_recordings(bench / "ms.toml", bench / "run.csv", bench)
     assert LogReader(made.path).read("joint")["host_ns"].tolist() == [9_500_000, 11_500_000]
+
+
+@pytest.mark.parametrize("block", [1, 7, 40])
+def test_a_long_csv_is_read_in_blocks_as_it_is_at_once(tmp_path, monkeypatch, block):
+    """Whole numbers, numbers of which a late one has a point, text that begins late, and a last row that is cut."""
+    rows = [f"{n},{n if n < 30 else n + 0.5},{'x' if n > 35 else n}" for n in range(50)]
+    (tmp_path / "run.csv").write_text("a,b,c\n" + "\n".join(rows) + "\n51,5", encoding="utf-8")
+    whole = foreign.read_csv(tmp_path / "run.csv", Csv())
+    monkeypatch.setattr(foreign, "_BLOCK", block)
+    parts = foreign.read_csv(tmp_path / "run.csv", Csv())
+    assert whole.truncated == parts.truncated == "row 51, the last one, is cut off: left out"
+    for name, kind in (("a", "i"), ("b", "f"), ("c", "U")):
+        assert whole.columns[name].dtype.kind == parts.columns[name].dtype.kind == kind
+        assert whole.columns[name].tolist() == parts.columns[name].tolist()
+    assert parts.columns["a"].tolist() == list(range(50))

@@ -66,7 +66,7 @@ def test_a_column_of_an_array_is_named_by_its_index(tmp_path):
 def test_what_cannot_be_summed_is_refused(tmp_path):
     with pytest.raises(SourceError, match="no column 'c'; it has 'a'"):
         coupled(tmp_path, currents="a\n1\n2\n")
-    with pytest.raises(SourceError, match="holds cells that are not numbers"):
+    with pytest.raises(SourceError, match="row 1 has 'x', which is no number"):
         coupled(tmp_path, currents="a,c\n1,x\n2,3\n")
     with pytest.raises(OSError, match=r"nowhere\.csv"):
         coupled(tmp_path, COUPLED.replace("currents.csv", "nowhere.csv"))

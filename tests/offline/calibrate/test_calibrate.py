@@ -271,7 +271,7 @@ def test_axes_of_the_gyro_that_are_off_are_in_the_interval(vehicle):
         turned[:, :3] -= np.cross(turn, read.values[:, :3])
         found, _ = calibrate_bifilar(read._replace(values=turned), vehicle, "imu_base", HUNG)
         z.append([(one.value - t) / one.sigma for one, t in zip(found.found[:6], true, strict=True)])
-    assert np.abs(z).max() < 2.0
+    assert np.abs(z).max() < 2.0  # a 95 % interval; YY is at 1.983 by the strings drawn, +- 0.001 by the processor
     assert np.abs(np.array(z)[:, [3, 4]]).max() > 0.7  # XZ, YZ: it is what their sigma is made of
     assert any("8.7e-3 rad (estimation.imu_prior" in note or "0.0087 rad" in note for note in found.notes)
 

@@ -28,7 +28,7 @@ def read(tmp_path: Path, text: str) -> list[Item]:
     ("text", "line", "said"),
     [
         (HEAD + "seed = 3\n", 3, "unknown key 'campaign.seed'; did you mean 'seeds'"),
-        (HEAD + "seeds = 0\n" + ROCKET[len(HEAD) :], 3, "greater than or equal to 1"),
+        (HEAD + "seeds = 0\n" + ROCKET[len(HEAD) :], 3, "1 or more"),
         (HEAD + 'seeds = "5"\n' + ROCKET[len(HEAD) :], 3, "written|number"),
         (HEAD, 1, "'flight' is missing"),
         (HEAD + "[flight]\n", 3, "give one of mission, logs, call; there is none"),
@@ -111,7 +111,7 @@ def test_other_seeds_are_taken_in_place_of_the_plans(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(ROCKET)
     assert [item.seed for item in items(plan_file.read(path, first_seed=7, seeds=2))] == [7, 8]
-    with pytest.raises(config.ConfigError, match="greater than or equal to 1"):
+    with pytest.raises(config.ConfigError, match="1 or more"):
         plan_file.read(path, seeds=0)
 
 

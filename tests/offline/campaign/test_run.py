@@ -6,6 +6,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -102,6 +104,37 @@ def test_scheduler_and_client_are_killed_and_every_flight_is_there_once(tmp_path
     assert flown.read_text().split().count("12") == 2
     (kept,) = (tmp_path / "out" / "failed").glob("*.json")
     assert "RuntimeError: seed 12 does not fly" in kept.read_text()
+
+
+def test_with_tls_as_the_page_says_a_campaign_flies_and_nobody_else_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    [shell] = [block for block in page.split("```sh\n")[1:] if "openssl" in block]
+    made = [line for line in shell.splitlines() if line.startswith(("openssl", "cat"))]
+    subprocess.run("\n".join(made), shell=True, cwd=tmp_path, check=True, capture_output=True)
+    said = [line for line in shell.splitlines() if line.startswith(("export", "for"))]
+    told = subprocess.run(
+        "\n".join([*said, "env"]), shell=True, cwd=tmp_path, check=True, capture_output=True, text=True
+    ).stdout
+    environment = dict(line.split("=", 1) for line in told.splitlines() if line.startswith("DASK_DISTRIBUTED__"))
+    assert len(environment) == 5
+    plan = written(tmp_path, CALLED.replace("12", "2"))
+    expected = serial(tmp_path / "serial", plan)
+    port, out, scratch = free_port(), tmp_path / "out", tmp_path / "scratch"
+    scheduler, worker = ([part.replace("tcp://", "tls://") for part in one] for one in dask(port))
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with running(scratch, *scheduler, "--protocol", "tls"), running(scratch, *worker):
+        with running(scratch, *campaign(out, plan, "--scheduler", f"tls://127.0.0.1:{port}")) as client:
+            assert client.wait(LONGEST_S) == cli.OK
+        assert results(out) == expected
+        for name in environment:
+            monkeypatch.delenv(name)
+        stranger = "from distributed import Client; Client('{}://127.0.0.1:{}', timeout=3)"
+        for protocol in ("tls", "tcp"):
+            asked = [sys.executable, "-c", stranger.format(protocol, port)]
+            assert subprocess.run(asked, capture_output=True, timeout=60, check=False).returncode != 0
 
 
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:

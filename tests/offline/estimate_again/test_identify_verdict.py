@@ -184,10 +184,20 @@ def test_the_json_holds_all_of_it_and_the_urdf_the_same_body(tmp_path: Path, rng
 @pytest.mark.parametrize(
     ("vehicle", "old", "new", "remedy"),
     [
-        ("rocksat", '<mass value="0.06627"/>', '<mass value="-0.06627"/>', "the mass not negative"),
-        ("rocksat", 'payload_link = "tip_mass"', 'payload_link = "tip_mas"', "is not in the URDF; it has plate"),
-        ("rocksat", "tip_mass = 1.0, plate", "tip_mass = -1.0, plate", "greater than"),
-        ("rocksat", 'frame = "joint_1"', 'frame = "joint_9"', "no link, joint or frame 'joint_9'; it has"),
+        (
+            "rocksat",
+            '<mass value="0.06627"/>',
+            '<mass value="-0.06627"/>',
+            "rocksat.urdf:54: link 'tip_mass' weighs -0.0",
+        ),
+        (
+            "rocksat",
+            'payload_link = "tip_mass"',
+            'payload_link = "tip_mas"',
+            "'tip_mas' is not in the URDF; did you mean",
+        ),
+        ("rocksat", "tip_mass = 1.0, plate", "tip_mass = -1.0, plate", "0 or more"),
+        ("rocksat", 'frame = "joint_1"', 'frame = "joint_9"', "frame 'joint_9' is not in the URDF; its links are"),
     ],
 )
 def test_a_vehicle_that_cannot_be_is_refused_with_the_remedy(
@@ -201,5 +211,5 @@ def test_a_vehicle_that_cannot_be_is_refused_with_the_remedy(
     arguments = ["identify", "--vehicle", str(tmp_path / "vehicle.toml"), "--parameters"]
     assert cli.main(arguments) == cli.BAD_INPUT
     error = capsys.readouterr().err
-    assert "vehicle.toml" in error
+    assert str(tmp_path) in error
     assert remedy in error

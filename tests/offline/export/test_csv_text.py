@@ -45,6 +45,31 @@ def test_float32_reads_back_as_it_was_and_is_short(values):
     assert texts(np.array([0.1], np.float32)) == ["0.1"]
 
 
+NANOSECONDS = st.integers(-(2**62), 2**62)
+TIMES = st.lists(NANOSECONDS, max_size=12) | st.tuples(NANOSECONDS, st.integers(0, 12)).map(
+    lambda two: [two[0]] * two[1]
+)
+
+
+@given(TIMES)
+def test_instants_are_numpy_s_whether_they_share_a_day_or_not(values):
+    instants = np.array(values, "<i8").view("<M8[ns]")
+    assert texts(instants) == [f"{np.datetime_as_string(one)}Z" for one in instants]
+
+
+@given(TIMES)
+def test_durations_are_seconds_with_nine_decimals(values):
+    expected = [f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09d}" for ns in values]
+    assert texts(np.array(values, "<i8").view("<m8[ns]")) == expected
+
+
+@pytest.mark.parametrize("kind", ["<M8[ns]", "<m8[ns]"])
+def test_an_unknown_time_among_known_ones(kind):
+    first, unknown, last = texts(np.array([5, np.iinfo(np.int64).min, 5], "<i8").view(kind))
+    assert unknown == {"<M8[ns]": "", "<m8[ns]": "nan"}[kind]
+    assert first == last == texts(np.array([5], "<i8").view(kind))[0]
+
+
 @pytest.mark.parametrize(("digits", "text"), [(9, "0.333333333"), (3, "0.333"), (17, "0.3333333333333333")])
 def test_digits(digits, text):
     assert texts(np.array([1 / 3]), digits) == [text]

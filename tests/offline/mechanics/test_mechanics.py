@@ -31,6 +31,16 @@ def test_tables_json_and_figures(tmp_path, capsys):
     assert all(one.stat().st_size > 5000 for one in drawn)
 
 
+def test_a_line_that_the_tip_leaves_is_a_failure(tmp_path, capsys):
+    """With the arm stretched out the tip ends 9 mm off: the numbers are shown, and are no result."""
+    path = tmp_path / "found.json"
+    assert cli.main(["mechanics", "dymaflex", "--line=-0.06,0.08,-0.05", "--json", str(path)]) == cli.FAILED
+    said = capsys.readouterr()
+    assert "cannot follow this line: it is up to 9.2 mm off" in said.err
+    assert "within 9.2 mm" in said.out
+    assert json.loads(path.read_text())["line"]["error_m"] > 5e-3
+
+
 def test_80_columns_are_enough(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(["mechanics", "dymaflex", *AT]) == cli.OK

@@ -55,7 +55,11 @@ def planned(flyer):
     (flyer / "limits.toml").write_text("base_rate_rad_s = 0.25\nbase_turn_rad = 0.6\njoint.joint_1.rate = 0.7\n")
     asked = ["plan", str(flyer / "mine" / "vehicle.toml"), "--scenario", str(flyer / "over.toml"), "--seconds", "8"]
     few = ["--starts", "2", "--iterations", "2", "--limits", str(flyer / "limits.toml")]
-    assert main([*asked, *few, "-o", str(flyer / "plan")]) == 0
+    assert main([*asked, *few, "-o", str(flyer / "plan"), "--json", str(flyer / "told.json")]) == 0
+    told, written = (json.loads(path.read_text()) for path in (flyer / "told.json", flyer / "plan" / "plan.json"))
+    assert [one["name"] for one in told["expected"]] == [one["name"] for one in written["expected"]] != []
+    assert told["weakest"] == written["weakest"]
+    assert str(flyer / "plan" / "motion.csv") in told["files"]
     return flyer / "plan"
 
 
@@ -145,8 +149,8 @@ def test_spheres_keep_links_apart(flyer):
     [
         ("joint.elbow.rate = 1.0", "limits of joint elbow; the joints are joint_1, joint_2"),
         ("[[sphere]]\nframe = 'head'\nradius_m = 0.1", "sphere: "),
-        ("rate = 3", "Extra inputs"),
-        ("joint.joint_1.rate = -1", "joint.joint_1.rate"),
+        ("rate = 3", "bad.toml:1: unknown key 'rate'; "),
+        ("joint.joint_1.rate = -1", "bad.toml:1: 'joint.joint_1.rate': 1e-12 or more is wanted here (found -1)"),
         ("joint.joint_1 = {low = 2.0, high = 3.0}", "joint_1 starts at"),
         ("base_rate_rad_s = 1e-6", "at rest in its posture the vehicle breaks: base's rate"),
         ("joint.joint_1 = {low = 0.5, high = -0.5}", "low 0.5 is not below -0.5"),

@@ -1,9 +1,12 @@
 """A flight that asks for its motions: the library, the choice, and the loop in virtual time."""
 
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
 
 from onboard import channels, config
 from onboard.channels import Act
@@ -209,6 +212,9 @@ def test_the_choice_is_that_of_whole_covariances(rng):
     found = choose(P, roots, durations, asked, allowed)
     assert found.segment == int(np.argmax(gains[:3]))
     assert found.ratio == pytest.approx(asked.ratio(whole[found.segment]))
+    others = np.setdiff1d(allowed, [found.segment])
+    short = np.where(np.arange(4) == others[0], 1e-3, durations)  # it tells less, in no time
+    assert choose(P, roots, short, asked, allowed).segment == others[0]
     end = np.linalg.inv(np.linalg.inv(P) + 100.0 * sum(root.T @ root for root in roots))
     np.testing.assert_allclose(in_the_end(P, roots, np.arange(4)), end, rtol=1e-6, atol=1e-12)
 
@@ -250,7 +256,7 @@ class TestLimits:
         request, said = self.step(asking, 1.0)
         library = asking[0]._library
         k = library.names.index(request.rows["segment"][0].decode())
-        assert library.excess[k].max() <= 0.02
+        assert library.excess[k].max() <= 0.0
         assert library.base_rate[k].max() <= library.most
         assert said.rows["code"][0] == b"segment_asked"
         assert self.step(asking, 2.0) == []  # while it is played
@@ -304,6 +310,34 @@ class TestLimits:
         assert request.rows["act"][0] == Act.GIVEN_UP
         assert "the base would turn at" in why.rows["text"][0].decode()
         assert self.step(asking, 2.0) == []
+
+    @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @given(
+        seed=st.integers(0, 2**32 - 1),
+        low=st.floats(0.0, 9.0),
+        wide=st.sampled_from([0.0, 0.01, 1.0, 20.0]),
+        turning=st.sampled_from([0.0, 0.1, 1.0]),
+    )
+    def test_no_segment_is_asked_for_that_breaks_a_limit_with_a_mass_that_is_possible(
+        self, asking, seed, low, wide, turning
+    ):
+        own, rng = asking[0], np.random.default_rng(seed)
+        whole = own._library
+        over = rng.choice([-0.3, 0.0, 1e-9, 0.01, 0.3], whole.excess.shape, p=[0.5, 0.2, 0.1, 0.1, 0.1])
+        rates = rng.uniform(0.0, 1.2, whole.base_rate.shape)
+        own._library = replace(whole, excess=over, base_rate=rates, most=1.2)
+        own._since_change, own._ratios = 0, []
+        known = own._known(asking[1].exiddm, asking[1].estimate(), turning)._replace(masses_kg=(low, low + wide))
+        request, *_ = own._ask(0, 0.0, known, 5.0, solved=False)
+        own._library = whole
+        first = max(int((whole.masses <= low).sum()) - 1, 0)  # the masses on both sides of all that it may weigh
+        last = min(int((whole.masses < low + wide).sum()), len(whole.masses) - 1)
+        both = slice(min(first, last), last + 1)
+        keeps = (over[:, both] <= 0.0).all(axis=1) & (rates[:, both] + turning <= 1.2).all(axis=1)
+        if request.rows["act"][0] == Act.SEGMENT:
+            assert keeps[whole.names.index(request.rows["segment"][0].decode())]
+        else:
+            assert not keeps.any()
 
     @pytest.mark.parametrize("settled", [True, False])
     def test_motions_in_a_window_that_is_not_explained_yet_are_not_taken_to_tell_nothing(

@@ -53,6 +53,6 @@ def test_the_section_says_and_draws_each_series(rng: np.random.Generator) -> Non
     with theme.figures():
         text = residual_section({"<b>cell": rng.normal(size=500)}, Gallery())
         assert residual_section({"cell": np.full(9, np.nan)}, Gallery()).startswith("<p>No residuals")
-    assert "<td>&lt;b&gt;cell</td>" in text
+    assert ">&lt;b&gt;cell</td>" in text
     assert text.count("<svg") == 1
     assert "<b>cell" not in text

@@ -79,9 +79,9 @@ def test_a_parabola_of_two_recorders_is_put_on_one_clock_and_merged(
     merged = tmp_path / "merged.mcap"
     logs = [str(log) for log in parabola]
 
-    assert cli.main(["resync", *logs, "--vehicle", "dymaflex_parabolic", "--json", "-o", str(merged)]) == cli.OK
+    assert cli.main(["resync", *logs, "--vehicle", "dymaflex_parabolic", "--json", "-", "-o", str(merged)]) == cli.OK
 
-    (found,) = json.loads(capsys.readouterr().out.splitlines()[0])
+    (found,) = json.loads(capsys.readouterr().out)
     own_s = np.array([0.0, ENCODERS_S / (1.0 + RATE)])
     placed_s = own_s * (1.0 + found["rate"]) + found["offset_s"] - found["rate"] * found["pivot_s"]
     millisecond, fifty_ppm = 1e-3, 50e-6
@@ -118,7 +118,7 @@ def test_two_imus_on_one_body_are_aligned_without_a_vehicle_file(
 
     monkeypatch.setenv("FORCE_COLOR", "1")  # stderr is a terminal
     monkeypatch.setenv("COLUMNS", "200")
-    assert cli.main(["resync", str(parabola[0]), str(log), "--json"]) == cli.OK
+    assert cli.main(["resync", str(parabola[0]), str(log), "--json", "-"]) == cli.OK
 
     said = capsys.readouterr()
     (found,) = json.loads(said.out)
@@ -147,7 +147,7 @@ def test_imus_whose_rows_share_arrival_stamps_are_aligned_by_their_ticks(
             writer.write("imu", imu)
         logs.append(str(tmp_path / f"{name}.mcap"))
 
-    assert cli.main(["resync", *logs, "--json"]) == cli.OK
+    assert cli.main(["resync", *logs, "--json", "-"]) == cli.OK
 
     (found,) = json.loads(capsys.readouterr().out)
     assert found["offset_s"] == pytest.approx(-40.0, abs=1e-3)
@@ -171,7 +171,7 @@ def test_taps_of_a_mallet_serve_where_nothing_moves(tmp_path: Path, capsys: pyte
         (tmp_path / f"{name}.toml").write_text(text)
         logs.append(str(import_recordings(tmp_path / f"{name}.toml", tmp_path / f"{name}.npz", tmp_path)[0].path))
 
-    assert cli.main(["resync", *logs, "--shocks", "--json"]) == cli.OK
+    assert cli.main(["resync", *logs, "--shocks", "--json", "-"]) == cli.OK
 
     (found,) = json.loads(capsys.readouterr().out)
     five_milliseconds = 5e-3

@@ -4,16 +4,13 @@ import io
 
 from rich.console import Console
 
-from onboard.offline.views import mission_table
+from onboard.offline.views import answered, mission_table
 
 
 def row(label, truth, value, half):
-    told = {
-        "value": value,
-        "low": value - half,
-        "high": value + half,
-        "our_error_percent": 100.0 * (value / truth - 1.0),
-    }
+    low, high = value - half, value + half
+    percent, sigmas = answered.error(value, low, high, half / 2, truth)
+    told = {"value": value, "low": low, "high": high, "our_error_percent": percent, "our_error_sigmas": sigmas}
     return {"label": label, "truth": truth, "supported": True, "standing": "good", "leans": "", **told} | {
         "shown_in": "g m²",
         "factor": 1e3,
@@ -29,4 +26,4 @@ def test_an_error_is_a_share_of_the_truth_where_there_is_one():
     Console(file=screen, width=80).print(mission_table.render(table))
     lines = {line.split(",")[0].strip(): line.rstrip() for line in screen.getvalue().splitlines() if " .. " in line}
     assert lines["I_xx"].endswith("-2.96")
-    assert lines["I_xy"].endswith("0.001")
+    assert lines["I_xy"].endswith("-1.0 σ")

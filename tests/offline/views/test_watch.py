@@ -45,6 +45,41 @@ def test_rates_are_those_of_the_last_two_seconds():
     assert line(board, "joint")[:3] == ["joint", "200", "500"]
 
 
+def test_what_lay_in_a_ring_before_the_viewer_came_is_no_rate(tmp_path):
+    writer = RingWriter(tmp_path / "joint.ring", records.SCALAR, 2400)
+    writer.push(scalars(0, 2400))  # 12 s at 200 Hz
+    board = Board("x")
+    watching.look(board, tmp_path, {})
+    assert line(board, "joint")[:3] == ["joint", "200", "2,160"]
+    young = Board("x")
+    young.add(Batch("joint", scalars(0, 101)))  # half a second
+    assert line(young, "joint")[1] == "202"
+
+
+@pytest.mark.parametrize("width", [80, 120, 200])
+def test_a_reason_stands_once_and_cuts_no_name_and_no_number(width):
+    board = Board("x")
+    rows = np.zeros(12, channels.QUANTITY)
+    names = [f"a_quantity_of_payload_{n}" for n in range(12)]
+    rows["host_ns"], rows["sequence"], rows["name"], rows["unit"] = SECOND, np.arange(12), names, b"kg m^2"
+    rows["value"], rows["low"], rows["high"] = 1.23456e-3, 1.2e-3, 1.3e-3
+    rows["supported"][10:] = 1
+    rows["level"][:10], rows["why"] = (
+        2,
+        b"no payload explains the motion; the gyro swings at 2 Hz: slosh, or a flexible joint",
+    )
+    for second in range(40):
+        rows["host_ns"] = (second + 1) * SECOND
+        board.add(Batch("quantity", rows.copy()))
+    lines = shown(board, width).splitlines()
+    table = [one for one in lines if one.startswith("a_quantity") and not {",", ":"} & set(one)]
+    assert [one.split()[0] for one in table] == names
+    assert all("do not use" in one for one in table[:10])
+    assert all("0.00123456" in one and "5e-05" in one and "kg m^2" in one for one in table[10:])
+    assert "…" not in "".join(lines)
+    assert "".join(lines).replace(" ", "").count("nopayloadexplains") == 1
+
+
 def test_missing_rows_are_loud_until_a_gap_record_names_them():
     board = Board("x")
     board.add(Batch("joint", scalars(0, 10)))

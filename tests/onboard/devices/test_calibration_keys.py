@@ -75,9 +75,9 @@ def test_a_cell_and_a_joint_are_corrected_and_judged_by_what_they_read():
     ("table", "keys", "why"),
     [
         ("device.imu_base", "gyro_matrix = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]", "near those of the unit matrix"),
-        ("device.imu_base", "accel_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]", "at most 3"),
+        ("device.imu_base", "accel_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]", "3 values at the most"),
         ("device.joint_1", "gain = 0.0", "near 1 or -1"),
-        ("device.load_cell", "gain = -1.0", "greater than"),
+        ("device.load_cell", "gain = -1.0", "1e-12 or more"),
         ("device.load_cell", "offset_n = 1.0", "did you mean 'offset_N'"),
     ],
 )
@@ -94,5 +94,5 @@ def test_a_weighed_link_stands_in_for_the_drawing():
     found = build_model(vehicle)
     np.testing.assert_allclose(found.chi[at : at + 4], [24.0, 0.24, 0.0, 0.0], atol=1e-12)
     np.testing.assert_array_equal(np.delete(found.chi, range(at, at + 10)), np.delete(drawn.chi, range(at, at + 10)))
-    with pytest.raises(Exception, match="links with inertia"):
+    with pytest.raises(Exception, match=r"the URDF has no link .bass"):
         build_model(config.parse(TEXT + "\n[link.bass]\nmass_kg = 24.0\n", PATH))

@@ -194,6 +194,19 @@ class Thruster(NamedTuple):
         return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)
 
 
+class DisturbancePrior(NamedTuple):
+    """What pushes the base unknown, in its axes: drag, a leak. Standard deviations about none; zero: exactly none."""
+
+    force_N: float = 0.0  # noqa: N815 - each component, at the base's origin
+    torque_N_m: float = 0.0  # noqa: N815 - each component
+    memory_s: float = np.inf  # of its random walk: in half of it the variance grows by that before the flight
+
+    def block(self) -> Block:
+        """Force and moment, (6,)."""
+        names = tuple(f"disturbance_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+        return Block(names, np.repeat([self.force_N, self.torque_N_m], 3))
+
+
 class PlacedImu(NamedTuple):
     """An IMU, and where its unknowns stand among all."""
 

@@ -10,22 +10,21 @@ would make the payload too light (errors in variables). Their functions come thr
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors, Readings
-from onboard.dynamics.kinematics import chain_motion, cross
-from onboard.dynamics.spatial import Columns, times
+from onboard.dynamics.spatial import Columns
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import (
+    DisturbancePrior,
     Further,
     FurtherCell,
     FurtherImu,
@@ -44,6 +43,7 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     imu_reading,
     tick_mean,
 )
+from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.moving_base import MovingBase
 from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
@@ -58,9 +58,9 @@ from onboard.identification.exiddm.prediction.parameters import (
 )
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
+UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
-_POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
 
 
 class ImuPredictor:
@@ -77,6 +77,7 @@ class ImuPredictor:
         further: instruments besides that IMU.
         name: of that IMU.
         thrusters: whose forces are known.
+        disturbance: prior on what pushes the base unknown.
 
     Attributes:
         names: of the p parameters.
@@ -87,10 +88,12 @@ class ImuPredictor:
         imu_frames: of the IMUs, by their numbers among the instruments.
         lines: of what is predicted by instrument, the first IMU first.
         of_each: where the errors of each instrument stand in the state.
-        of_bodies: where the deviations of links and the errors of joints and thrusters stand in the state.
+        of_bodies: where deviations of links, errors of joints and thrusters, and the disturbance stand in the state.
         of_further: the same of each further instrument, of a cell its scale alone.
+        drawn: of each uncertain link by name, where its deviations from the drawing stand in the state, (10,), and what
+            one sigma of each does to its standard parameters, (10, 10).
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
-        wandering: where the delays stand that wander, and the correlation time of each.
+        wandering: where delays and the disturbance stand, which wander, and the correlation time of each.
         changing: where rate and biases stand, the only elements of the state that change from tick to tick; with a
             tracker also the base's attitude, and place and velocity of the centre of mass.
         moving: where these last stand; empty without a tracker.
@@ -113,6 +116,7 @@ class ImuPredictor:
         further: Sequence[Further] = (),
         name: str = "imu",
         thrusters: Sequence[Thruster] = (),
+        disturbance: DisturbancePrior = UNDISTURBED,
     ) -> None:
         self.vehicle, self.period_s, self.thrusters = vehicle, period_s, tuple(thrusters)
         self.further = tuple(sorted(further, key=lambda one: (FurtherImu, FurtherCell, FurtherPose).index(type(one))))
@@ -133,6 +137,7 @@ class ImuPredictor:
             "thrusters": Block(
                 tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters])
             ),
+            "disturbance": disturbance.block(),
         }
         for one in self.further:
             blocks |= blocks_of(one)
@@ -159,9 +164,10 @@ class ImuPredictor:
             for one in self.further
             if isinstance(one, FurtherImu) and np.isfinite(one.delay_memory_s)
             for at in layout.estimated(f"delay_s {one.name}").tolist()
-        ]
-        moving = [np.zeros(0), *(np.arange(one.motion.start, one.motion.stop) for one in self._poses)]
-        self.moving: IndexArray = np.concatenate(moving).astype(np.intp)
+        ] + [(at, disturbance.memory_s) for at in layout.estimated("disturbance").tolist()]
+        self.moving: IndexArray = np.array(
+            [at for one in self._poses for at in range(one.motion.start, one.motion.stop)], np.intp
+        )
         self.bends, in_springs = (self.moving[:0],) * 2 if self._flexible is None else self._flexible.places
         self.anew_at: IndexArray = np.concatenate([self.moving, self.bends])
         self.of_each = [
@@ -172,11 +178,14 @@ class ImuPredictor:
             named(layout, f"scale_{one.name}") if isinstance(one, FurtherCell) else own
             for one, own in zip(self.further, self.of_each[1:], strict=True)
         ]
-        ends = np.cumsum([0, 6, *(one.width for one in self.further)]).tolist()
-        self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
+        self.lines = tuple(
+            slice(*ends) for ends in pairwise(accumulate((6, *(f.width for f in self.further)), initial=0))
+        )
         self._joint_errors, self._columns = JointErrors(vehicle, of_functions), Columns(self._links.indices, bases)
+        self._noise = JointNoise(vehicle, self._joint_errors, self._imus, [cut for _, cut in self._cells], self.lines)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
-        in_thrusters = layout.estimated("thrusters")
+        self.drawn = dict(zip(self._links.drawn, zip(self._in_links.reshape(-1, 10), halves, strict=True), strict=True))
+        in_thrusters = layout.estimated("thrusters", "disturbance")
         self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_springs, in_thrusters])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
         moved = self._joint_errors if self._in_joints.size or self._flexible else None
@@ -233,35 +242,16 @@ class ImuPredictor:
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of the joints' noise on the prediction, one sigma, (n, m).
 
-        From the momentum equation of :mod:`onboard.dynamics.free_flight` with eta = 0: the error of the base's twist is
-        ``-C^-1 M`` times that of the joint rates, the error of its acceleration the same times that of the joint
-        accelerations. Products of rates are neglected.
-
         Args:
             q: joint positions, (n, joints).
             joint_sigma: of joint rates and accelerations, (n, 2, joints).
             state: (p,).
         """
-        if not joint_sigma.any():
-            return np.zeros((len(q), self.lines[-1].stop))
-        effect = self.joint_effect(q[::_POSTURE_TICKS], state)
-        variance = np.einsum("njkm,nkj->nm", effect[np.arange(len(q)) // _POSTURE_TICKS] ** 2, joint_sigma**2)
-        return np.asarray(np.sqrt(variance), np.float64)
+        return self._noise.of(q, joint_sigma, self.chi(state))
 
     def joint_effect(self, q: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
-        chain = chain_motion(self.vehicle, q, *np.zeros((2, *q.shape)))
-        bodies, S = Bodies(chain.links, self.chi(state)), chain.screws
-        momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
-        twist = -momenta @ np.asarray(np.linalg.inv(bodies.composite), np.float64).swapaxes(1, 2)
-        effect = np.zeros((*q.shape, 2, self.lines[-1].stop))
-        for imu, own in zip(self._imus, self.lines, strict=False):
-            force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
-            effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
-            effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
-        for (_, cut), own in zip(self._cells, self.lines[self._of_cells], strict=True):
-            effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
-        return effect
+        return self._noise.effect(q, self.chi(state))
 
     def predict(
         self,

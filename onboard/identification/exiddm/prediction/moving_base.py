@@ -43,6 +43,7 @@ class MovingBase:
     ) -> None:
         self._vehicle, self._layout, self._links, self._basis = vehicle, layout, links, basis
         self._columns, self._joint_errors, self._flexible = columns, joint_errors, flexible
+        self._disturbed = layout.estimated("disturbance").size > 0
         self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
 
     def predict(
@@ -61,6 +62,11 @@ class MovingBase:
         if self._wrenches.size:
             forces = np.zeros((len(readings.q), self._wrenches.shape[1])) if thrust is None else thrust
             push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
+        if self._disturbed:
+            unit = np.broadcast_to(np.eye(6), (len(readings.q), 6, 6))
+            known = Push(unit[..., :0], np.zeros(0)) if push is None else push
+            both = np.concatenate([known.gain, x[at["disturbance"]]])
+            push = Push(np.concatenate([known.of_each, unit], axis=2), both)
         chi = self._links.chi(x[at["payload"]], self._basis @ x[at["links"]])
         if self._joint_errors is None:
             links = chain_motion(vehicle, *readings[:3]).links

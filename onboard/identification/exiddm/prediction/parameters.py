@@ -137,6 +137,7 @@ class UncertainLinks:
 
     Attributes:
         indices: of the payload and of these links in ``vehicle.links``.
+        drawn: names of these links.
         covariances: (10, 10) each.
         names: of the links' parameters.
         inertial_names: of the directions of each covariance's Cholesky factor, one sigma long.
@@ -156,7 +157,8 @@ class UncertainLinks:
         self._vehicle, self._payload = vehicle, vehicle.payload_columns()
         self._others = (10 * np.repeat(others, 10) + np.tile(np.arange(10), len(others))).astype(np.intp)
         self.indices = (vehicle.links.index(payload), *others)
-        self.covariances = [covariance[vehicle.links[k]] for k in others]
+        self.drawn = tuple(vehicle.links[k] for k in others)
+        self.covariances = [covariance[name] for name in self.drawn]
         self.names = tuple(f"{kind}_{vehicle.links[k]}" for k in others for kind in STANDARD)
         self.inertial_names = tuple(f"{vehicle.links[k]}_inertial_{n}" for k in others for n in range(10))
         self.payload_names = tuple(f"{kind}_{payload}" for kind in STANDARD)

@@ -1,0 +1,157 @@
+"""Hypotheses that one thing is not as stated, weighed against each other and against "all as stated".
+
+Each adds to the prior of some constants, of mean zero and covariance C, a term ``D D'``: an error of a scale, or of a
+body in the drawing, that is far larger than stated. With the filter's mean x and covariance P at these constants, the
+likelihood of a shift ``D t`` of the prior's mean is Gaussian in t, with gradient and information at zero
+
+    g = U' x,   H = D' U - U' P U,   U = C^-1 D
+
+so that for t of unit normal prior the evidence over that without it is, exactly for a linear model (Laplace, the term
+with the determinant is Occam's)
+
+    log B = g' M^-1 g / 2 - log |M| / 2,   M = 1 + H
+
+and mean and covariance with it are ``x + P U M^-1 g`` and ``P + P U M^-1 U' P``. Nothing is solved anew, no tick is
+kept. What a filter makes of a prior that has such terms is taken back to "as stated" by the same rule with
+``-(1 + D' U + U' P U)`` in place of M.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.evidence.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
+
+Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
+
+
+class Suspect(NamedTuple):
+    """One thing that may not be as stated, in one way."""
+
+    name: str
+    at: IndexArray  # (k,) places of the constants in the state
+    along: FloatArray  # (k, r) what its errors do to these, one sigma each
+    odds: float  # of it, against all being as stated, before the flight
+    alike: bool = False  # no data tell it from the others of which this is so
+
+
+class Hypothesis(NamedTuple):
+    """A suspect, and what follows if it is wrong."""
+
+    suspect: Suspect | None  # None: all as stated
+    weight: float  # probability, given that one of all hypotheses is true
+    nats: float  # log of the evidence over that of "as stated", odds not counted
+    size: float  # of its errors, in the sigmas of the suspect
+    shift: FloatArray  # (p,) by which the mean lies off that of "as stated"
+    root: FloatArray  # (p, r) of what is added to its covariance
+
+
+class Weighed(NamedTuple):
+    """All hypotheses, "as stated" first."""
+
+    stated: Known
+    every: tuple[Hypothesis, ...]
+
+    def known(self, one: Hypothesis) -> Known:
+        """Mean and covariance if a hypothesis is true."""
+        return self.stated[0] + one.shift, self.stated[1] + one.root @ one.root.T
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """The one of the largest weight."""
+        return max(self.every, key=lambda one: one.weight)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether something is likelier wrong than all as stated, and of a size that the suspects have."""
+        return self.every[0].weight < LIKELIER and self.likeliest.size < FARTHEST_SIZE
+
+    @property
+    def counting(self) -> tuple[Hypothesis, ...]:
+        """Those that an answer covers, the likeliest first."""
+        some = (one for one in self.every if one.weight >= LEAST_WEIGHT)
+        return tuple(sorted(some, key=lambda one: -one.weight))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What may be wrong, the likeliest first; empty while all as stated is believed."""
+        if self.every[0].weight >= LIKELIER:
+            return ()
+        return tuple(dict.fromkeys(one.suspect.name for one in self.counting if one.suspect is not None))
+
+    def mixed(self, part: Callable[[Hypothesis], Known]) -> Known:
+        """Mean and covariance over all hypotheses that count, of what ``part`` makes of each."""
+        some = self.counting
+        weights = np.array([one.weight for one in some]) / sum(one.weight for one in some)
+        means, covariances = (np.array(each) for each in zip(*map(part, some), strict=True))
+        mean = weights @ means
+        apart = means - mean
+        return mean, np.tensordot(weights, covariances, 1) + (weights * apart.T) @ apart
+
+
+class Bank:
+    """The hypotheses of one filter.
+
+    Args:
+        suspects: one at most of which is wrong.
+        sigma: (p,) of the state, as stated; of the suspects' constants finite and positive.
+
+    Attributes:
+        at: places of all suspects' constants in the state.
+    """
+
+    def __init__(self, suspects: Sequence[Suspect], sigma: FloatArray) -> None:
+        self.suspects = tuple(suspects)
+        self._scaled = [one.along / sigma[one.at, None] ** 2 for one in suspects]
+        self._alike = np.array([False, *(one.alike for one in suspects)])
+        every = np.zeros((len(sigma), sum(one.along.shape[1] for one in suspects)))
+        first = 0
+        for one in suspects:
+            every[one.at, first : (first := first + one.along.shape[1])] = one.along
+        self.at: IndexArray = np.flatnonzero(every.any(axis=1))
+        self._of_all = every[self.at] / sigma[self.at, None] ** 2
+        self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
+        for fixed in (*self._scaled, self.at, self._alike, self._of_all, self._inner):  # a checkpoint names it
+            fixed.setflags(write=False)
+        for one in suspects:
+            one.at.setflags(write=False)
+            one.along.setflags(write=False)
+
+    def freed(self, known: Known) -> Known:
+        """What is known if every suspect may be wrong."""
+        x, P = known
+        PU = P[:, self.at] @ self._of_all
+        gain = np.linalg.solve(self._inner - self._of_all.T @ PU[self.at], PU.T)
+        return x + (self._of_all.T @ x[self.at]) @ gain, P + PU @ gain
+
+    def as_stated(self, freed: Known) -> Known:
+        """What is known if nothing is wrong, of what :meth:`freed` has made."""
+        x, P = freed
+        PU = P[:, self.at] @ self._of_all
+        gain = np.linalg.solve(self._inner + self._of_all.T @ PU[self.at], PU.T)
+        return x - (self._of_all.T @ x[self.at]) @ gain, P - PU @ gain
+
+    def weigh(self, stated: Known) -> Weighed:
+        """All hypotheses.
+
+        Args:
+            stated: what is known if nothing is wrong.
+        """
+        x, P = stated
+        found = [Hypothesis(None, 0.0, 0.0, 0.0, np.zeros_like(x), np.zeros((len(x), 0)))]
+        for one, U in zip(self.suspects, self._scaled, strict=True):
+            PU = P[:, one.at] @ U
+            told, V = np.linalg.eigh(one.along.T @ U - U.T @ PU[one.at])
+            M = 1.0 + np.maximum(told, 0.0)  # below zero by rounding
+            root, g = PU @ V / np.sqrt(M), V.T @ (U.T @ x[one.at]) / np.sqrt(M)
+            nats = 0.5 * float(g @ g - np.log(M).sum())
+            size = float(np.linalg.norm(g / np.sqrt(M))) / len(g) ** 0.5
+            found.append(Hypothesis(one, 0.0, nats, size, root @ g, root))
+        evidence = np.array([one.nats for one in found])
+        evidence[self._alike] = evidence[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
+        each = evidence + np.log([1.0, *(one.odds for one in self.suspects)])
+        weights = np.exp(each - each.max())
+        weights /= weights.sum()
+        return Weighed(stated, tuple(one._replace(weight=float(w)) for one, w in zip(found, weights, strict=True)))

@@ -1,0 +1,21 @@
+"""What is believed before a flight of what may be wrong, and what follows from how probable it is afterwards.
+
+Numbers of the other modules of this package carry no limit; the limits are here, each with its source.
+"""
+
+LIKELY_SIZE = 0.1
+"""One sigma of a scale that is wrong, or of a body: propellant used, a part exchanged, a cell knocked. The classes of
+wrong files that answers are judged by go from 1 to 20 %."""
+FARTHEST_SIZE = 3.0
+"""Of these sigmas, 0.3 % of errors by chance: beyond, it is of another kind (a dead cell, a sign, half a gain), which
+no linear model explains; the instrument is then left out as a whole, if any is."""
+ODDS = 1e-2
+"""That a body, or an instrument's scale, is so wrong, against all being as stated: one flight in a hundred. A
+hypothesis is then the likelier one from 4.6 nats of evidence on."""
+ODDS_OF_ALL = 3e-3
+"""The same of all masses of the file by one factor, which takes one balance for all of them, or a wrong unit. To the
+motion and a cell it is the same as a scale of that cell: what is said of either always covers both."""
+LEAST_WEIGHT = 1e-3
+"""A hypothesis that is less probable is in no answer: that is what a 99.9 % interval leaves out."""
+LIKELIER = 0.5
+"""All as stated is no longer believed below this probability: what is wrong is named, and no answer is good."""

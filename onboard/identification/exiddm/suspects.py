@@ -1,0 +1,112 @@
+"""What may not be as stated of a free-flyer: the drawing of its base and links, the scales of its load cells.
+
+Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, or
+each of its ten parameters by itself; of a link, both by one factor. One factor over all links is another arm, one over
+base and links a wrong unit or balance.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
+from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL
+from onboard.identification.exiddm.prediction.further import FurtherCell
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+
+Number = TypeVar("Number", bound=np.generic)
+ALL_MASSES = "all masses"
+_EACH = 10.0  # stated sigmas of each parameter of a base that is wrong in every way
+
+
+class Rivals:
+    """Weighs what a filter knows, with the newest weights kept.
+
+    Args:
+        predictor: of the filter.
+
+    Attributes:
+        freed: the filter carries priors in which every suspect may be wrong.
+    """
+
+    def __init__(self, predictor: ImuPredictor) -> None:
+        self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), False
+        self._of: Known | None = None
+        self._weighed: Weighed | None = None
+
+    @property
+    def at(self) -> IndexArray:
+        """Places in the state of what has been freed."""
+        return self._bank.at if self.freed else self._bank.at[:0]
+
+    def weighed(self, state: FloatArray, covariance: FloatArray) -> Weighed:
+        """All hypotheses, by the filter's state, (p,), and its covariance, (p, p)."""
+        of = self._of
+        if self._weighed is None or of is None or of[0] is not state or of[1] is not covariance:
+            self._of = state, covariance
+            self._weighed = self._bank.weigh(self._bank.as_stated(self._of) if self.freed else self._of)
+        return self._weighed
+
+    def freeing(self, state: FloatArray, covariance: FloatArray) -> Callable[[Known], Known] | None:
+        """What frees all that is known, the first time that all as stated is not believed; else None."""
+        if self.freed or not self.weighed(state, covariance).contradicts:
+            return None
+        self.freed, self._of = True, None
+        return self._bank.freed
+
+
+def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
+    """Of a predictor's vehicle and instruments.
+
+    The motion tells ratios of masses alone. Where one cell is all that measures a force, a factor of all masses is a
+    factor of that cell.
+    """
+    found = [*_bodies(predictor), *_cells(predictor)]
+    forces = sum(isinstance(one, FurtherCell) for one in predictor.further) + len(predictor.thrusters)
+    gauge = {ALL_MASSES, *(one.name for one in predictor.further)} if forces == 1 else set()
+    return [one._replace(alike=one.name in gauge) for one in found]
+
+
+def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
+    vehicle = predictor.vehicle
+    at, factor, of_mass = dict[str, IndexArray](), dict[str, FloatArray](), dict[str, FloatArray]()
+    for name, (places, half) in predictor.drawn.items():
+        first = 10 * vehicle.links.index(name)
+        chi = vehicle.chi[first : first + 10]
+        at[name] = places
+        factor[name] = LIKELY_SIZE * np.linalg.solve(half, chi)[:, None]
+        of_mass[name] = LIKELY_SIZE * np.linalg.solve(half, _of_mass(chi))[:, None]
+    base = vehicle.spec.base_link
+    arm = [name for name in at if name != base]
+    for name in arm:
+        yield Suspect(name, at[name], factor[name], ODDS)
+    if len(arm) > 1:
+        yield Suspect("the arm", _joined(at, arm), _joined(factor, arm), ODDS)
+    if base not in at:
+        return
+    both, mass = factor[base], of_mass[base]
+    ways = both, mass, both - mass, np.hstack([both, _EACH * np.eye(10)])
+    yield from (Suspect(base, at[base], way, ODDS / len(ways)) for way in ways)
+    if arm:
+        yield Suspect(ALL_MASSES, _joined(at, at), _joined(factor, at), ODDS_OF_ALL)
+
+
+def _joined(of_each: Mapping[str, NDArray[Number]], names: Iterable[str]) -> NDArray[Number]:
+    return np.concatenate([of_each[name] for name in names])
+
+
+def _of_mass(chi: FloatArray) -> FloatArray:
+    """Change of a body's standard parameters, (10,), with its mass, for a mass twice as large and the same inertia."""
+    mass, centre, inertia = body_of(chi)
+    return standard_of(RigidBody(2.0 * mass, centre, inertia)) - chi
+
+
+def _cells(predictor: ImuPredictor) -> Iterator[Suspect]:
+    for one, own in zip(predictor.further, predictor.of_further, strict=True):
+        if isinstance(one, FurtherCell) and own.size:
+            yield Suspect(one.name, own, np.full((1, 1), LIKELY_SIZE), ODDS)

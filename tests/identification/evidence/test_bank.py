@@ -1,0 +1,105 @@
+"""Hypotheses against brute force: linear problems solved with each prior, and evidences from the readings' density."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from onboard.identification.evidence import bank as bank_module
+from onboard.identification.evidence import policy
+from onboard.identification.evidence.bank import Bank, Hypothesis, Suspect, Weighed
+
+SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known
+BODY = Suspect("body", np.array([1, 2, 3]), np.array([[0.9, 0.3], [-0.4, 0.0], [2.0, 1.5]]), 1e-2)
+CELL = Suspect("cell", np.array([4]), np.array([[1.3]]), 1e-3)
+
+
+class Linear:
+    """``y = A x + e`` with unit noise, prior of mean zero, variance 1e4 where nothing is known."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.A = rng.standard_normal((30, 5))
+        self.y = self.A @ np.array([3.0, 0.3, 0.1, -1.0, 2.0]) + rng.standard_normal(30)
+        self.prior = np.diag(np.where(np.isnan(SIGMA), 100.0, SIGMA) ** 2)
+
+    def solved(self, *wrong: Suspect) -> tuple[np.ndarray, np.ndarray]:
+        prior = self.with_wrong(*wrong)
+        P = np.linalg.inv(np.linalg.inv(prior) + self.A.T @ self.A)
+        return P @ self.A.T @ self.y, P
+
+    def with_wrong(self, *wrong: Suspect) -> np.ndarray:
+        prior = self.prior.copy()
+        for one in wrong:
+            prior[np.ix_(one.at, one.at)] += one.along @ one.along.T
+        return prior
+
+    def nats(self, *wrong: Suspect) -> float:
+        spread = self.A @ self.with_wrong(*wrong) @ self.A.T + np.eye(30)
+        return float(multivariate_normal(np.zeros(30), spread).logpdf(self.y))
+
+
+@pytest.fixture
+def linear(rng: np.random.Generator) -> Linear:
+    return Linear(rng)
+
+
+def test_each_hypothesis_is_the_fit_with_its_prior_and_has_the_evidence_of_its_readings(linear: Linear) -> None:
+    weighed = Bank([BODY, CELL], SIGMA).weigh(linear.solved())
+    assert len(weighed.every) == 3
+    for one, wrong in zip(weighed.every, ((), (BODY,), (CELL,)), strict=True):
+        for found, wanted in zip(weighed.known(one), linear.solved(*wrong), strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
+        assert one.nats == pytest.approx(linear.nats(*wrong) - linear.nats(), abs=1e-6)
+    odds = np.array([1.0, BODY.odds, CELL.odds]) * np.exp([one.nats for one in weighed.every])
+    np.testing.assert_allclose([one.weight for one in weighed.every], odds / odds.sum(), rtol=1e-5)
+
+
+def test_a_freed_filter_has_all_errors_in_its_prior_and_is_taken_back(linear: Linear) -> None:
+    bank = Bank([BODY, CELL], SIGMA)
+    freed = bank.freed(linear.solved())
+    for found, wanted in zip(freed, linear.solved(BODY, CELL), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
+    for found, wanted in zip(bank.as_stated(freed), linear.solved(), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-9)
+
+
+def test_what_no_data_tell_apart_shares_its_evidence(linear: Linear) -> None:
+    alike = [one._replace(alike=True, odds=odds) for one, odds in ((BODY, 0.01), (CELL, 0.03))]
+    _, body, cell = Bank(alike, SIGMA).weigh(linear.solved()).every
+    assert cell.weight == pytest.approx(3.0 * body.weight)
+
+
+def weighed(*weights: float, size: float = 1.0) -> Weighed:
+    """As stated, then suspects a, b, ... whose means lie 1, 2, ... apart."""
+    names = [None, *(Suspect(name, np.zeros(0, np.intp), np.zeros((0, 1)), 0.01) for name in "abc")]
+    each = zip(names[: len(weights)], weights, strict=True)
+    every = (Hypothesis(one, w, 0.0, size, np.array([float(k)]), np.zeros((1, 0))) for k, (one, w) in enumerate(each))
+    return Weighed((np.zeros(1), np.eye(1)), tuple(every))
+
+
+def test_an_answer_is_the_mixture_over_what_counts() -> None:
+    every = weighed(0.5, 0.4995, 0.0005)
+    mean, covariance = every.mixed(every.known)  # the last one does not count
+    assert mean == pytest.approx(0.5, abs=1e-3)
+    assert covariance == pytest.approx(1.25, abs=1e-3)
+
+
+def test_what_may_be_wrong_is_named_once_all_as_stated_is_no_longer_believed() -> None:
+    assert weighed(0.6, 0.4).names == ()
+    assert weighed(0.2, 0.3, 0.5).names == ("b", "a")
+    assert not weighed(0.6, 0.4).contradicts
+    assert weighed(0.4, 0.6).contradicts
+    assert not weighed(0.4, 0.6, size=3.5).contradicts  # of another kind
+
+
+LIMITS = {
+    "LEAST_WEIGHT": lambda: len(weighed(0.9985, 0.0015).counting),
+    "LIKELIER": lambda: weighed(0.6, 0.4).names,
+    "FARTHEST_SIZE": lambda: weighed(0.1, 0.9, size=4.0).contradicts,
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_limit_that_is_doubled_is_noticed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = LIMITS[name]()
+    monkeypatch.setattr(bank_module, name, 2.0 * getattr(policy, name))
+    assert LIMITS[name]() != before

@@ -1,0 +1,74 @@
+"""What may be wrong of a free-flyer: by how much, and which of it no motion tells apart."""
+
+import numpy as np
+import pytest
+
+from onboard import config
+from onboard.flight.estimate.identification import build_exiddm
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.suspects import ALL_MASSES, Rivals, suspects_of
+
+
+@pytest.fixture(scope="module")
+def predictor() -> ImuPredictor:
+    return build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
+
+
+def changed(predictor: ImuPredictor, at: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Relative change of mass and moments of every link, (links, 2)."""
+    state = np.zeros(len(predictor.names))
+    state[PAYLOAD] = predictor.vehicle.chi[predictor.vehicle.payload_columns()]
+    before = predictor.chi(state).reshape(-1, 10)
+    state[at] = along
+    after = predictor.chi(state).reshape(-1, 10)
+    drawn = np.flatnonzero([name != predictor.vehicle.spec.payload_link for name in predictor.vehicle.links])
+    return np.stack([after[drawn, k] / before[drawn, k] - 1.0 for k in (0, 4)], axis=1)
+
+
+def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None:
+    """The numbers are those of the page on the levels: they change with the policy's, and with nothing else."""
+    found = {}
+    for one in suspects_of(predictor):
+        if one.name != "load_cell":
+            found.setdefault(one.name, []).append((changed(predictor, one.at, one.along[:, 0]), one.odds))
+    assert set(found) == {"base", *(f"link_{k}" for k in range(1, 6)), "the arm", ALL_MASSES}
+    np.testing.assert_allclose(found[ALL_MASSES][0][0], 0.1)
+    assert found[ALL_MASSES][0][1] == 3e-3
+    np.testing.assert_allclose(found["the arm"][0][0], [[0.0, 0.0], *[[0.1, 0.1]] * 5], atol=1e-12)
+    both, mass, inertia, each = (one[0][0] for one in found["base"])
+    np.testing.assert_allclose(both, [0.1, 0.1])
+    np.testing.assert_allclose(each, both)
+    assert mass[0] == pytest.approx(0.1)
+    assert 0.0 < mass[1] < 1e-3  # its centre of mass is near its origin
+    np.testing.assert_allclose(mass + inertia, both)
+    assert sum(odds for _, odds in found["base"]) == pytest.approx(1e-2)
+    (cell,) = (one for one in suspects_of(predictor) if one.name == "load_cell")
+    assert (cell.along.item(), cell.odds) == (0.1, 1e-2)
+
+
+def test_one_cell_and_all_masses_are_alike(predictor: ImuPredictor) -> None:
+    assert {one.name for one in suspects_of(predictor) if one.alike} == {"load_cell", ALL_MASSES}
+
+
+def test_weights_are_made_once_for_each_state(predictor: ImuPredictor) -> None:
+    rivals = Rivals(predictor)
+    known = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    first = rivals.weighed(*known)
+    assert rivals.weighed(*known) is first
+    assert first.names == ()
+    assert rivals.weighed(known[0].copy(), known[1]) is not first
+    assert rivals.freeing(*known) is None
+    assert rivals.at.size == 0
+
+
+def test_a_filter_is_freed_once_and_taken_back_where_it_is_weighed(predictor: ImuPredictor) -> None:
+    rivals = Rivals(predictor)
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    at, _ = predictor.drawn["base"]
+    x[at], P[at, at] = 20.0, 0.01  # far from the drawing
+    free = rivals.freeing(x, P)
+    assert free is not None
+    assert rivals.at.size == 61
+    assert rivals.freeing(*free((x, P))) is None
+    np.testing.assert_allclose(rivals.weighed(*free((x, P))).stated[1], P, atol=1e-9)
+    assert rivals.weighed(*free((x, P))).names == ("base",)

@@ -1,0 +1,95 @@
+"""What every command has: progress where it lasts, its answer as JSON."""
+
+import io
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from onboard import cli
+from onboard.cli import common, lines
+
+ROOM = Path(cli.__file__).parent
+PARTS = {"__init__", "__main__", "common", "controller", "lines", "messages"}
+COMMANDS = sorted(path.stem for path in ROOM.glob("*.py") if path.stem not in PARTS)
+FILES = {"dump", "fly", "report"}  # their answer is what they write; of fly, --json-lines
+AT_ONCE = {"completion", "init", "schema"}
+LIVE = {"watch"}
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - AT_ONCE - LIVE))
+def test_a_command_that_may_last_says_how_far_it_is(name: str) -> None:
+    text = (ROOM / f"{name}.py").read_text(encoding="utf-8")
+    assert "progress(" in text or "busy(" in text
+
+
+def test_without_a_terminal_it_is_a_line_after_a_while_and_then_now_and_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lines, "FIRST_S", 0.05)
+    monkeypatch.setattr(lines, "EVERY_S", 0.05)
+    said = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", said)
+    with common.progress() as bar:
+        task = bar.add_task("rocksat, seed 1", total=4)
+        bar.update(task, completed=1)
+        while said.getvalue().count("\n") < 3:  # nothing is updated meanwhile
+            time.sleep(0.01)
+    first, *_ = said.getvalue().splitlines()
+    assert first == "heft: rocksat, seed 1: 25 %, 0 s so far"
+    said.truncate(0)
+    with common.busy("the estimator is built") as told:
+        told("the devices run")
+        while "\n" not in said.getvalue():
+            time.sleep(0.01)
+    assert said.getvalue().strip("\0").startswith("heft: the devices run: 0 s so far\n")
+
+
+def test_one_thread_is_kept_where_it_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fork server is forked from a process without threads; lines come with what is updated."""
+    monkeypatch.setattr(lines, "FIRST_S", 0.0)
+    said = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", said)
+    with common.progress(threads=False) as bar:
+        assert bar._thread is None  # type: ignore[attr-defined]
+        task = bar.add_task("flight", total=1.0)
+        bar.update(task, completed=0.5)
+        bar.update(task, completed=0.6)
+    assert said.getvalue() == "heft: flight: 50 %, 0 s so far\n"
+
+
+def test_what_is_done_at_once_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with common.progress() as bar:
+        bar.update(bar.add_task("quick", total=1.0), completed=1.0)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - AT_ONCE - LIVE - FILES))
+def test_a_command_that_answers_does_so_in_json_too(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    what = ["imu"] if name == "calibrate" else []
+    with pytest.raises(SystemExit, match="0"):
+        cli.main([name.removesuffix("_"), *what, "--help"])
+    assert "--json FILE" in capsys.readouterr().out
+
+
+def test_json_is_alone_on_stdout_and_says_null_of_what_is_no_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Answer(NamedTuple):
+        mass_kg: float
+        centre_m: np.ndarray
+        path: Path
+
+    answer = Answer(math.nan, np.array([0.5, math.inf]), Path("a/b"))
+    common.write_json(tmp_path / "told.json", [answer, {"n": np.int64(3), "level": None}])
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert told == [{"mass_kg": None, "centre_m": [0.5, None], "path": "a/b"}, {"n": 3, "level": None}]
+    assert cli.main(["mechanics", "dymaflex", "--json", "-"]) == cli.OK
+    said = capsys.readouterr()
+    assert json.loads(said.out)["vehicle"] == "dymaflex"
+    assert "virtual manipulator" in said.err
