@@ -139,7 +139,7 @@ class JackknifeEstimate:
     Args:
         rls: the estimator, after its rows.
         blocks: the same rows by blocks.
-        considered_sigma: (k,) standard deviation of each considered parameter.
+        considered_sigma: standard deviations of the considered parameters, (k,); or a root of their covariance, (k, k).
         level: coverage of the two-sided intervals.
         noise_sigma: relative standard deviation of the stated power of the regressor's noise.
 
@@ -178,7 +178,8 @@ class JackknifeEstimate:
         x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
         self.mean: FloatArray = T @ x
-        causes = (R @ plain.sensitivity * sigma).T  # (k, p)
+        causes = R @ plain.sensitivity  # (p, k)
+        causes = (causes * sigma if sigma.ndim == 1 else causes @ sigma).T
         causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
         self._common = T @ np.where(signal, causes / keep, 0.0).T  # (p, k + 1)
         self._prior_half = T / keep @ _half(A0)  # (p, p)
@@ -194,8 +195,13 @@ class JackknifeEstimate:
     @staticmethod
     def _checked(rls: SquareRootRls, considered_sigma: ArrayLike, level: float) -> FloatArray:
         sigma = np.atleast_1d(np.asarray(considered_sigma, np.float64))
-        if sigma.shape != (rls.considered,) or not (sigma >= 0.0).all():
-            raise RowError(f"{rls.considered} considered parameters need as many sigmas, none negative")
+        k = rls.considered
+        if (
+            sigma.shape not in ((k,), (k, k))
+            or not np.isfinite(sigma).all()
+            or (sigma.ndim == 1 and (sigma < 0.0).any())
+        ):
+            raise RowError(f"{k} considered parameters need as many sigmas, none negative, or a root ({k}, {k})")
         if not 0.0 < level < 1.0:
             raise RowError(f"the level is {level}; give one between 0 and 1")
         return sigma
@@ -217,7 +223,7 @@ class JackknifeEstimate:
         return np.asarray(half @ half.T + self._common @ self._common.T, np.float64)
 
     def causes(self, weights: ArrayLike) -> FloatArray:
-        """Change of ``weights @ chi`` by one sigma of each considered parameter, (r, k)."""
+        """Change of ``weights @ chi`` by one sigma of each considered parameter, or column of the root, (r, k)."""
         return np.asarray(np.atleast_2d(np.asarray(weights, np.float64)) @ self._common[:, :-1], np.float64)
 
     def formal_variance(self, weights: ArrayLike) -> FloatArray:

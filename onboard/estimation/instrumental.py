@@ -177,7 +177,7 @@ class InstrumentalEstimate(JackknifeEstimate):
     Args:
         rls: least squares, source of the prior.
         blocks: the rows and their instruments.
-        considered_sigma: (k,).
+        considered_sigma: (k,), or a root (k, k).
         level: coverage of the two-sided intervals.
 
     Raises:
@@ -196,7 +196,8 @@ class InstrumentalEstimate(JackknifeEstimate):
         self.level, self._floored = level, blocks.count < _FEW_BLOCKS
         self.mean = inverse @ (b[:, -1] + right)
         self._root = inverse @ _factor(G.sum(axis=0) + information)
-        self._common = inverse @ b[:, :-1] * sigma
+        causes = inverse @ b[:, :-1]
+        self._common = causes * sigma if sigma.ndim == 1 else causes @ sigma
         self._prior_half = inverse @ _factor(information)
         scores = g[..., -1] - H @ self.mean  # (b, p)
         rest = A - H + np.eye(len(A)) * (1e-12 * np.abs(np.diag(A)))

@@ -329,7 +329,9 @@ class SegmentedLog:
             self._open_ahead(now_ns)
         self._astray = self._next is None
         if self._astray:
-            raise OSError(errno.ENOENT, f"{self.path.name} was {taken.how}, and no other can be made: {self._why_not_ahead}")
+            raise OSError(
+                errno.ENOENT, f"{self.path.name} was {taken.how}, and no other can be made: {self._why_not_ahead}"
+            )
         path, before, nothing = self.path, self._at_head, ChannelProgress(-1, now_ns)
         is_lost = taken.rest < self._writer.bytes_written
         if is_lost:

@@ -104,7 +104,7 @@ def test_info_tells_clocks_delays_and_answers(
         "imu_base": "locked", "can_sync": "locked"
     }  # fmt: skip
     assert {delay["channel"] for delay in about["delays"]} >= {"imu_base", "load_cell"}
-    assert len(mission.table["masses"]) == 4
+    assert len(mission.table["masses"]) == 3
     for mass in mission.table["masses"]:
         assert about["answers"][mass["quantity"]]["value"] == mass["value"]
     pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3)

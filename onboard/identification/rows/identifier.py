@@ -34,7 +34,7 @@ from onboard.identification.rows.agreement import InstrumentFit, instrument_fits
 from onboard.identification.rows.considered import Considered, check, of_motion
 from onboard.identification.rows.considered_errors import ConsideredErrors
 from onboard.identification.rows.drawing import judged_drawing, leans_on, unstated
-from onboard.identification.rows.fitted_corrections import FittedCorrections
+from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.prediction import prediction
@@ -138,11 +138,12 @@ class Identifier:
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
-        self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
+        moved = None if start is None else start.sensitivity
+        self._corrections = FittedCorrections(p, considered, block_s, moved) if free and self._of_motion else None
         self._errors = ConsideredErrors(considered, model, self._fold, p)
         if self._of_motion and not free and memory == FOR_EVER:
             self._errors.remember((start.covariance, start.sensitivity) if start else None)
-        self._corrected: tuple[int, dict[str, float]] | None = None  # rows used, and the corrections that they give
+        self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
@@ -316,25 +317,35 @@ class Identifier:
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
 
     @property
+    def fits_errors(self) -> bool:
+        """Whether considered errors are as large as they are fitted; else as stated."""
+        return self._corrections is not None and self.memory == FOR_EVER  # the fit is of all times
+
+    @property
     def corrections(self) -> dict[str, float]:
         """Fitted errors of the instruments by name, in sigmas: :class:`FittedCorrections`."""
-        if self._corrections is None or self.memory != FOR_EVER:  # the fit is of all times
-            return {}
+        return found.in_sigmas if (found := self._fitted_errors()) else {}
+
+    def _fitted_errors(self) -> Fitted | None:
+        if self._corrections is None or not self.fits_errors:
+            return None
         if self._corrected is None or self._corrected[0] != self.rows_used:
             left_over = prediction(self.seen, self.model, self.base, self.block_jackknife(exact=True).mean)
             equations = self.rls.prior_equations()
-            self._corrected = self.rows_used, self._corrections.in_sigmas(*equations, left_over.relative_error)
+            self._corrected = self.rows_used, self._corrections.fitted(*equations, left_over.relative_error)
         return self._corrected[1]
 
     def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate:
         """The estimate of the base parameters with its block-jackknife covariance; ``exact``: nothing considered.
 
-        Each considered error is taken as large as it was fitted, where that is more than one of its sigmas.
+        Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         self._errors.restate(self.rls)
-        fitted = {} if exact else self.corrections
-        sigma = [cause.sigma * max(float(not exact), abs(fitted.get(cause.name, 0.0))) for cause in self.considered]
-        return self._recursion.block_jackknife(sigma, level)
+        stated = np.array([cause.sigma for cause in self.considered])
+        fitted = None if exact else self._fitted_errors()
+        return self._recursion.block_jackknife(
+            0.0 * stated if exact else stated if fitted is None else fitted.root, level
+        )
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

@@ -67,7 +67,8 @@ def _of_rows(identifier: Identifier, estimate: np.void, said: Rows, triangle: Fl
     root = np.linalg.inv(R)
     weights = np.vstack([np.eye(p), *(quantity.weights for quantity in identifier.quantities)])
     formal = ((weights @ root) ** 2).sum(axis=1)
-    considered = np.array([cause.sigma for cause in identifier.considered])
+    considered = np.array([cause.sigma for cause in identifier.considered]) * (not identifier.fits_errors)
+    # Of fitted errors an interval has less than was stated, and how much less no log tells: none of it is taken off.
     common = ((weights @ root @ triangle[:p, p : p + k] * considered) ** 2).sum(axis=1)
     said = said[: len(weights)]  # what is no combination of parameters follows from these
     half = 0.5 * (said["high"] - said["low"]) / ndtri(0.5 + 0.5 * _LEVEL)
