@@ -39,9 +39,10 @@ from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
 from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.considered_errors import Start
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
-from onboard.identification.rows.identifier import Identifier, Start
+from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.whitening import Whitening
 from onboard.identification.table.run import TableRun
 from onboard.regressor.base_parameters import base_parameters

@@ -6,6 +6,7 @@ a drift. So ``sum Y' D / sigma^2`` is kept, and the effect is computed at the es
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,14 @@ from onboard.identification.rows.considered import Considered, columns
 from onboard.identification.rows.whitening import NoisyRows
 from onboard.regressor.rows import BaseMotion, RowFold, RowModel
 from onboard.regressor.signals import Signals
+
+
+class Start(NamedTuple):
+    """Estimate of another estimator of the same vehicle, for a warm start in place of the prior."""
+
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
 
 
 class ConsideredErrors:
@@ -32,15 +41,15 @@ class ConsideredErrors:
         self._considered, self._model, self._fold, self._p = tuple(considered), model, fold, parameters
         self._sums: FloatArray | None = None  # (k, p, p + 1)
 
-    def remember(self, start: tuple[FloatArray, FloatArray] | None) -> None:
+    def remember(self, start: Start | None) -> None:
         """Keep what all rows from now on have, for :meth:`restate`.
 
         Args:
-            start: covariance (p, p) and sensitivity (p, k) of an estimate that is gone on from.
+            start: that is gone on from.
         """
         self._sums = np.zeros((len(self._considered), self._p, self._p + 1))
         if start is not None:
-            self._sums[:, :, -1] = np.linalg.solve(*start).T
+            self._sums[:, :, -1] = np.linalg.solve(start.covariance, start.sensitivity).T
 
     def factors(self, signals: Signals, at: NDArray[np.intp], use: BoolArray, attached: BoolArray) -> FloatArray | None:
         """D of the rows in use (t, rows) at some ticks (t,), (r, k (p + 1)); None where nothing is considered.

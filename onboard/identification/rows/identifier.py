@@ -6,7 +6,6 @@ quantity is reported as *supported* only if the data, not the prior, determine i
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -32,7 +31,7 @@ from onboard.identification.quantities import (
 )
 from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, of_motion
-from onboard.identification.rows.considered_errors import ConsideredErrors
+from onboard.identification.rows.considered_errors import ConsideredErrors, Start
 from onboard.identification.rows.drawing import judged_drawing, leans_on, unstated
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
@@ -49,14 +48,6 @@ from onboard.regressor.signals import Signals
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
 _OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
-
-
-class Start(NamedTuple):
-    """Estimate of another estimator of the same vehicle, for a warm start in place of the prior."""
-
-    mean: FloatArray  # (p,)
-    covariance: FloatArray  # (p, p)
-    sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
 
 
 class Identifier:
@@ -140,9 +131,10 @@ class Identifier:
         self._of_motion = of_motion(considered)
         moved = None if start is None else start.sensitivity
         self._corrections = FittedCorrections(p, considered, block_s, moved) if free and self._of_motion else None
+        self.fits_errors = self._corrections is not None and memory == FOR_EVER  # the fit is of all times
         self._errors = ConsideredErrors(considered, model, self._fold, p)
         if self._of_motion and not free and memory == FOR_EVER:
-            self._errors.remember((start.covariance, start.sensitivity) if start else None)
+            self._errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
@@ -284,10 +276,13 @@ class Identifier:
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         jackknife = self.block_jackknife()
+        found: list[tuple[Sequence[str], Sequence[str]]]
         found = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
         found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
         scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._prior_covariance)
-        for bad, doubt in (*found, *((too_large(one), doubtful(one)) for one in (self.corrections, scales))):
+        corrections = errors.in_sigmas if (errors := self.fitted_errors) else {}
+        found += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
+        for bad, doubt in found:
             against += bad
             doubts += doubt
         if self._payload and not too_large(scales) and (why := self._payload.contradiction(jackknife)):
@@ -317,16 +312,8 @@ class Identifier:
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
 
     @property
-    def fits_errors(self) -> bool:
-        """Whether considered errors are as large as they are fitted; else as stated."""
-        return self._corrections is not None and self.memory == FOR_EVER  # the fit is of all times
-
-    @property
-    def corrections(self) -> dict[str, float]:
-        """Fitted errors of the instruments by name, in sigmas: :class:`FittedCorrections`."""
-        return found.in_sigmas if (found := self._fitted_errors()) else {}
-
-    def _fitted_errors(self) -> Fitted | None:
+    def fitted_errors(self) -> Fitted | None:
+        """The considered errors after the rows; None where these are not fitted, but as stated."""
         if self._corrections is None or not self.fits_errors:
             return None
         if self._corrected is None or self._corrected[0] != self.rows_used:
@@ -341,11 +328,9 @@ class Identifier:
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         self._errors.restate(self.rls)
-        stated = np.array([cause.sigma for cause in self.considered])
-        fitted = None if exact else self._fitted_errors()
-        return self._recursion.block_jackknife(
-            0.0 * stated if exact else stated if fitted is None else fitted.root, level
-        )
+        sigma = np.array([cause.sigma * (not exact) for cause in self.considered])
+        fitted = None if exact else self.fitted_errors
+        return self._recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

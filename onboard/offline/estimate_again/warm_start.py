@@ -23,7 +23,8 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_online
 from onboard.identification.exiddm.captured_body import NAMES
-from onboard.identification.rows.identifier import Identifier, Start
+from onboard.identification.rows.considered_errors import Start
+from onboard.identification.rows.identifier import Identifier
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
