@@ -79,22 +79,40 @@ def filtered(section: Section, samples: FloatArray, state: FloatArray) -> FloatA
     return out
 
 
+class Passing:
+    """Sections in a row, at rest before the first sample; by blocks, as matrices.
+
+    Args:
+        sections: that the samples pass one after the other.
+        columns: of the samples.
+    """
+
+    def __init__(self, sections: Sequence[Section], columns: int) -> None:
+        self._made = []  # by each sample of a block, and by the state before; the state after it by the same
+        for section in sections:
+            state = np.hstack([np.zeros((2, _BLOCK)), np.eye(2)])
+            self._made.append((filtered(section, np.eye(_BLOCK, _BLOCK + 2), state), state))
+        self._states = [np.zeros((2, columns)) for _ in sections]
+
+    def take(self, samples: FloatArray) -> FloatArray:
+        """Output for the next samples, (n, columns); n is whole blocks of 64, but of the last."""
+        n, columns = samples.shape
+        rest = np.zeros((-n % _BLOCK, columns))
+        for k, (made, state) in enumerate(self._made):
+            blocks = np.concatenate([samples, rest]).reshape(-1, _BLOCK, columns)
+            after = state[:, :_BLOCK] @ blocks
+            before = np.zeros((len(blocks) + 1, 2, columns))
+            before[0] = self._states[k]
+            for block in range(len(blocks)):
+                before[block + 1] = state[:, _BLOCK:] @ before[block] + after[block]
+            self._states[k] = before[-1]
+            samples = (made[:, :_BLOCK] @ blocks + made[:, _BLOCK:] @ before[:-1]).reshape(-1, columns)[:n]
+        return samples
+
+
 def passed(sections: Sequence[Section], samples: FloatArray) -> FloatArray:
-    """Output of sections in a row for all samples at once, (n, k), at rest before the first; by blocks, as matrices."""
-    n, columns = samples.shape
-    rest = np.zeros((-n % _BLOCK, columns))
-    for section in sections:
-        state = np.hstack([np.zeros((2, _BLOCK)), np.eye(2)])
-        made = filtered(
-            section, np.eye(_BLOCK, _BLOCK + 2), state
-        )  # by each sample of a block, and by the state before
-        blocks = np.concatenate([samples, rest]).reshape(-1, _BLOCK, columns)
-        after = state[:, :_BLOCK] @ blocks
-        before = np.zeros((len(blocks), 2, columns))
-        for block in range(1, len(blocks)):
-            before[block] = state[:, _BLOCK:] @ before[block - 1] + after[block - 1]
-        samples = (made[:, :_BLOCK] @ blocks + made[:, _BLOCK:] @ before).reshape(-1, columns)[:n]
-    return samples
+    """Output of sections in a row for all samples at once, (n, k), at rest before the first."""
+    return Passing(sections, samples.shape[1]).take(samples)
 
 
 def rms_gain(sections: Sequence[Section], samples: int) -> float:

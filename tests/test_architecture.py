@@ -122,7 +122,7 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
 LAYERS = {  # each room may import those before it, and itself
     "onboard": (
         *("estimation", "dynamics", "regressor", "identification", "control"),
-        *("section", "timebase", "devices", "config", "flight", "offline", "cli"),
+        *("section", "npz", "timebase", "devices", "config", "flight", "offline", "cli"),
     ),
     "hil_sim": (
         *("arrays", "scenario", "plants", "sensing", "faults", "devices", "buses"),

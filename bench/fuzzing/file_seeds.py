@@ -1,6 +1,8 @@
 """Valid files to begin from, a few for each target of ``files``."""
 
+import io
 import tempfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,7 @@ import numpy as np
 from bench.fuzzing.files import MEMBER, ROCKSAT, SPLIT, as_list
 from drivers import records
 from onboard import channels, config
+from onboard.config.segments import Library, to_bytes
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
 from onboard.recording.writer import LogWriter
 
@@ -99,6 +102,37 @@ def _array(name: str, values: np.ndarray, place: Path) -> bytes:
     return MEMBER.pack(len(name), len(data)) + name.encode() + data
 
 
+def _library() -> Library:
+    """Two segments of one joint."""
+    q = np.zeros((2, 6, 1))
+    q[:, 2:4] = 0.1
+    shares = np.full((2, 1), 0.1)
+    return Library(
+        ("a", "b"),
+        ("joint_1",),
+        0.2 * np.arange(6.0),
+        q,
+        np.array([6, 5]),
+        ("rate_x", "rate_y"),
+        np.array([1.0]),
+        np.ones((2, 1, 3, 2), np.float32),
+        5.0,
+        np.ones((2, 4, 3)),
+        np.zeros((2, 6, 3, 1)),
+        shares,
+        -shares,
+        (("joint_1 rate",), ("joint_1 effort",)),
+        1.0,
+    )
+
+
+def _members(archive: bytes) -> bytes:
+    """An NPZ as a list of arrays."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as file:
+        parts = [(name.removesuffix(".npy"), file.read(name)) for name in file.namelist()]
+    return b"".join(MEMBER.pack(len(name), len(data)) + name.encode() + data for name, data in parts)
+
+
 def seeds() -> dict[str, list[bytes]]:
     """Seeds by target."""
     with tempfile.TemporaryDirectory() as name:
@@ -113,6 +147,7 @@ def seeds() -> dict[str, list[bytes]]:
     return {
         "vehicle": vehicles,
         "urdf": [ROCKSAT.with_name("rocksat.urdf").read_bytes()],
+        "segments": [b"\0" + to_bytes(_library()), b"\1" + _members(to_bytes(_library()))],
         "log": logs,
         "recover": logs,
         "import": [

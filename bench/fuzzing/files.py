@@ -22,6 +22,7 @@ from rich.console import Console
 from bench.fuzzing.laws import leading
 from onboard import config
 from onboard.config.errors import ConfigError
+from onboard.config.segments import read
 from onboard.dynamics.errors import ModelError
 from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.bring_in.errors import ImportFileError
@@ -40,7 +41,7 @@ NEXT_FILE = 0xFE  # in a list: the records that follow are of the next segment
 TIMES = struct.Struct("<QQ")
 SPLIT = struct.Struct("<H")  # where the mapping of an import ends
 MEMBER = struct.Struct("<BI")  # of an NPZ as a list: bytes of its name, bytes of the array
-MOST_MEMBERS = 16
+MOST_MEMBERS = 20
 ROCKSAT = config.loader.packaged("rocksat")
 
 
@@ -69,6 +70,15 @@ def urdf_file(data: bytes) -> None:
         (place / "vehicle.toml").symlink_to(ROCKSAT)
         (place / "rocksat.urdf").write_bytes(data)
         Estimator(config.load(place / "vehicle.toml", place / "rocksat.urdf"))
+
+
+def segments_file(data: bytes) -> None:
+    """A file of motion segments: NPZ as its bytes, or as a list of arrays."""
+    warnings.simplefilter("ignore", UserWarning)  # of names that an archive has twice
+    (how,), body = leading(data, 1)
+    with _place() as place, contextlib.suppress(ConfigError):
+        (place / "segments.npz").write_bytes(_archive(body) if how & 1 else body)
+        read(place / "segments.npz")
 
 
 def log_file(data: bytes) -> None:
@@ -211,4 +221,11 @@ def _archive(body: bytes) -> bytes:
     return made.getvalue()
 
 
-CALLS = {"vehicle": vehicle_file, "urdf": urdf_file, "log": log_file, "recover": recovered, "import": imported}
+CALLS = {
+    "vehicle": vehicle_file,
+    "urdf": urdf_file,
+    "segments": segments_file,
+    "log": log_file,
+    "recover": recovered,
+    "import": imported,
+}

@@ -4,7 +4,7 @@ import hashlib
 import signal
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "fuzz_findings"
 OURS = (str(ROOT / "drivers") + "/", str(ROOT / "onboard") + "/")
 HANG_S = 10.0
+MOST_MB = 1000  # more than before it, at any time of a call
 SHORTENINGS = 2000  # executions spent to shorten a finding
 
 Call = Callable[[bytes], None]
@@ -20,6 +21,10 @@ Call = Callable[[bytes], None]
 
 class Hang(BaseException):
     """A call took longer than ``HANG_S``. No Exception, so that no ``except`` in a decoder takes it."""
+
+
+class Greedy(BaseException):
+    """A call took more than ``MOST_MB``."""
 
 
 class Result(NamedTuple):
@@ -79,11 +84,24 @@ class Findings:
 def raised(call: Call, data: bytes) -> BaseException | None:
     """What the target raises; None when it takes the input."""
     try:
+        before = peak_mb(anew=True)
         with alarm(HANG_S):
             call(data)
-    except (Exception, Hang) as error:  # noqa: BLE001 - whatever it is, it is what we look for
+        if (more := peak_mb() - before) > MOST_MB:
+            raise Greedy(f"{more} MB")
+    except (Exception, Hang, Greedy) as error:  # noqa: BLE001 - whatever it is, it is what we look for
         return error
     return None
+
+
+def peak_mb(*, anew: bool = False) -> int:
+    """Largest memory of this process; ``anew``: from now on. 0 where the system does not tell."""
+    with suppress(OSError):
+        if anew:
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        return int(status.partition("VmHWM:")[2].split()[0]) // 1024
+    return 0
 
 
 @contextmanager

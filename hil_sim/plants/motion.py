@@ -6,13 +6,14 @@ two of them over ``h`` is the angular acceleration at ``t_k`` exactly, which is 
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from hil_sim import filters
-from hil_sim.arrays import FloatArray
+from hil_sim.arrays import Deviates, FloatArray
 from hil_sim.scenario.part_tables import AirTable, ConingTable, Mode, Vibration
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
@@ -77,57 +78,108 @@ def minimum_jerk(knots_s: FloatArray, angles: FloatArray, times_s: FloatArray) -
     )
 
 
-def coning(
-    rocket: ConingTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Torque-free axisymmetric body: the transverse rate turns in body axes at (I_roll/I_pitch - 1) spin.
+def coning(rocket: ConingTable, phase_rad: float, times_s: FloatArray) -> FloatArray:
+    """Angular acceleration of a torque-free axisymmetric body at times (n,), (n, 3).
 
-    Returns:
-        Angular acceleration (n, 3) at ``times_s`` and angular rate (3,) half a step before the first.
+    The transverse rate turns in body axes at (I_roll/I_pitch - 1) spin.
     """
     turn = (rocket.roll_to_pitch_inertia - 1.0) * rocket.spin_rad_s
-    phase = rng.uniform(0.0, 2.0 * np.pi)
-    angle = turn * times_s + phase
+    angle = turn * times_s + phase_rad
     accel = np.zeros((len(times_s), 3))
     accel[:, 0] = -rocket.nutation_rate_rad_s * turn * np.sin(angle)
     accel[:, 1] = rocket.nutation_rate_rad_s * turn * np.cos(angle)
-    before = phase - 0.5 * turn * step_s
+    return accel
+
+
+def rate_before(rocket: ConingTable, phase_rad: float, step_s: float) -> FloatArray:
+    """Angular rate of that body half a step before time 0, (3,)."""
+    turn = (rocket.roll_to_pitch_inertia - 1.0) * rocket.spin_rad_s
+    before = phase_rad - 0.5 * turn * step_s
     cone = rocket.nutation_rate_rad_s * np.array([np.cos(before), np.sin(before), 0.0])
-    return accel, cone + np.asarray(rocket.residual_rate_rad_s) + [0.0, 0.0, rocket.spin_rad_s]
+    return np.asarray(cone + np.asarray(rocket.residual_rate_rad_s) + [0.0, 0.0, rocket.spin_rad_s])
 
 
-def vibration(table: Vibration, step_s: float, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Linear acceleration [m/s^2] and angular acceleration [rad/s^2], each (n, 3), none at zero frequency."""
-    rate_Hz = 1.0 / step_s
-    milli_g = 1e-3 * STANDARD_GRAVITY
-    band = filters.band_pass(table.broadband_band_Hz, rate_Hz)
-    linear = filters.passed(band, rng.standard_normal((count, 3)))
-    linear *= milli_g * np.asarray(table.broadband_mg) / filters.rms_gain(band, _IMPULSE)
-    for mode in table.linear_mode_mg:
-        linear += _resonance(mode, milli_g, rate_Hz, count, rng)
-    angular = np.zeros((count, 3))
-    for mode in table.angular_mode_mrad_s:
+class _Band:
+    """Noise of a band, by axis."""
+
+    def __init__(self, sections: Sequence[filters.Section], unit: float, rms: Sequence[float], noise: Deviates) -> None:
+        self._passing, self._noise = filters.Passing(sections, 3), noise
+        self._scale = unit * np.asarray(rms) / filters.rms_gain(sections, _IMPULSE)
+
+    def take(self, rows: int) -> FloatArray:
+        made = self._passing.take(self._noise.take(rows))
+        made *= self._scale
+        return made
+
+
+class Shaking:
+    """Vibration of a structure, none at zero frequency, in chunks of whole blocks of the filters.
+
+    Args:
+        table: of it.
+        step_s: between rows.
+        count: of all rows.
+        rng: draws the noise of each band in turn.
+    """
+
+    def __init__(self, table: Vibration, step_s: float, count: int, rng: np.random.Generator) -> None:
+        rate_Hz = 1.0 / step_s
+        milli_g = 1e-3 * STANDARD_GRAVITY
+
+        def mode(one: Mode, unit: float) -> _Band:
+            section = filters.peak(one.frequency_Hz, 0.5 / one.damping_ratio, rate_Hz)
+            return _Band([section], unit, one.rms, Deviates(rng, count, 3))
+
+        band = filters.band_pass(table.broadband_band_Hz, rate_Hz)
+        self._linear = [_Band(band, milli_g, table.broadband_mg, Deviates(rng, count, 3))]
+        self._linear += [mode(one, milli_g) for one in table.linear_mode_mg]
         # A narrow mode: rms acceleration = 2 pi f x rms rate.
-        angular += _resonance(mode, 2e-3 * np.pi * mode.frequency_Hz, rate_Hz, count, rng)
-    return linear, angular
+        self._angular = [mode(one, 2e-3 * np.pi * one.frequency_Hz) for one in table.angular_mode_mrad_s]
+
+    def linear(self, rows: int) -> FloatArray:
+        """Acceleration at the next rows, (rows, 3), m/s^2."""
+        made = self._linear[0].take(rows)
+        for band in self._linear[1:]:
+            made += band.take(rows)
+        return made
+
+    def angular(self, rows: int) -> FloatArray:
+        """Angular acceleration at the next rows, (rows, 3), rad/s^2."""
+        made = np.zeros((rows, 3))
+        for band in self._angular:
+            made += band.take(rows)
+        return made
 
 
-def _resonance(mode: Mode, unit: float, rate_Hz: float, count: int, rng: np.random.Generator) -> FloatArray:
-    section = [filters.peak(mode.frequency_Hz, 0.5 / mode.damping_ratio, rate_Hz)]
-    noise = filters.passed(section, rng.standard_normal((count, 3)))
-    noise *= unit * np.asarray(mode.rms) / filters.rms_gain(section, _IMPULSE)
-    return noise
+class Gusts:
+    """First-order Gauss-Markov, of rms 1, in chunks.
+
+    Args:
+        air: that they are of.
+        step_s: between rows.
+        count: of all rows.
+        rng: draws them.
+    """
+
+    def __init__(self, air: AirTable, step_s: float, count: int, rng: np.random.Generator) -> None:
+        self._keep, self._noise, self._last = math.exp(-step_s / air.gust_time_s), Deviates(rng, count, 1), np.zeros(1)
+
+    def take(self, rows: int) -> FloatArray:
+        """Of the next rows, (rows,)."""
+        steps = math.sqrt(1.0 - self._keep**2) * self._noise.take(rows)
+        found = filters.remembered(self._keep, steps, self._last)
+        self._last = found[-1]
+        return np.asarray(found[:, 0])
 
 
-def dynamic_pressure(
-    at_reference_pa: float, air: AirTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
-) -> FloatArray:
-    """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa.
+def dynamic_pressure(air: AirTable, times_s: FloatArray, gusts: FloatArray) -> FloatArray:
+    """Exponential growth with gusts (n,) of rms 1, at times (n,), Pa.
 
     It grows up to the greatest deceleration of a steep ballistic entry, ``H / (2 e T^2)`` for the scale height H and
     the growth time T (Allen and Eggers, NACA TR 1381, 1958), and then falls as fast to what carries the weight at
     terminal speed: without that an hour's mission has no finite numbers.
     """
+    at_reference_pa = air.pressure_Pa
     greatest = weight = 0.5 * _DENSITY_kg_m3 * (_SCALE_HEIGHT_m / air.growth_time_s) ** 2  # where nothing is braked
     if (area := air.carrier_area_over_mass_m2_kg) > 0.0:
         greatest, weight = _SCALE_HEIGHT_m / (2.0 * np.e * air.growth_time_s**2) / area, STANDARD_GRAVITY / area
@@ -136,15 +188,12 @@ def dynamic_pressure(
     rising = at_reference_pa * np.exp(np.minimum(growths, peak))
     falling = weight + (greatest - weight) * np.exp(-np.maximum(growths - peak, 0.0))
     mean_pressure = np.where(growths <= peak, rising, falling) if at_reference_pa else 0.0 * growths
-    keep = math.exp(-step_s / air.gust_time_s)
-    steps = math.sqrt(1.0 - keep**2) * rng.standard_normal((len(times_s), 1))
-    gust = filters.remembered(keep, steps, np.zeros(1))[:, 0]
-    return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gust))
+    return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gusts))
 
 
-def wind_direction(air: AirTable, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+def wind_direction(air: AirTable, spin_rad_s: float, times_s: FloatArray, from_rad: float) -> FloatArray:
     """The wind's direction in the base's axes turns against the spin; (n, 3)."""
-    azimuth = rng.uniform(0.0, 2.0 * np.pi) - spin_rad_s * (times_s - air.reference_s)
+    azimuth = from_rad - spin_rad_s * (times_s - air.reference_s)
     elevation = np.deg2rad(air.wind_elevation_deg)
     level = np.cos(elevation)
     return np.stack(

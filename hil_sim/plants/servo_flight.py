@@ -23,7 +23,7 @@ from mujoco import rollout
 
 from hil_sim.arrays import FloatArray, cross
 from hil_sim.plants.body import Body
-from hil_sim.plants.carrier import Carried, turned
+from hil_sim.plants.carrier import Carrier, turned
 from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.servos import Servo, install, of_all, stiffen
 from hil_sim.plants.urdf_model import Places, UrdfModel
@@ -75,7 +75,7 @@ class ServoFlight:
         chunk: int,
         far: int,
         make: Callable[[FloatArray], list[Servo]],
-        path: Carried | None = None,
+        path: Carrier | None = None,
         drag: Sequence[DragTable] = (),
         stops: Sequence[StopTable] = (),
     ) -> None:
@@ -84,10 +84,6 @@ class ServoFlight:
         self._drag = [
             (vehicle.body(table.link), table.area_m2, 1e-3 * np.asarray(table.centre_of_pressure_mm)) for table in drag
         ]
-        self._blown = np.zeros((0, 3))  # dynamic pressure along the wind, world axes, Pa
-        if path is not None and self._drag:
-            self._blown = turned(path.pose[:, 3:], path.wind)
-            self._blown *= path.pressure_pa[:, None]
         self._ahead = 0, (np.zeros((0, 0)), np.zeros((0, 0)))  # row, and what is commanded from it
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np, self._nj = vehicle.freedom, vehicle.pose, len(vehicle.joints)
@@ -96,7 +92,7 @@ class ServoFlight:
         self.spring: Spring | None = None
         self.momenta = Momenta(vehicle, self.data, places)
         self._inertia = np.zeros((self.model.nv, self.model.nv))
-        self._push = np.zeros((0, 6))  # on a prescribed base, N, N m
+        self._heavy_kg = 0.0  # of a prescribed base
         model = self.model
         model.opt.timestep, model.opt.tolerance = step_s, 1e-15
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -109,10 +105,8 @@ class ServoFlight:
         model.jnt_actfrclimited[:] = 0
         if path is not None:
             root = vehicle.body(vehicle.root)
-            heavy_kg = _HEAVIER * max(1.0, float(model.body_mass.sum() - model.body_mass[root]))
-            vehicle.build({vehicle.root: Body(heavy_kg, np.zeros(3), heavy_kg * np.eye(3))})
-            self._push = heavy_kg * path.acceleration
-            self._push[:, :3] -= heavy_kg * model.opt.gravity
+            self._heavy_kg = _HEAVIER * max(1.0, float(model.body_mass.sum() - model.body_mass[root]))
+            vehicle.build({vehicle.root: Body(self._heavy_kg, np.zeros(3), self._heavy_kg * np.eye(3))})
         q, dq, _ = motion.at(np.zeros(1))
         self._q, self._dq = q[0].copy(), dq[0].copy()
         self._stand()
@@ -146,7 +140,8 @@ class ServoFlight:
         """Pose and velocity of the row at which the vehicle stands, and its inertia matrix."""
         data, nb = self.data, self._nb
         if self._path is not None:
-            data.qpos[: self._np], data.qvel[:nb] = self._path.pose[self.count], self._path.before[self.count]
+            now = self._path.rows(self.count, self.count + 1)
+            data.qpos[: self._np], data.qvel[:nb] = now.pose[0], now.before[0]
         data.qpos[self._np :], data.qvel[nb:] = self._q, self._dq
         mujoco.mj_fwdPosition(self.model, data)
         mujoco.mj_fwdVelocity(self.model, data)
@@ -196,7 +191,6 @@ class ServoFlight:
     def _command(self, control: FloatArray) -> None:
         """Set-points, forces on base and joints, loads on links, for a chunk (n, ...)."""
         n, nu, nv, nb = len(control), self._nj, self.model.nv, self._nb
-        rows = slice(self.count, self.count + n)
         target, ddq = self._wanted(n)
         of = self._of_servos
         control[:, :nu] = target + ddq @ (self._inertia[nb:, nb:] / of.stiffness)  # rotors included
@@ -204,12 +198,15 @@ class ServoFlight:
             control[:, :nu] += self._against_gravity() / of.stiffness
         ahead = self._q + self._dq * self._later[:n]
         control[:, nu + nb : nu + nv] = of.ripple * np.sin(of.cycles * ahead)
-        if len(self._push):
-            control[:, nu : nu + 6] = self._push[rows]
         loads = control[:, nu + nv :].reshape(n, -1, 6)
         loads[:] = 0.0
-        if len(self._blown):
-            self._drags(loads, self._blown[rows])
+        if self._path is not None:
+            now = self._path.rows(self.count, self.count + n)
+            push = self._heavy_kg * now.acceleration
+            push[:, :3] -= self._heavy_kg * self.model.opt.gravity
+            control[:, nu : nu + 6] = push
+            if self._drag:
+                self._drags(loads, turned(now.pose[:, 3:], now.wind) * now.pressure_pa[:, None])
         spring = self.spring
         if spring is not None and spring.first < self.count + n and self.count < spring.first + len(spring.force):
             self._springs(loads, spring)

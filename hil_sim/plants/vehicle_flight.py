@@ -20,7 +20,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
-from hil_sim.plants.carrier import Carried
+from hil_sim.plants.carrier import Carrier
 from hil_sim.plants.contact import Contact
 from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.jets import Jets
@@ -57,7 +57,7 @@ class VehicleFlight:
         link: that holds the payload.
         step_s: between rows.
         velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
-        path: of a prescribed base, at the rows.
+        path: of a prescribed base.
         pucks: of a planar one.
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
@@ -78,7 +78,7 @@ class VehicleFlight:
         link: str | None,
         step_s: float,
         velocity: FloatArray,
-        path: Carried | None = None,
+        path: Carrier | None = None,
         pucks: Sequence[Puck] = (),
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
@@ -201,10 +201,10 @@ class VehicleFlight:
     def _show(self, k: int, out: Rows, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
         data, nb = self.data, self._nb
         if self._path is not None:
-            self._pose, self._velocity = self._path.pose[self.count], self._path.velocity[self.count]
-            acceleration = self._path.acceleration[self.count]
+            told = self._path.rows(self.count, self.count + 1)
+            self._pose, self._velocity = told.pose[0], told.velocity[0]
             self._place(self._pose, self._velocity, q, dq)
-            data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
+            data.qacc[:nb], data.qacc[nb:] = told.acceleration[0], ddq
             mujoco.mj_inverse(self.model, data)
         else:
             dq = self._turned(dq, self._spin)

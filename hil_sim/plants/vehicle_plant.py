@@ -1,9 +1,9 @@
 """Plant of any vehicle: its URDF as it was built, its base released, held or moved, its joints as told, its payload.
 
-The whole mission is computed when the plant is created, at steps of a few ms; where the flight computer asks for some
-of the motion, it is computed as time advances. The sensors' finer grid is interpolated by splines, separately between
-captures and releases, of a long mission as time advances; a jolt is in one row of that grid, as its mean. Rows are
-released in chunks as time advances, so no sensor reads future rows.
+A mission of some minutes is computed when the plant is created, at steps of a few ms; a longer one, and one where the
+flight computer asks for some of the motion, as time advances. The sensors' finer grid is interpolated by splines,
+separately between captures and releases; a jolt is in one row of that grid, as its mean. Rows are released in chunks as
+time advances, so no sensor reads future rows. Of a long mission only what is read is kept.
 """
 
 import copy
@@ -19,7 +19,7 @@ from hil_sim.plants import draws, servos, urdf_drawing, world
 from hil_sim.plants.attitude import holding
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
-from hil_sim.plants.carrier import carried
+from hil_sim.plants.carrier import Carrier
 from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.events import events
 from hil_sim.plants.exchange import Jolt
@@ -37,6 +37,7 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _APPROACH = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
+_WHOLE_S, _PART = 240.0, 10  # missions computed when the plant is created; chunks at a time of longer ones
 _AT_ONCE_S, _BLOCK = 120.0, 100  # interpolated when the plant is created; chunks at a time afterwards
 _FAR = 50  # chunks beyond the next for which a servo's commanded motion is made at once
 _AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
@@ -110,7 +111,9 @@ class VehiclePlant(world.Plant):
         self._parts: list[_Part] = []  # not interpolated to their end
         self._filled = 0  # rows interpolated
         self._start(rng)
-        if not (self.program.waits or isinstance(self._flight, ServoFlight)):
+        self._waits = self.program.waits or isinstance(self._flight, ServoFlight)
+        self._part = _PART * self.chunk if not self._waits and self.program.duration_s > _WHOLE_S else 0
+        if not (self._waits or self._part):
             self._compute(self.rows)
             self._make(round(_AT_ONCE_S / self.step_s))
 
@@ -119,7 +122,7 @@ class VehiclePlant(world.Plant):
         scenario, every = self._scenario, self._every
         self._coarse_s, self._steps = every * self.step_s, -(-self.rows // every) + 1
         prescribed = scenario.vehicle.base == "prescribed"
-        path = carried(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
+        path = Carrier(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
         link = scenario.vehicle.payload_link
         if self.payload is not None and scenario.capture is None and link is not None:
             self._model.hold(link, self.payload)
@@ -379,7 +382,8 @@ class VehiclePlant(world.Plant):
 
     def _run_chunk(self) -> None:
         self.count += self.chunk
-        self._compute(min(self.count, self.rows))
+        if self._waits or (self._part and self._done * self._every < min(self.count, self.rows)):
+            self._compute(min(self.count + self._part, self.rows))
         if self._filled < min(self.count, self.rows):  # not of servos
             self._make(self.count + _BLOCK * self.chunk)
 

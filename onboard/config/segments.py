@@ -6,7 +6,6 @@ is known before the flight.
 """
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.errors import ConfigError
+from onboard.npz import NpzError, arrays_of
 
 FORMAT = 1
 FILE = "segments.npz"
-MOST_BYTES = 64 << 20
+MOST_BYTES = 256 << 20  # of its arrays
 _MOTION = ("ticks_hz", "sigma", "cyclic")
 _FIELDS = (
     *_MOTION,
@@ -86,13 +86,11 @@ def read(path: Path) -> Library:
         ConfigError: it cannot be read, is none, or one of another version.
     """
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"segments {path}: larger than {MOST_BYTES >> 20} MiB: it is no file of segments")
-        with np.load(path, allow_pickle=False) as file:
-            if int(file["format"]) != FORMAT:
-                raise ConfigError(f"segments {path}: of another version: make it again with heft plan --segments")
-            fields = {name: file[name] for name in _FIELDS}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        file = arrays_of(path, MOST_BYTES)
+        if int(file["format"]) != FORMAT:
+            raise ConfigError(f"segments {path}: of another version: make it again with heft plan --segments")
+        fields = {name: file[name] for name in _FIELDS}
+    except (OSError, NpzError, KeyError, TypeError, ValueError) as error:
         text = f"segments {path} cannot be read: {error}; heft plan --segments writes such a file"
         raise ConfigError(text) from error
     found = _checked(fields, path)

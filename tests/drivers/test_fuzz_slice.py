@@ -24,6 +24,7 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "sync_pulse": 500,
     "vehicle": 12,
     "urdf": 30,
+    "segments": 60,
     "log": 60,
     "recover": 60,
     "import": 100,

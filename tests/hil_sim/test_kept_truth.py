@@ -69,6 +69,24 @@ def test_what_is_kept_changes_nothing_that_is_read(monkeypatch) -> None:
     np.testing.assert_array_equal(forgetful, read(scenario_of("dymaflex", SHORT), 3, 1.4))
 
 
+def test_a_long_mission_is_computed_as_time_advances(monkeypatch) -> None:
+    scenario = scenario_of("dymaflex", SHORT | {"sequence": [HELD | {"duration_s": 4.0}]})
+    whole = Mission(scenario, 3).plant
+    whole.advance(1e9)
+    monkeypatch.setattr(vehicle_plant, "_WHOLE_S", 0.1)
+    plant, ahead, parts = Mission(scenario, 3).plant, [], []
+    while plant.count < plant.rows:
+        plant._run_chunk()
+        ahead.append(plant._done * plant._every - plant.count)
+        parts.append(sum(part.rows for part in plant._parts))
+    assert len(ahead) == plant.rows // plant.chunk > 4 * vehicle_plant._PART
+    assert max(ahead) <= (vehicle_plant._PART + 1) * plant.chunk
+    assert max(parts) <= (vehicle_plant._PART + 1) * plant.chunk
+    assert plant.truth()["capture_s"] == whole.truth()["capture_s"] > 0.0
+    for own, other in zip(plant.rows_true, whole.rows_true, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-5, atol=1e-5 * np.abs(other).max())
+
+
 @pytest.mark.usefixtures("small")
 def test_a_time_that_is_not_kept_is_an_error_and_a_delayed_input_keeps_more() -> None:
     for fault, kept in ((), False), (({"kind": "delayed", "device": "joint_1", "start_s": 0.1, "value": 1.0},), True):

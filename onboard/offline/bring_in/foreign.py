@@ -1,45 +1,27 @@
 """Reads columns of foreign files (CSV with a header line, NumPy's NPZ); a whole file is held in memory."""
 
 import csv
-import io
 import json
-import lzma
 import os
 import re
 import stat
-import struct
-import tokenize
-import warnings
-import zipfile
-import zlib
 from collections import deque
 from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as Columns
 from itertools import islice
-from math import prod
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
+from onboard.npz import NpzError, arrays_of
 from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.mapping import Csv
 
 Values = NDArray[np.generic]
 LARGEST_BYTES = 2 << 30  # of the arrays of one file
-BROKEN = (  # what zipfile and NumPy raise for altered archives and array headers
-    *(ValueError, EOFError, OverflowError, NotImplementedError, RuntimeError, SyntaxError, MemoryError, TypeError),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, struct.error, OSError),
-)
-_HEADERS = {  # by version: bytes of the header's length, and what reads it
-    (1, 0): (2, np.lib.format.read_array_header_1_0),
-    (2, 0): (4, np.lib.format.read_array_header_2_0),
-}
-_LONGEST_HEADER = 10_000  # bytes, as NumPy has it, which reads the whole of one before it looks
 _LONGEST_LINE = 1 << 20  # characters of a CSV
-_MOST_ARRAYS = 10_000  # whose headers take 2 s
 _BLOCK = 1 << 20  # cells of a CSV that are text at a time
 _MOST_NAMED, _LONGEST_NAME = 20, 80  # columns in a message, characters of one
 
@@ -51,43 +33,10 @@ def read_npz(path: Path) -> Columns[str, Values]:
         SourceError: not an NPZ file, or one with pickled objects.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # NumPy's, of old headers that it can still read
-        try:
-            _require_bounded(path)
-            loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, NpzFile):
-                return {name: loaded[name] for name in loaded.files}
-        except SourceError:
-            raise
-        except BROKEN as error:
-            raise SourceError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
-    raise SourceError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
-
-
-def _require_bounded(path: Path) -> None:
-    """Raises SourceError if the arrays of an NPZ file would take more memory than a recording does."""
-    if not zipfile.is_zipfile(path):
-        return  # told by the caller
-    with zipfile.ZipFile(path) as archive:
-        total = 0
-        if len(archive.infolist()) > _MOST_ARRAYS:
-            raise SourceError(f"{path} has more than {_MOST_ARRAYS} arrays: divide it")
-        for member in archive.infolist():
-            with archive.open(member) as array:
-                known = _HEADERS.get(np.lib.format.read_magic(array))
-                if known is None:
-                    raise SourceError(f"{path}: {member.filename} is no array of a known version; save it again")
-                bytes_of_length, header = known
-                length = array.read(bytes_of_length)
-                size = int.from_bytes(length, "little")
-                if size > _LONGEST_HEADER:
-                    raise SourceError(f"{path}: {member.filename} has a header of {size} bytes; save it again")
-                shape, _, dtype = header(io.BytesIO(length + array.read(size)))
-            total += max(member.file_size, dtype.itemsize * prod(shape))
-        if total > LARGEST_BYTES:
-            limit = f"{LARGEST_BYTES / 1e9:.1f} GB"
-            raise SourceError(f"{path} would expand to {total / 1e9:.3g} GB; the limit is {limit}: divide it")
+    try:
+        return arrays_of(path, LARGEST_BYTES)
+    except NpzError as error:
+        raise SourceError(str(error)) from error
 
 
 class Recording(NamedTuple):

@@ -9,6 +9,8 @@ from onboard.offline.foresee.plan import Expected, Foreseen, Plan
 from onboard.offline.foresee.planar import foresee_planar
 from onboard.offline.foresee.rows import foresee_rows
 
+_MOST_TICKS = 100_000  # of all motions of the base
+
 
 def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
     """What a vehicle can determine with a planned motion.
@@ -27,7 +29,8 @@ def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> For
         return foresee_planar(vehicle, plan)
     if vehicle.file.estimation.method == "exiddm":
         return foresee_free(vehicle, plan)
-    return _over([foresee_rows(vehicle, one, coarse=coarse) for one in plan.by_base()])
+    most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next
+    return _over([foresee_rows(vehicle, one, coarse=coarse) for one in plan.by_base()[:most]])
 
 
 def _over(found: list[Foreseen]) -> Foreseen:

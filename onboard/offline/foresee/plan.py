@@ -22,6 +22,7 @@ from onboard.regressor.rows import BaseMotion
 
 LEVEL = 0.95  # of the intervals shown
 UNDETERMINED = "not determined"
+_MOST_TICKS = 20_000  # of which a long motion's rates are taken
 _FEW_ANGLE = 0.03  # of the largest rms rate: about such an axis a link hardly turns
 
 
@@ -230,8 +231,9 @@ def axes_words(model: VehicleModel, plan: Plan, base_rate: FloatArray, used: Boo
     payload = model.spec.payload_link
     if payload is None or not used.any():
         return ()
-    link = link_motions(model, plan.q, plan.dq, plan.ddq)[model.links.index(payload)]
-    rate = turned(np.swapaxes(link.R, 1, 2), base_rate + link.w)[used]  # link axes
+    some = np.flatnonzero(used)[:: 1 + len(used) // _MOST_TICKS]
+    link = link_motions(model, plan.q[some], plan.dq[some], plan.ddq[some])[model.links.index(payload)]
+    rate = turned(np.swapaxes(link.R, 1, 2), base_rate[some] + link.w)  # link axes
     rms = np.sqrt(np.mean(rate**2, axis=0))
     if rms.max() == 0.0:
         return (f"{payload} does not turn at all",)

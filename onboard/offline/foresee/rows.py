@@ -44,6 +44,7 @@ from onboard.regressor.rows import BaseMotion, standing
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints, orders_of
 
 _SEED = 1
+_MOST_TICKS = 20_000  # whose rows are made at a time: 0.2 GB
 _FINE = 20  # steps, or more, in a kernel's width
 
 
@@ -65,9 +66,13 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
     if plan.payload is not None:
         chi[model.payload_columns()] = standard_of(plan.payload)
     motion = _base_motion(model, plan, chi)
-    signals = _signals(vehicle, identifier, plan, motion, chi, coarse=coarse)
     excluded = reasons(~plan.used(vehicle), GateReason.PHASE)
-    identifier.update(signals, plan.held, excluded)
+    edges = np.linspace(0, len(excluded), 1 + -(-len(excluded) // _MOST_TICKS)).astype(np.intp)
+    for first, last in pairwise(edges.tolist()):
+        part = slice(first, last)
+        own = BaseMotion(*(signal[part] for signal in motion))
+        signals = _signals(vehicle, identifier, plan.part(part), own, chi, coarse=coarse)
+        identifier.update(signals, plan.held[part], excluded[part])
     found = identifier.stated_estimate()  # nothing is suspected of readings that were made up
     beta = identifier.base.value(chi)
     at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}

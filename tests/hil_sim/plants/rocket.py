@@ -1,5 +1,6 @@
 """The rocket's arm as a vehicle with servos, stops, air and an ejection, and its true signals."""
 
+import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,9 +61,9 @@ def plant(seed: int = 7, **overrides: Any) -> VehiclePlant:
 
 def history(flown: VehiclePlant) -> History:
     """What a plant has computed."""
+    path = copy.deepcopy(flown._flight._path).rows(0, flown.rows)
     flown.advance(1e9)
-    imu, rows = flown.inertial("imu_base"), flown.rows
-    path, angle = flown._flight._path, flown.angle_rad("joint_1")
+    imu, rows, angle = flown.inertial("imu_base"), flown.rows, flown.angle_rad("joint_1")
     own = path.pose[:rows, 3:] * [1.0, -1.0, -1.0, -1.0]
     return History(
         imu.specific_force_m_s2,

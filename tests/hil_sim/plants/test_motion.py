@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from hil_sim.plants.carrier import carried, turned
+from hil_sim.plants import carrier
+from hil_sim.plants.carrier import Carrier, carried, turned
 from hil_sim.plants.joint_swings import JointSwings
 from hil_sim.plants.motion import STANDARD_GRAVITY, dynamic_pressure
 from hil_sim.plants.urdf_drawing import read
@@ -161,9 +162,9 @@ def test_air_takes_hold_in_the_fourth_sweep_and_is_gusty() -> None:
 def test_the_air_of_an_hour_is_finite_and_carries_what_falls_in_it(area: float, pressure_pa: float) -> None:
     scenario = load("rocksat", {})
     assert scenario.air is not None
-    air = scenario.air.model_copy(update={"carrier_area_over_mass_m2_kg": area, "gust_fraction": 0.0})
+    air = scenario.air.model_copy(update={"carrier_area_over_mass_m2_kg": area, "pressure_Pa": pressure_pa})
     times = np.arange(0.0, 3600.0, 0.1)
-    pressure = dynamic_pressure(pressure_pa, air, times, 0.1, np.random.default_rng(1))
+    pressure = dynamic_pressure(air, times, np.zeros(len(times)))
     assert np.isfinite(pressure).all()
     early = times < 62.0  # the packaged missions
     np.testing.assert_allclose(pressure[early], pressure_pa * np.exp((times[early] - 47.1) / 2.8))
@@ -176,6 +177,18 @@ def test_an_hour_s_attitudes_are_unit_quaternions() -> None:
     scenario = load("rocksat", NO_VIBRATION)
     path = carried(scenario, 0.01, 360_000, np.random.default_rng(1))
     np.testing.assert_allclose(np.linalg.norm(path.pose[:, 3:], axis=1), 1.0)
+
+
+@pytest.mark.parametrize("sways", [{}, {"base_motion": {"rate_rad_s": 0.05, "acceleration_m_s2": 0.1, "still_s": 0.5}}])
+def test_a_motion_is_the_same_wherever_it_is_cut_and_only_what_comes_next_is_kept(monkeypatch, sways) -> None:
+    scenario, count = load("rocksat", sways), 12 * carrier.CHUNK + 7
+    path, kept = Carrier(scenario, STEP_S, count, np.random.default_rng(3)), []
+    parts = [path.rows(first, min(first + 40, count)) for first in range(0, count, 40) if not kept.append(path.kept)]
+    assert max(kept) <= carrier.CHUNK + 40
+    monkeypatch.setattr(carrier, "CHUNK", 64 * count)
+    whole = carried(scenario, STEP_S, count, np.random.default_rng(3))
+    for name, own in zip(whole._fields, whole, strict=True):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), own)
 
 
 def test_motion_is_drawn_from_the_seed() -> None:

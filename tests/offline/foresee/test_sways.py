@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants import planned
 from hil_sim.plants.planned import default_plan
 from hil_sim.scenario.tables import Scenario
 from onboard import config
 from onboard.offline.begin.vehicle import Wanted, make
+from onboard.offline.foresee import rows
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import Plan, plan_of
 
@@ -18,6 +20,7 @@ STILL = "[base_motion]\nrate_rad_s = 0.0\nacceleration_m_s2 = 0.0\n"
 
 
 def plan(directory: Path, base: str, over: str = "") -> tuple[config.Vehicle, Plan]:
+    directory.mkdir(exist_ok=True)
     make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), directory / "it")  # type: ignore[arg-type]
     (directory / "over.toml").write_text(over)
     scenario: Scenario = scenario_of(str(directory / "it" / "vehicle.toml"), directory / "over.toml")
@@ -41,3 +44,19 @@ def test_a_base_that_does_not_sway_is_computed_once(base: str, over: str, count:
     _, whole = plan(tmp_path, base, over)
     assert len(whole.bases) == count
     assert len(whole.by_base()) == 1
+
+
+def test_a_long_motion_is_taken_in_parts_and_by_fewer_sways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, whole = plan(tmp_path, "prescribed")
+    n, one = len(whole.time_s), whole.by_base()[0]
+    at_once = [parameter.sigma for parameter in rows.foresee_rows(vehicle, one).parameters]
+    monkeypatch.setattr(rows, "_MOST_TICKS", n // 3)
+    taken = []
+    signals = rows._signals
+    monkeypatch.setattr(rows, "_signals", lambda *given, **how: taken.append(len(given[2].q)) or signals(*given, **how))
+    parts = [parameter.sigma for parameter in rows.foresee_rows(vehicle, one).parameters]
+    assert sum(taken) == n
+    assert max(taken) <= n // 3
+    np.testing.assert_allclose(parts, at_once, rtol=0.15)  # other noise is drawn
+    monkeypatch.setattr(planned, "_MOST_ROWS", n)
+    assert len(plan(tmp_path / "again", "prescribed")[1].bases) == 2
