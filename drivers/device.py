@@ -39,6 +39,10 @@ class Device(Protocol):
 class Rests(Protocol):
     """A device that knows until when it neither sends nor says anything of its own accord."""
 
+    @property
+    def name(self) -> str:
+        """As of :class:`Device`."""
+
     def rests_until(self, now_ns: int) -> int:
         """CLOCK_MONOTONIC until which a pump would only hand over the rows that it found; ``now_ns`` if it may do more.
 

@@ -54,6 +54,11 @@ class Burst:
         """Time between two polls."""
         return int(POLL * self._config.sample_period_ns)
 
+    @property
+    def rests_ns(self) -> int:
+        """How long samples may wait in the chip: the next one takes the place of the last."""
+        return 0
+
     def restart(self, now_ns: int, at_least: int = 0) -> None:
         """Start with the next new sample, after recording the samples certainly missed. Raises OSError."""
         self.running = False

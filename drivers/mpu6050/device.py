@@ -24,6 +24,7 @@ SILENCE_NS = 100_000_000
 CHECK_ROUND_NS = 1_000_000_000
 BACKOFF_NS = 20_000_000
 LONGEST_BACKOFF_NS = 1_000_000_000
+MARKED = 32  # samples with the mark of a sync pulse: from then on their times hang on no arrival
 LAST_DRAINS = 8
 WATCHED = 11  # largest number of registers checked per round
 
@@ -148,6 +149,11 @@ class Mpu6050:
         except OSError as error:
             self._fault(now_ns, error)
         return self._report.take()
+
+    def rests_until(self, now_ns: int) -> int:
+        """See ``drivers.device.Rests``: samples wait in the FIFO, where marks and not arrivals tell their time."""
+        rests = self._state is _State.RUNNING and self._stream.marks > MARKED
+        return now_ns + self._source.rests_ns if rests else now_ns
 
     def stop(self, now_ns: int) -> list[Batch]:
         """Stop sampling, read the rest, put the chip to sleep. Samples that cannot be read are a gap."""

@@ -45,8 +45,16 @@ class Fifo:
     @property
     def period_ns(self) -> int:
         """Time between two drains: as configured, or until the chip's FIFO is half full."""
-        half = self.chip.fifo_bytes // PACKET_BYTES // 2 * self._config.sample_period_ns
-        return min(round(self._config.poll_period_ms * 1e6), half)
+        return min(round(self._config.poll_period_ms * 1e6), self._full_ns // 2)
+
+    @property
+    def rests_ns(self) -> int:
+        """How long samples may wait in the chip where nothing delays the next drain."""
+        return self._full_ns * 3 // 4
+
+    @property
+    def _full_ns(self) -> int:
+        return self.chip.fifo_bytes // PACKET_BYTES * self._config.sample_period_ns
 
     def restart(self, now_ns: int, at_least: int = 0) -> None:
         """Clear and start the FIFO; record the samples lost by the clock, ``at_least`` as many. Raises OSError."""

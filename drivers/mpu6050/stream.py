@@ -22,6 +22,7 @@ class SampleStream:
         next: Number of the next sample.
         cause: Cause of a possible gap before the next sample; empty while the stream is complete.
         after_reset: The chip restarted: the next row is marked AFTER_RESET.
+        marks: Samples of this run with the mark of a sync pulse.
     """
 
     def __init__(self, name: str, nominal_period_ns: int, repeats: Repeats, report: Reporter) -> None:
@@ -33,11 +34,13 @@ class SampleStream:
         self.next = 0
         self.cause = ""
         self.after_reset = False
+        self.marks = 0
 
     def begin(self) -> None:
         """Begin a run; the time since an earlier stop is not a gap."""
         self.clock = SampleClock(self._nominal_period_ns)
         self.after_reset = self.next > 0
+        self.marks = 0
 
     def hand_over(self, rows: Rows, host_ns: int) -> int:
         """Number the rows and pass them on; returns their count."""
@@ -50,6 +53,7 @@ class SampleStream:
             self.after_reset = False
         self._repeats.watch(rows, host_ns)
         self.next += len(rows)
+        self.marks += int(np.count_nonzero(rows["sync"]))
         self._report.rows(self._name, rows)
         return len(rows)
 

@@ -69,17 +69,26 @@ def fly(
     acquisition.start(clock.now_ns)
     pause_ns = step_ns(device.period_ns for device in acquisition.devices)
     estimation_steps = max(1, round(estimation.period_ns / pause_ns))
-    step = 0
+    start_ns, step = clock.now_ns, 0
+
+    def handed_over(step: int) -> int:
+        """The first step from ``step`` on that hands over."""
+        return min(-(-step // every) * every for every in (estimation_steps, RECORDING_STEPS))
+
+    def step_at(time_ns: int) -> int:
+        """The first step at a time or after it."""
+        return -((start_ns - time_ns) // pause_ns)
+
+    def handed_over_at(time_ns: int) -> int:
+        """When rows found at a time are handed over."""
+        return start_ns + handed_over(step_at(time_ns)) * pause_ns
+
     while clock.now_ns < end_ns:
-        idle_ns, estimates, records = acquisition.idle_until(), False, False
-        while not (estimates or records) and clock.now_ns < end_ns:
-            step += 1
-            clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
-            estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
-            if clock.now_ns >= idle_ns:
-                break
+        step = min(max(step + 1, step_at(acquisition.idle_until())), handed_over(step + 1))
+        clock.now_ns = min(start_ns + step * pause_ns, end_ns)
+        estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
         advance_world(clock.now_ns)
-        acquisition.step(clock.now_ns, hand_over=estimates or records)
+        acquisition.step(clock.now_ns, hand_over=estimates or records, handed_over_at=handed_over_at)
         if estimates:
             estimation.step(clock.now_ns)
             end_ns = min(end_ns, answered(clock.now_ns) or end_ns)

@@ -245,6 +245,22 @@ def test_the_sync_bit_marks_its_sample(flight):
     assert rows["tick"][rows["sync"] == 1].tolist() == [17, 200, 201, 999]
 
 
+def test_a_chip_whose_samples_carry_marks_rests_and_loses_nothing(flight):
+    flight.chip.sync_samples = set(range(0, 100_000, 20))
+    flight.start()
+    assert flight.device.rests_until(flight.clock()) == flight.clock(), "by arrivals alone each poll counts"
+    flight.fly(50)
+    for _ in range(40):
+        rest_ns = flight.device.rests_until(flight.clock()) - flight.clock()
+        assert 50 * MS < rest_ns < 60 * MS
+        flight.clock.advance(rest_ns)
+        flight.batches += flight.device.pump(flight.clock())
+    flight.stop()
+    assert flight.device.rests_until(flight.clock()) == flight.clock()
+    assert len(flight.check()) > 2400
+    assert not [rows for channel, rows in flight.batches if channel == "gap"]
+
+
 def test_a_second_start_goes_on_numbering_and_says_so(flight):
     flight.start()
     flight.stop()

@@ -443,8 +443,8 @@ def test_an_imu_that_has_warmed_is_named_before_what_speaks_against_all_answers(
 ) -> None:
     rows = np.zeros(5, records.IMU)
     temperatures = Temperatures(roles_of(ROCKSAT).imu)
-    temperatures.append({"imu_base": rows})
-    rows["temperature_raw"] = round(340.0 * kelvin)
-    temperatures.append({"imu_base": rows})
+    for counts in (0, round(340.0 * kelvin)):
+        rows["temperature_raw"] = counts
+        temperatures.append({"imu_base": rows}, lambda _, rows: rows["tick"].astype(np.int64))
     assert temperatures.noted(Findings(("it swings",))).against == (*said, "it swings")
     assert temperatures.noted(Findings((), ("noisy",))) == Findings((), ("noisy",))

@@ -3,7 +3,7 @@
 A device that cannot be started is reported and left out; the others continue.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from drivers.device import Device, Rests
 from drivers.errors import DriverError
@@ -34,7 +34,6 @@ class Acquisition:
         self.devices = list(devices)
         self._due_ns = dict.fromkeys((device.name for device in devices), 0)
         self._resting = {each.name: each for each in devices if undisturbed and isinstance(each, Rests)}
-        self._rests_ns = dict(self._due_ns)
         self._held: list[Batch] = []  # of steps that did not hand over
 
     def start(self, now_ns: int) -> None:
@@ -63,28 +62,32 @@ class Acquisition:
             batches += self._arming.hear(device, now_ns)
         return batches
 
-    def step(self, now_ns: int, *, hand_over: bool = True) -> None:
+    def step(self, now_ns: int, *, hand_over: bool = True, handed_over_at: Callable[[int], int] = int) -> None:
         """Pump every device that is due, without waiting.
 
         Args:
             now_ns: CLOCK_MONOTONIC.
-            hand_over: publish what was found; else it waits for a step that does, and devices that rest are left out.
+            hand_over: publish what was found; else it waits for a step that does.
+            handed_over_at: when rows found at a time are handed over; of the polls before it a device that rests
+                needs the last one only.
         """
         for device in self.devices:
             name = device.name
-            if now_ns < self._due_ns[name] or (now_ns < self._rests_ns[name] and not hand_over):
+            if now_ns < self._due_ns[name]:
                 continue
             self._held += self._pumped(device, now_ns, 0.0)
-            self._due_ns[name] = now_ns + device.period_ns
+            period_ns = device.period_ns
+            due_ns = now_ns + (period_ns or 1)
             if name in self._resting:
-                self._rests_ns[name] = self._resting[name].rests_until(now_ns)
+                rests_ns = min(self._resting[name].rests_until(now_ns), handed_over_at(due_ns))
+                due_ns = max(due_ns, rests_ns - (rests_ns - now_ns) % (period_ns or 1))
+            self._due_ns[name] = due_ns
         if hand_over:
             self._hand_over()
 
     def idle_until(self) -> int:
-        """Before when a step that hands nothing over pumps no device, CLOCK_MONOTONIC; as long as all that rest do."""
-        times_ns = [max(self._due_ns[device.name], self._rests_ns[device.name]) for device in self.devices]
-        return min(times_ns, default=0)
+        """Before when no step pumps a device, CLOCK_MONOTONIC."""
+        return min((self._due_ns[device.name] for device in self.devices), default=0)
 
     def _hand_over(self) -> None:
         if self._held:

@@ -171,7 +171,7 @@ class Estimator:
         for channel, said in self._signals.append(batches):
             made.append(event(now_ns, said.severity, said.code, channel, said.text))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
-        self._temperatures.append(batches)
+        self._temperatures.append(batches, self._timebase.time_ns)
         at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
             made += self._rows(now_ns, at_ns, final=lag_ns is not None)

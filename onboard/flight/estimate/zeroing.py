@@ -10,7 +10,7 @@ fitted to all ticks at rest so far; its slope has a prior of zero with ``drift_s
 not explain is left out: in thin air the rocket is slowed down even where the arm rests.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +41,26 @@ class Temperatures:
         self._times_ns = np.zeros(0)
         self._values = np.zeros(0)
 
-    def append(self, batches: Mapping[str, Rows]) -> None:
-        """Takes the median of a step's samples: it changes within seconds, and single words may be damaged."""
+    def append(self, batches: Mapping[str, Rows], times_ns: Callable[[str, Rows], NDArray[np.int64] | None]) -> None:
+        """Takes the median of a step's samples: it changes within seconds, and single words may be damaged.
+
+        Args:
+            batches: rows by channel.
+            times_ns: vehicle time of a channel's rows, (n,); None while it is not known: they are left out.
+        """
         rows = batches.get(self._channel)
         if rows is None or not self._kelvin_per_count or "temperature_raw" not in (rows.dtype.names or ()):
             return
         good = rows[(rows["status"] & SampleStatus.NOT_VALID) == 0]
         if not len(good):
             return
+        taken_ns = times_ns(self._channel, good)
+        if taken_ns is None:
+            return
         kelvin = self._kelvin_per_count * _median(good["temperature_raw"])
         self._first = kelvin if self._first is None else self._first
         if abs(kelvin - self._first) < _PLAUSIBLE_K:
-            self._times_ns = np.append(self._times_ns, _median(good["host_ns"]))[-_STEPS:]
+            self._times_ns = np.append(self._times_ns, _median(taken_ns))[-_STEPS:]
             self._values = np.append(self._values, kelvin - self._first)[-_STEPS:]
 
     def noted(self, findings: Findings) -> Findings:
