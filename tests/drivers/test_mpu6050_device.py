@@ -249,7 +249,7 @@ def test_a_chip_whose_samples_carry_marks_rests_and_loses_nothing(flight):
     flight.chip.sync_samples = set(range(0, 100_000, 20))
     flight.start()
     assert flight.device.rests_until(flight.clock()) == flight.clock(), "by arrivals alone each poll counts"
-    flight.fly(50)
+    flight.fly(100)
     for _ in range(40):
         rest_ns = flight.device.rests_until(flight.clock()) - flight.clock()
         assert 50 * MS < rest_ns < 60 * MS
@@ -303,7 +303,7 @@ def test_a_flipped_bit_is_found_within_a_second_and_set_right(flight, register, 
     made = flight.fly(100)
     assert "configuration_lost" in codes(made)
     assert f"{register:#04x}" in texts(made, "configuration_lost")[0]
-    flight.fly(50)
+    flight.fly(100)
     assert flight.chip.registers[register] == dict(SETTINGS)[register]
     flight.stop()
     assert of(flight.batches, "gap")["cause"].tolist() == [b"configuration_lost"]
