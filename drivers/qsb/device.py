@@ -21,6 +21,8 @@ from drivers.unwrap import unwrapped
 
 TRIES = 3
 OPTIONAL_REPLY_NS = 50 * MS
+LONGEST_REST_NS = 100 * MS  # 13 lines or so at 128 a second, of the 4096 bytes that a port holds
+MARKED = 32  # edges of the pulse line: from then on the times of its lines hang on no arrival
 _STREAM, _REFUSED, _UNSUPPORTED = b"sex"
 
 
@@ -146,6 +148,11 @@ class Qsb(SerialDevice):
             self._after_reset = self._last_ns is not None
             self._ticks.restart()
         self._command(setup_commands(self.config, clear_timestamp=not runs_on))
+
+    def rests_until(self, now_ns: int) -> int:
+        """See ``drivers.device.Rests``: lines wait in the port, where marks and not arrivals tell their time."""
+        is_streaming = self._running and self._link.is_open and not (self._todo or self._broken)
+        return now_ns + LONGEST_REST_NS if is_streaming and self._marks > MARKED else now_ns
 
     # Streaming
 

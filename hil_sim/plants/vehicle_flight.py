@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import mujoco
 import numpy as np
 
-from hil_sim.arrays import FloatArray
+from hil_sim.arrays import FloatArray, solved
 from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
@@ -278,15 +278,15 @@ class VehicleFlight:
             both = np.concatenate([np.arange(nb), places])
             motors = self._wheels.torque_n_m(pose, velocity) - data.qfrc_inverse[places]
             self._base_inertia()
-            found = np.linalg.solve(self._inertia[np.ix_(both, both)], np.concatenate([wrench, motors]))
+            found = solved(self._inertia[np.ix_(both, both)], np.concatenate([wrench, motors]))
             free, spins = found[:nb], found[nb:]
             data.qacc[places] = spins
         elif bends:
-            free = np.linalg.solve(M, np.concatenate([wrench, load]))[:nb]
+            free = solved(M, np.concatenate([wrench, load]))[:nb]
         else:
-            free = np.linalg.solve(self._base_inertia()[:, :nb], wrench)
+            free = solved(self._base_inertia()[:, :nb], wrench)
         base = free if cabin is None else cabin.acceleration(stage, pose, velocity, free)
-        more = np.linalg.solve(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
+        more = solved(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
         if bends:
             data.qacc[nb:] = ddq + more
         bent = self._soft.rates(soft, more, pull) if len(soft) else soft

@@ -196,6 +196,25 @@ def test_an_edge_is_a_mark_with_the_latched_count(flight):
     assert set(marks["pulse"]) == {0}
 
 
+def test_an_adapter_that_marks_edges_rests_and_loses_nothing(flight):
+    assert flight.device.rests_until(flight.clock()) == flight.clock(), "by arrivals alone each poll counts"
+    for _ in range(40):
+        flight.fly(2)
+        flight.edge()
+    flight.fly(2)
+    for _ in range(30):
+        rest_ns = flight.device.rests_until(flight.clock()) - flight.clock()
+        assert rest_ns == 100 * MS
+        flight.clock.advance(rest_ns - 10 * MS)
+        flight.fly(1)
+    flight.stop()
+    assert flight.device.rests_until(flight.clock()) == flight.clock()
+    rows = flight.rows()
+    assert len(rows) > 400
+    np.testing.assert_array_equal(rows["value_raw"], model_counts(flight, rows))
+    assert len(of(flight.batches, "gap")) == 0
+
+
 def test_a_joint_at_rest_makes_marks_too(clock):
     flight = Flight(clock, lambda ns: 77 if ns > S else 0)
     flight.start()
