@@ -27,6 +27,7 @@ LARGEST_ANGLE_rad = np.deg2rad(75.0)
 FEWEST_SWINGS = 5.0
 HOPELESS = 0.2  # the same while the fit is still on its way
 INTEGRATION = 1e-11  # relative: its steps jump with the parameters, by 1e-8 enough to stop the fit 0.05 sigma off
+SENSITIVITY = 1e-7  # the same of the derivatives by the parameters, which only point the way and weigh the noise
 WORST_RESIDUAL = 0.02  # of the rate's rms; beyond, something else than a pendulum moved
 
 
@@ -145,28 +146,50 @@ def _fitted(
     """
     m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
 
-    def residual(x: FloatArray) -> FloatArray:
-        inertia, viscous, quadratic, angle, rate, bias = x[:6]
-        scale = float(x[6]) if scale_sigma else 0.0
+    def swung(x: FloatArray, *, carried: bool = False) -> FloatArray:
+        """Angle, rate, and if ``carried`` their derivatives by ``x[:5]``, two each, at ``span``, (n, 2 or 12)."""
+        inertia, viscous, quadratic, angle, rate = x[:5].tolist()
 
-        def slope(state: FloatArray, _: float) -> tuple[float, float]:
-            th, om = float(state[0]), float(state[1])
-            root = math.sqrt(max(h * h - 0.5 * square * (1.0 - math.cos(th)), 1e-6 * h * h))
+        def slope(state: FloatArray, _: float) -> tuple[float, ...]:
+            th, om, *lean = state.tolist()
+            cosine = math.cos(th)
+            root = math.sqrt(max(h * h - 0.5 * square * (1.0 - cosine), 1e-6 * h * h))
             dz = 0.25 * square * math.sin(th) / root
-            ddz = 0.25 * square * math.cos(th) / root + dz * dz / root
-            pull = m * dz * (g + ddz * om * om) + inertia * (quadratic * abs(om) + viscous) * om
-            return om, -pull / (inertia + m * dz * dz)
+            ddz = (0.25 * square * cosine + dz * dz) / root
+            drag = (quadratic * abs(om) + viscous) * om
+            whole = inertia + m * dz * dz
+            up = -(m * dz * (g + ddz * om * om) + inertia * drag) / whole
+            if not lean:
+                return om, up
+            dddz = dz * (3.0 * ddz / root - 1.0)
+            by_th = -m * (ddz * (g + ddz * om * om) + dz * dddz * om * om + 2.0 * dz * ddz * up) / whole
+            by_om = -(2.0 * m * dz * ddz * om + inertia * (2.0 * quadratic * abs(om) + viscous)) / whole
+            by_inertia, by_viscous = -(drag + up) / whole, -inertia * om / whole
+            a, da, b, db, c, dc, d, dd, e, de = lean
+            return (
+                *(om, up, da, by_th * a + by_om * da + by_inertia, db, by_th * b + by_om * db + by_viscous),
+                *(dc, by_th * c + by_om * dc + by_viscous * abs(om), dd, by_th * d + by_om * dd, de),
+                by_th * e + by_om * de,
+            )
 
+        begin = [angle, rate, *([0.0] * 6 + [1.0, 0.0, 0.0, 1.0] if carried else [])]
+        limit = SENSITIVITY if carried else INTEGRATION
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ODEintWarning)  # a step too far is refused for what it leaves over
-            solved = odeint(slope, (angle, rate), span, rtol=INTEGRATION, atol=0.1 * INTEGRATION)
-        off = np.nan_to_num((1.0 + scale) * solved[:, 1] + bias - seen, nan=1e3)
+            return np.asarray(odeint(slope, begin, span, rtol=limit, atol=0.1 * limit), np.float64)
+
+    def residual(x: FloatArray) -> FloatArray:
+        scale = float(x[6]) if scale_sigma else 0.0
+        off = np.nan_to_num((1.0 + scale) * swung(x)[:, 1] + x[5] - seen, nan=1e3)
         return np.append(off, scale * noise / scale_sigma if scale_sigma else 0.0)
 
     def slopes(x: FloatArray) -> FloatArray:
-        """Differences over steps far above the integrator's tolerance, which hides those of the solver's own."""
-        steps, middle = 1e-3 * unit[: x.size], residual(x)
-        return np.column_stack([(residual(x + row) - middle) / row.sum() for row in np.diag(steps)])
+        scale, known = (float(x[6]) if scale_sigma else 0.0), np.nan_to_num(swung(x, carried=True))
+        out = np.zeros((len(span) + 1, x.size))
+        out[:-1, :5], out[:-1, 5] = (1.0 + scale) * known[:, 3::2], 1.0
+        if scale_sigma:
+            out[:-1, 6], out[-1, 6] = known[:, 1], noise / scale_sigma
+        return out
 
     size = float(np.sqrt(np.mean((w - w.mean()) ** 2)))
     omega = math.sqrt(suspension.stiffness() / start[0])
@@ -176,7 +199,8 @@ def _fitted(
     while True:
         part = t < swings * 2.0 * np.pi / omega
         span, seen = t[part], w[part]
-        found = least_squares(residual, x, slopes, x_scale=unit[: x.size], max_nfev=50)
+        fine = 1e-8 if part.all() else 1e-3  # relative; the next fit goes on from there
+        found = least_squares(residual, x, slopes, x_scale=unit[: x.size], max_nfev=50, ftol=fine)
         x = np.asarray(found.x, np.float64)
         rms = float(np.sqrt(np.mean(found.fun[:-1] ** 2)))
         if not x[0] > 0.0 or rms > (WORST_RESIDUAL if part.all() else HOPELESS) * size:
