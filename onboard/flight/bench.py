@@ -25,6 +25,7 @@ from onboard.flight.store.flight_log import open_simulated_recorder
 
 BEGIN, END = "bench_begin", "bench_end"  # events: what the operator holds still, from when to when
 PAUSE_S = 1e-3
+LONGEST_STEP_NS = 50_000_000  # of virtual time: nothing waits for a reading
 
 
 def only(vehicle: config.Vehicle, devices: Iterable[str]) -> config.Vehicle:
@@ -136,7 +137,7 @@ def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress:
     """
     clock = simulated.VirtualClock(world.start_ns)
     with BenchRun(vehicle, log, clock) as run:
-        pause_ns = simulated.step_ns(device.period_ns for device in run.acquisition.devices)
+        pause_ns = simulated.step_ns((device.period_ns for device in run.acquisition.devices), LONGEST_STEP_NS)
         while clock.now_ns < world.end_ns:
             clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
             world.advance(clock.now_ns)

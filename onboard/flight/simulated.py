@@ -38,10 +38,15 @@ def seldom_collected() -> Iterator[None]:
         gc.unfreeze()
 
 
-def step_ns(periods_ns: Iterable[int]) -> int:
-    """The longest step that divides all poll periods, so that no poll is late."""
+def step_ns(periods_ns: Iterable[int], longest_ns: int = STEP_NS) -> int:
+    """The longest step that divides all poll periods, so that no poll is late.
+
+    Args:
+        periods_ns: of the devices; those of ``STEP_NS`` or less are polled at each step.
+        longest_ns: not longer than this.
+    """
     common = gcd(*(period for period in periods_ns if period > STEP_NS)) or STEP_NS
-    return common // ceil(common / STEP_NS)
+    return common // ceil(common / longest_ns)
 
 
 def fly(
