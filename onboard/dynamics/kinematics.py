@@ -51,6 +51,8 @@ class Chain(NamedTuple):
     links: Frames  # in the order of the vehicle's links
     seats: Frames  # the frame of each joint at its zero, fixed in the link that carries the joint
     screws: FloatArray  # (n, joints, 6) twist of a joint's unit rate
+    axes: FloatArray  # (n, joints + 1, 3, 3) of the bodies: the base, then what each joint carries
+    origins: FloatArray  # (n, joints + 1, 3)
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -126,7 +128,7 @@ def chain_motion(
     on = axes[:, tree.body]
     p = origins[:, tree.body] + times(on, tree.link_origin)
     links = Frames(on @ tree.link_axes, p, tree.moved @ moves, tree.moved @ rates)
-    return Chain(links, Frames(seat_R, seat_p, W, tree.below @ rates), screws)
+    return Chain(links, Frames(seat_R, seat_p, W, tree.below @ rates), screws, axes, origins)
 
 
 def frames_of(links: Sequence[LinkMotion]) -> Frames:

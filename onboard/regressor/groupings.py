@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from onboard.dynamics.tree import tree_of
 from onboard.dynamics.vehicle import FREE_FLYER_NV, STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.base_parameters import BaseParameters, SampledMotion, grouping_of, sampled_rows
@@ -164,6 +165,7 @@ def _stretched(model: RowModel, places: list[_Place], factors: FloatArray) -> Ro
             translation = placement.translation.copy()
             translation[place.axis] *= factor
             placement.translation = translation
+    vehicle.tree = tree_of(vehicle.model, vehicle.joints, vehicle.links)
     return RowModel(vehicle, model.rows, any(name == "zero_force_x" for name in model.names), model.motors)
 
 

@@ -22,10 +22,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
@@ -229,8 +230,6 @@ class RowModel:
         self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
         self.chi.setflags(write=False)
         self._columns = WrenchColumns(vehicle, self.rows)
-        self._drawn = self._columns.fold(vehicle.chi[:, None])
-        self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
 
     def fold(self, mix: FloatArray) -> RowFold:
         """Prepare a combination of the columns for repeated use in :meth:`regressor`.
@@ -281,17 +280,21 @@ class RowModel:
         held = np.ones(n, bool) if attached is None else np.asarray(attached, bool)
         if held.shape != (n,):
             raise SignalError(f"{held.size} flags for {n} ticks; say for each tick whether the payload is held")
-        states = self._states(position, velocity, acceleration, motion)
-        if not all(math.isfinite(np.vdot(state, state)) for state in states):
+        if not all(math.isfinite(np.vdot(part, part)) for part in parts):
             raise SignalError("motion must be finite; leave invalid ticks out before building rows")
-        made = self._columns.make(self._columns.whole if fold is None else fold.links, held, *states)
+        chain = chain_motion(self.vehicle, position, velocity, acceleration)
+        made = self._columns.make(
+            self._columns.whole if fold is None else fold.links,
+            held,
+            *(chain, motion.rate_rad_s, motion.acceleration_rad_s2, motion.specific_force_m_s2),
+        )
         own = made.shape[2] if fold is None else self.vehicle.chi.size
         if own == len(self.names):
             return made
         extras = np.zeros((n, len(self.rows), len(self.names) - own))
         if self._zero_force is not None and fill_zero_force:
             first = self._zero_force - own
-            self._fill_zero_force(extras[:, :, first : first + 3], states[0], held)
+            extras[:, :, first : first + 3] = -self._columns.unit_force(held, chain)
         for row, column in self._biases:
             extras[:, row, column - own] = 1.0
         if self.scales:
@@ -306,33 +309,3 @@ class RowModel:
             for row, motor, ratio, column in self._frictions:
                 extras[:, row, column - own : column - own + 3] = ratio * of_motors[:, motor]
         return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
-
-    def _states(
-        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Pinocchio's (q, v, a): base at the origin, at rest for this instant, accelerating by the specific force."""
-        n, model = q.shape[0], self.vehicle.model
-        q_full, v_full, a_full = np.zeros((n, model.nq)), np.zeros((n, model.nv)), np.zeros((n, model.nv))
-        q_full[:, FREE_FLYER_NQ - 1] = 1.0  # unit quaternion x, y, z, w
-        v_full[:, 3:FREE_FLYER_NV] = motion.rate_rad_s
-        a_full[:, :3] = motion.specific_force_m_s2
-        a_full[:, 3:FREE_FLYER_NV] = motion.acceleration_rad_s2
-        if self._turning:
-            straight = [(k, joint.q_index) for k, joint in enumerate(self.vehicle.joints) if joint.q_size == 1]
-            for column, index in straight:
-                q_full[:, index] = q[:, column]
-            for column, index in self._turning:
-                q_full[:, index], q_full[:, index + 1] = np.cos(q[:, column]), np.sin(q[:, column])
-        else:
-            q_full[:, FREE_FLYER_NQ:] = q
-        v_full[:, FREE_FLYER_NV:], a_full[:, FREE_FLYER_NV:] = dq, ddq  # a joint has one velocity each, in their order
-        return q_full, v_full, a_full
-
-    def _fill_zero_force(self, columns: FloatArray, q: FloatArray, held: NDArray[np.bool_]) -> None:
-        """Minus the rows' response, at the URDF's parameters, to a unit specific force along each base axis."""
-        n, still = len(q), np.zeros((3 * len(q), self.vehicle.model.nv))
-        unit = still.copy()
-        for axis in range(3):
-            unit[axis * n : (axis + 1) * n, axis] = 1.0
-        made = self._columns.make(self._drawn, np.tile(held, 3), np.tile(q, (3, 1)), still, unit)[:, :, 0]
-        columns[:] = -made.reshape(3, n, -1).transpose(1, 2, 0)

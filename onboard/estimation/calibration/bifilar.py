@@ -144,47 +144,14 @@ def _fitted(
     The residual is taken for the noise with its colour. As far as the swing does not tell the scale, which starts at
     zero with its sigma, the gyro's own scale s is left in the result: ``-P_Is s / sigma^2``, P the covariance.
     """
-    m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
-
-    def swung(x: FloatArray, *, carried: bool = False) -> FloatArray:
-        """Angle, rate, and if ``carried`` their derivatives by ``x[:5]``, two each, at ``span``, (n, 2 or 12)."""
-        inertia, viscous, quadratic, angle, rate = x[:5].tolist()
-
-        def slope(state: FloatArray, _: float) -> tuple[float, ...]:
-            th, om, *lean = state.tolist()
-            cosine = math.cos(th)
-            root = math.sqrt(max(h * h - 0.5 * square * (1.0 - cosine), 1e-6 * h * h))
-            dz = 0.25 * square * math.sin(th) / root
-            ddz = (0.25 * square * cosine + dz * dz) / root
-            drag = (quadratic * abs(om) + viscous) * om
-            whole = inertia + m * dz * dz
-            up = -(m * dz * (g + ddz * om * om) + inertia * drag) / whole
-            if not lean:
-                return om, up
-            dddz = dz * (3.0 * ddz / root - 1.0)
-            by_th = -m * (ddz * (g + ddz * om * om) + dz * dddz * om * om + 2.0 * dz * ddz * up) / whole
-            by_om = -(2.0 * m * dz * ddz * om + inertia * (2.0 * quadratic * abs(om) + viscous)) / whole
-            by_inertia, by_viscous = -(drag + up) / whole, -inertia * om / whole
-            a, da, b, db, c, dc, d, dd, e, de = lean
-            return (
-                *(om, up, da, by_th * a + by_om * da + by_inertia, db, by_th * b + by_om * db + by_viscous),
-                *(dc, by_th * c + by_om * dc + by_viscous * abs(om), dd, by_th * d + by_om * dd, de),
-                by_th * e + by_om * de,
-            )
-
-        begin = [angle, rate, *([0.0] * 6 + [1.0, 0.0, 0.0, 1.0] if carried else [])]
-        limit = SENSITIVITY if carried else INTEGRATION
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ODEintWarning)  # a step too far is refused for what it leaves over
-            return np.asarray(odeint(slope, begin, span, rtol=limit, atol=0.1 * limit), np.float64)
 
     def residual(x: FloatArray) -> FloatArray:
         scale = float(x[6]) if scale_sigma else 0.0
-        off = np.nan_to_num((1.0 + scale) * swung(x)[:, 1] + x[5] - seen, nan=1e3)
+        off = np.nan_to_num((1.0 + scale) * _swung(x, span, suspension)[:, 1] + x[5] - seen, nan=1e3)
         return np.append(off, scale * noise / scale_sigma if scale_sigma else 0.0)
 
     def slopes(x: FloatArray) -> FloatArray:
-        scale, known = (float(x[6]) if scale_sigma else 0.0), np.nan_to_num(swung(x, carried=True))
+        scale, known = (float(x[6]) if scale_sigma else 0.0), np.nan_to_num(_swung(x, span, suspension, carried=True))
         out = np.zeros((len(span) + 1, x.size))
         out[:-1, :5], out[:-1, 5] = (1.0 + scale) * known[:, 3::2], 1.0
         if scale_sigma:
@@ -220,6 +187,40 @@ def _fitted(
     left = float(covariance[0, 6]) * (noise / scale_sigma) ** 2  # the prior's row of J is noise / sigma
     by_noise = float(covariance[0, 0]) - float(covariance[0, 6]) ** 2 * (noise / scale_sigma) ** 2
     return x, float(np.sqrt(variance * by_noise)), -left, rms
+
+
+def _swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: bool = False) -> FloatArray:
+    """Angle, rate, and if ``carried`` their derivatives by ``x[:5]``, two each, at ``span`` (n,): (n, 2 or 12)."""
+    m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
+    inertia, viscous, quadratic, angle, rate = x[:5].tolist()
+
+    def slope(state: FloatArray, _: float) -> tuple[float, ...]:
+        th, om, *lean = state.tolist()
+        cosine = math.cos(th)
+        root = math.sqrt(max(h * h - 0.5 * square * (1.0 - cosine), 1e-6 * h * h))
+        dz = 0.25 * square * math.sin(th) / root
+        ddz = (0.25 * square * cosine + dz * dz) / root
+        drag = (quadratic * abs(om) + viscous) * om
+        whole = inertia + m * dz * dz
+        up = -(m * dz * (g + ddz * om * om) + inertia * drag) / whole
+        if not lean:
+            return om, up
+        dddz = dz * (3.0 * ddz / root - 1.0)
+        by_th = -m * (ddz * (g + ddz * om * om) + dz * dddz * om * om + 2.0 * dz * ddz * up) / whole
+        by_om = -(2.0 * m * dz * ddz * om + inertia * (2.0 * quadratic * abs(om) + viscous)) / whole
+        by_inertia, by_viscous = -(drag + up) / whole, -inertia * om / whole
+        a, da, b, db, c, dc, d, dd, e, de = lean
+        return (
+            *(om, up, da, by_th * a + by_om * da + by_inertia, db, by_th * b + by_om * db + by_viscous),
+            *(dc, by_th * c + by_om * dc + by_viscous * abs(om), dd, by_th * d + by_om * dd, de),
+            by_th * e + by_om * de,
+        )
+
+    begin = [angle, rate, *([0.0] * 6 + [1.0, 0.0, 0.0, 1.0] if carried else [])]
+    limit = SENSITIVITY if carried else INTEGRATION
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ODEintWarning)  # a step too far is refused for what it leaves over
+        return np.asarray(odeint(slope, begin, span, rtol=limit, atol=0.1 * limit), np.float64)
 
 
 def _colour(residual: FloatArray) -> float:

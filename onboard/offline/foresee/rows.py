@@ -48,13 +48,16 @@ _MOST_TICKS = 20_000  # whose rows are made at a time: 0.2 GB
 _FINE = 20  # steps, or more, in a kernel's width
 
 
-def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
+def foresee_rows(
+    vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False, drawn: "dict[bytes, Noises] | None" = None
+) -> Foreseen:
     """Expected intervals of base parameters and quantities of a vehicle whose method is rows.
 
     Args:
         vehicle: its file.
         plan: the motion, at the estimator's ticks; of a prescribed base the first of its motions.
         coarse: at fewer, each for as many.
+        drawn: noise that other motions of the same base were given, by its times; more is put there.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -71,7 +74,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
     for first, last in pairwise(edges.tolist()):
         part = slice(first, last)
         own = BaseMotion(*(signal[part] for signal in motion))
-        signals = _signals(vehicle, identifier, plan.part(part), own, chi, coarse=coarse)
+        signals = _signals(vehicle, identifier, plan.part(part), own, chi, coarse=coarse, drawn=drawn)
         identifier.update(signals, plan.held[part], excluded[part])
     found = identifier.stated_estimate()  # nothing is suspected of readings that were made up
     beta = identifier.base.value(chi)
@@ -114,13 +117,23 @@ def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion
 
 
 def _signals(
-    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, motion: BaseMotion, chi: FloatArray, *, coarse: bool
+    vehicle: config.Vehicle,
+    identifier: Identifier,
+    plan: Plan,
+    motion: BaseMotion,
+    chi: FloatArray,
+    *,
+    coarse: bool,
+    drawn: "dict[bytes, Noises] | None" = None,
 ) -> Signals:
     """Smoothed signals of the motion as the estimator makes them of noisy instruments."""
     settings, roles, n = vehicle.file.estimation, roles_of(vehicle), len(plan.time_s)
     row_model, width_s, period_s = identifier.model, settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
     filtered = identifier.whitening is not None
-    noises = _Noises(plan.time_s, width_s, kernel_of(vehicle), coarse=coarse and filtered)
+    drawn = {} if drawn is None else drawn
+    if (key := plan.time_s.tobytes()) not in drawn:
+        drawn[key] = Noises(plan.time_s, width_s, kernel_of(vehicle), coarse=coarse and filtered)
+    noises = drawn[key]
     names = [joint.name for joint in row_model.vehicle.joints]
     friction = CoulombFriction(row_model.motors, names).follow(plan.q, plan.dq) if row_model.motors else None
     flowing = None if friction is None else np.nan_to_num(friction)
@@ -138,12 +151,12 @@ def _signals(
     if coarse and filtered:
         sources = sources * np.where(orders > 0, np.sqrt(1.0 - share), 1.0)
     ends = np.cumsum([len(names)] * 3 + [3] * 2)
-    drawn = np.split(sources * noises.of(orders), ends, axis=1)
+    errors = np.split(sources * noises.of(0, orders), ends, axis=1)
     q_sigma, dq_sigma, ddq_sigma, *of_motion = np.split(sources, ends, axis=1)
     q, dq, ddq, *shaken = (
-        signal + part for signal, part in zip((plan.q, plan.dq, plan.ddq, *motion), drawn, strict=True)
+        signal + part for signal, part in zip((plan.q, plan.dq, plan.ddq, *motion), errors, strict=True)
     )
-    measured = true + sigma * noises.of(np.zeros(true.shape[1], np.intp))
+    measured = true + sigma * noises.of(1, np.zeros(true.shape[1], np.intp))
     own = None if coarse else OfSamples(share, orders)
     return Signals(
         *(plan.time_s, q, dq, ddq, BaseMotion(*shaken)),
@@ -154,8 +167,8 @@ def _signals(
     )
 
 
-class _Noises:
-    """Noise of unit variance behind the smoothing kernel.
+class Noises:
+    """Noise of unit variance behind the smoothing kernel, drawn once.
 
     Args:
         time_s: of the ticks.
@@ -169,6 +182,7 @@ class _Noises:
 
     def __init__(self, time_s: FloatArray, width_s: float, kernel: Kernel, *, coarse: bool) -> None:
         self._rng, self._count = np.random.default_rng(_SEED), len(time_s)
+        self._drawn: list[FloatArray] = []
         period_s = float(time_s[1] - time_s[0])
         self._window: SmoothingWindow | None = None
         if coarse:
@@ -180,8 +194,13 @@ class _Noises:
         self._times_s = np.arange(time_s[0] - width_s, time_s[-1] + width_s, steps_s)
         self._window = SmoothingWindow(self._times_s, time_s, width_s, kernel=kernel)
 
-    def of(self, orders: NDArray[np.intp]) -> FloatArray:
-        """Of sources whose samples were differentiated so often, (k,): (n, k)."""
+    def of(self, number: int, orders: NDArray[np.intp]) -> FloatArray:
+        """The draw of this number, of sources whose samples were differentiated so often, (k,): (n, k)."""
+        if number == len(self._drawn):
+            self._drawn.append(self._draw(orders))
+        return self._drawn[number]
+
+    def _draw(self, orders: NDArray[np.intp]) -> FloatArray:
         if self._window is None:
             return self.inflation * self._rng.standard_normal((self._count, len(orders)))
         found = self._window.derivatives(self._rng.standard_normal((len(self._times_s), len(orders))), range(3))
