@@ -55,6 +55,7 @@ def same_fields(a, b):
 
 
 SMALL = 40  # rows of `reading` in the small log
+LEAST = 20  # where a log is tried at each of its bytes: five chunks
 
 
 def small_labels():
@@ -62,14 +63,14 @@ def small_labels():
     return np.concatenate([label_rows(first, 1 + first // 4 % 2) for first in range(0, SMALL, 4)])
 
 
-def write_small(path):
-    """A log of some eight chunks with two of everything: channels, attachments, metadata."""
+def write_small(path, rows=SMALL):
+    """A log of some eight chunks with two of everything: channels, attachments, metadata; fewer of fewer rows."""
     with LogWriter(MemorySink(path), chunk_bytes=600) as writer:
         writer.add_metadata("host", {"machine": "test"})
         writer.attach("vehicle.toml", "application/toml", b'name = "x"\n')
         writer.register("reading", READING)
         writer.register("label", LABEL)
-        for first in range(0, SMALL, 4):
+        for first in range(0, rows, 4):
             writer.write("reading", reading_rows(first, 4))
             writer.write("label", label_rows(first, 1 + first // 4 % 2))
         writer.attach("late.bin", "application/octet-stream", bytes(range(64)))

@@ -11,6 +11,7 @@ from onboard.recording.scan import Damage
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import (
     LABEL,
+    LEAST,
     READING,
     SMALL,
     chunk_places,
@@ -57,9 +58,10 @@ def all_good(rows):
     assert same_fields(rows["label"], label_rows(0, SMALL)[rows["label"]["sequence"].astype(int)])
 
 
-def test_cut_at_every_byte_it_is_read_to_the_last_whole_chunk(tmp_path, small):
-    data = small.read_bytes()
+def test_cut_at_every_byte_it_is_read_to_the_last_whole_chunk(tmp_path):
+    data = write_small(tmp_path / "least.mcap", LEAST).read_bytes()
     places = chunk_places(data)
+    assert len(places) > 3
     held = rows_by_chunk(tmp_path / "alone.mcap", data, places)
     path = tmp_path / "cut.mcap"
     for size in range(len(data)):
@@ -100,8 +102,8 @@ def test_a_flipped_bit_in_a_chunk_costs_that_chunk_and_no_name(tmp_path, small, 
                 assert set(rows["reading"]["sequence"].tolist()) == set().union(*(chunk["reading"] for chunk in others))
 
 
-def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, small, rng):
-    data = small.read_bytes()
+def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, rng):
+    data = write_small(tmp_path / "least.mcap", LEAST).read_bytes()
     places = chunk_places(data)
     held = rows_by_chunk(tmp_path / "alone.mcap", data, places)
     largest = max(len(chunk["reading"]) for chunk in held)
@@ -112,7 +114,7 @@ def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, s
         rows, log = read(path, bytes(flipped))
         all_good(rows)
         assert log.exit_code == 3, at
-        assert len(rows["reading"]) >= SMALL - largest, at
+        assert len(rows["reading"]) >= LEAST - largest, at
 
 
 def test_bytes_put_in_or_taken_out_cost_one_chunk(tmp_path, small, rng):

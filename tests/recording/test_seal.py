@@ -8,7 +8,7 @@ from mcap.reader import SeekingReader
 
 from onboard.recording.reader import LogReader
 from onboard.recording.seal import seal
-from tests.recording.logs import overwrite, write_small
+from tests.recording.logs import LEAST, overwrite, write_small
 
 
 @pytest.fixture
@@ -24,9 +24,9 @@ def rows_of(log):
     return rows
 
 
-def test_cut_at_every_byte_it_is_whole_again_with_every_row_that_could_be_read(tmp_path, small, monkeypatch):
+def test_cut_at_every_byte_it_is_whole_again_with_every_row_that_could_be_read(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-    data = small.read_bytes()
+    data = write_small(tmp_path / "least.mcap", LEAST).read_bytes()
     path = tmp_path / "cut.mcap"
     for size in range(8, len(data)):
         overwrite(path, data[:size])
