@@ -6,7 +6,8 @@ one after the other, 25 s each on an idle computer; seeds that are in the result
 - ``kill`` or ``stop`` (SIGKILL; SIGSTOP for 0.5 to 9 s) of the recorder, the estimator, acquisition, the simulated
   devices or the supervisor, at a random time,
 - ``clock``: CLOCK_REALTIME of all processes steps by up to an hour, by a preloaded library (needs a C compiler),
-- ``disk``: the log lies on a file system of its own that is full after 2 MB (needs root: a mount of its own).
+- ``disk``: the log lies on a file system of its own that is full after 2 MB (needs root: a mount of its own),
+- with ``--only`` also ``term`` and ``hup``, signals to the supervisor, and ``removed``: the log's directory is.
 
 After a killed supervisor the rings are harvested as by the next start. Promised: no traceback, an end, an exit code of
 0 or 1, every number of every channel in the log once or in a gap record, and every sample that was made accounted for
@@ -33,6 +34,7 @@ from onboard.flight.store.harvest import harvest
 from onboard.offline.views.info import info
 
 TARGETS = {"recorder": "heft-record", "estimator": "heft-estimate", "acquisition": "heft-acquire"}
+KINDS = ("kill", "stop", "clock", "disk", "term", "hup", "removed")
 LIMIT_S = 180.0  # after which a rehearsal hangs
 _STROKES = "amplitude = { joint_1 = 0.2007 }, stroke_s = 0.6, strokes = 4, pause_s = 0.05, transfer_s = 0.5"
 _SWEEP = f'{{ phase = 4, action = "strokes", {_STROKES} }}'
@@ -61,10 +63,10 @@ int clock_gettime(clockid_t id, struct timespec *t) {
 """
 
 
-def draw(seed: int) -> dict[str, Any]:
+def draw(seed: int, only: str | None) -> dict[str, Any]:
     """What happens in a flight."""
     rng = np.random.default_rng([seed, 0xF0])
-    kind = str(rng.choice(["kill", "stop", "clock", "disk"], p=[0.4, 0.35, 0.1, 0.15]))
+    kind = only or str(rng.choice(KINDS[:4], p=[0.4, 0.35, 0.1, 0.15]))
     drawn: dict[str, Any] = {"seed": seed, "kind": kind, "at_s": round(float(rng.uniform(1.0, 12.0)), 2)}
     if kind in ("kill", "stop"):
         drawn["who"] = str(rng.choice([*TARGETS, "devices", "supervisor"], p=[0.25, 0.2, 0.25, 0.15, 0.15]))
@@ -143,6 +145,10 @@ def _disturb(flight: subprocess.Popen[bytes], drawn: dict[str, Any], log: Path, 
             os.kill(victim, signal.SIGSTOP)
             time.sleep(drawn["for_s"])
             os.kill(victim, signal.SIGCONT)
+        elif drawn["kind"] in ("term", "hup"):
+            flight.send_signal(signal.SIGTERM if drawn["kind"] == "term" else signal.SIGHUP)
+        elif drawn["kind"] == "removed":
+            shutil.rmtree(log.parent)
     while flight.poll() is None and time.monotonic() < began_s + LIMIT_S:
         time.sleep(0.1)
     hung = flight.poll() is None
@@ -255,6 +261,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=10)
     parser.add_argument("--first", type=int, default=7001, help="seed")
+    parser.add_argument("--only", choices=KINDS, help="what happens in each (default: drawn)")
     parser.add_argument("--results", type=Path, default=Path("process_faults.jsonl"))
     parser.add_argument("--table", action="store_true", help="of the results, and fly nothing")
     arguments = parser.parse_args()
@@ -263,7 +270,7 @@ def main() -> int:
     for seed in range(arguments.first, arguments.first + arguments.flights):
         if seed in flown or arguments.table:
             continue
-        told = flown[seed] = fly(draw(seed))
+        told = flown[seed] = fly(draw(seed, arguments.only))
         with arguments.results.open("a", encoding="utf-8") as results:
             results.write(json.dumps(told) + "\n")
         if is_bad(told):

@@ -1,5 +1,6 @@
 """Common parts of the commands: exit codes, console, warnings, shared options."""
 
+import glob
 import json
 import math
 import os
@@ -96,12 +97,17 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
 
 
 def next_log(directory: str, name: str) -> Path:
-    """The first ``NAME-NNN.mcap`` that is not there, and that no flight whose rings wait for their log has."""
+    """The first ``NAME-NNN.mcap`` without a segment that is there, and that no flight whose rings wait for it has."""
     from onboard.flight.store import manifest
 
     taken = {flight.log for flight in manifest.waiting()}
     paths = (Path(directory) / f"{name}-{n:03d}.mcap" for n in range(1, 100_000))
-    return next(path for path in paths if not os.path.lexists(path) and path.absolute() not in taken)
+
+    def free(path: Path) -> bool:  # the oldest segments of a flight are the first to be removed
+        later = path.parent.glob(f"{glob.escape(path.stem)}_*{path.suffix}")
+        return not os.path.lexists(path) and path.absolute() not in taken and not any(later)
+
+    return next(path for path in paths if free(path))
 
 
 def add_json(command: Any) -> None:

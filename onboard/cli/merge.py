@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
 def _merge(arguments: argparse.Namespace) -> int:
     from onboard.offline.rescue.in_turn import in_turn
     from onboard.offline.rescue.merge import Part, merge
-    from onboard.recording.segments import flights
+    from onboard.recording.segments import flights, logs
 
     clocks = dict(_clock(text) for text in arguments.align)
     groups = flights(arguments.logs)
@@ -43,7 +43,11 @@ def _merge(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--align {unknown[0]}: the logs are {', '.join(names)}")
     if twice := sorted({name for name in clocks if names.count(name) > 1}):
         raise ValueError(f"--align {twice[0]}: two logs are called so; rename a file")
-    parts = [Part(group, *clocks.get(name, (0, 1.0))) for group, name in zip(groups, names, strict=True)]
+    whole = [one if isinstance(one, Path) else None for one in logs(arguments.logs)]
+    parts = [
+        Part(group, *clocks.get(name, (0, 1.0)), whole=one)
+        for group, name, one in zip(groups, names, whole, strict=True)
+    ]
     if arguments.in_turn and (arguments.rename or arguments.align):
         raise ValueError(
             "--in-turn joins recordings of the same channels, each with its own time: leave the others out"

@@ -53,7 +53,10 @@ def _resync(arguments: argparse.Namespace) -> int:
     write_json(arguments.json, [one.as_json() for one in placed])
     if arguments.output:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
-        parts = [Part(group, *clocks.get(group[0], (0, 1.0))) for group in groups]
+        whole = [one if isinstance(one, Path) else None for one in named(arguments.logs)]
+        parts = [
+            Part(group, *clocks.get(group[0], (0, 1.0)), whole=one) for group, one in zip(groups, whole, strict=True)
+        ]
         with progress() as bar:
             merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output, progress=bar)
         print(arguments.output)

@@ -28,13 +28,15 @@ NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a cha
 class Part(NamedTuple):
     """One recorder's log, and its mapping to the first one's clock: ``host_ns x rate + shift_ns``.
 
-    ``label`` distinguishes its channels from the others'; the name of the log where it is empty.
+    ``label`` distinguishes its channels from the others'; the name of the log where it is empty. ``whole``: the path by
+    which the whole flight was named, so that segments missing at its end are told; None where segments were named.
     """
 
     segments: Sequence[Path]
     shift_ns: int = 0
     rate: float = 1.0
     label: str = ""
+    whole: Path | None = None
 
     @property
     def name(self) -> str:
@@ -68,7 +70,7 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
     """
     if len(parts) < 2:
         raise ValueError(f"{parts[0].name if parts else 'nothing'}: give two logs or more to merge")
-    logs = [LogReader(part.segments) for part in parts]
+    logs = [LogReader(part.whole or part.segments) for part in parts]
     parts = _labelled(parts, logs)
     names = _names(parts, logs, rename)
     size = sum(log.size for log in logs)

@@ -152,13 +152,13 @@ class Board:
 
     def render(self) -> RenderableType:
         """The board as a renderable."""
-        tables: list[Table | Group] = [self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines())]
+        clocks = Group(self._clock_table(), Text(), self._gate_lines(), Text())
+        tables = [Group(self.channel_table(), Text()), clocks]
         side = Columns(tables, padding=(0, 3))  # one below the other where the terminal is too narrow
         parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
         if self.answers:
-            parts += [Text(), self._answer_table(), *self._reasons()]
-        parts += [Text(), *self._event_lines()] if self._events else []
-        return Group(*parts)
+            parts += [self._answer_table(), *self._reasons(), Text()]
+        return Group(*parts, *self._event_lines())
 
     def _head(self) -> Text:
         since = 0.0 if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9

@@ -121,3 +121,9 @@ def test_a_private_file_is_written_into_nothing_else(tmp_path: Path, what: str) 
 def test_a_link_to_nothing_takes_a_logs_name(tmp_path: Path) -> None:
     (tmp_path / "x-001.mcap").symlink_to("/nowhere")
     assert next_log(str(tmp_path), "x") == tmp_path / "x-002.mcap"
+
+
+def test_a_flight_whose_first_segments_were_removed_keeps_its_name(tmp_path: Path) -> None:
+    (tmp_path / "x-001_007.mcap").touch()
+    (tmp_path / "y-001_007.mcap").touch()
+    assert next_log(str(tmp_path), "x") == tmp_path / "x-002.mcap"

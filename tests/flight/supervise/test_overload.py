@@ -58,6 +58,26 @@ def test_a_pause_of_seconds_is_worked_off_in_steps_and_replays_to_the_bit(
     assert replayed.identical, replayed.summary
 
 
+def test_what_is_not_worked_off_in_time_at_the_end_is_left_out_and_told(
+    mission: Result, vehicle: config.Vehicle, tmp_path: Path
+) -> None:
+    stretch = Stretch(mission.log, vehicle, tmp_path / "rings")
+    worker = DurableEstimation(vehicle, tmp_path / "rings", stretch.start_ns)
+    last_ns, chances = stretch.start_ns + 9_000_000_000, iter([False] * 3)
+    for now_ns in range(stretch.start_ns, last_ns, STEP_NS):
+        stretch.feed(now_ns)
+        if now_ns < stretch.start_ns + 2_000_000_000:
+            worker.step(now_ns)
+    worker.finish(last_ns, lambda: next(chances, True))
+    log = record(tmp_path / "rings", vehicle, tmp_path / "log.mcap")
+    events, reached_ns = log.read("event_estimation"), int(log.read("tick")["host_ns"][-1])
+    [said] = [row["text"].decode() for row in events if row["code"] == b"estimator_unfinished"]
+    left_s = 1e-9 * (last_ns - reached_ns)
+    assert 9.0 - 2.0 - 3 * 1e-9 * LONGEST_STEP_NS - 0.1 < left_s < 7.0
+    assert f"the last {left_s:.1f} s of the flight are not taken in" in said
+    assert replay(tmp_path / "log.mcap").identical
+
+
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
 def test_a_worker_that_works_is_slow_and_one_that_stands_hangs(

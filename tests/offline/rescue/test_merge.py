@@ -11,6 +11,7 @@ from onboard import cli
 from onboard.offline.rescue.merge import Part, merge
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
+from onboard.recording.segmented import Limits, Preamble, SegmentedLog
 from onboard.recording.writer import LogWriter
 
 MS = 1_000_000
@@ -165,3 +166,21 @@ def test_recover_says_what_is_lost_by_its_exit_code(two, tmp_path, capsys):
     assert cli.main(["recover", str(two[0]), "-o", str(nothing)]) == cli.FAILED
     assert not nothing.exists()
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_segment_that_is_missing_at_the_end_of_a_flight_is_told(two, tmp_path, capsys):
+    log = SegmentedLog(tmp_path / "x.mcap", Preamble("f", (), {}), limits=Limits(span_ns=50 * MS), sync_interval_ns=0)
+    rows = scalar_rows(200, 0)
+    log.register("own", rows.dtype)
+    for part in np.split(rows, 20):
+        log.write("own", part)
+        log.sync(int(part["host_ns"][-1]))
+    log.close()
+    made = sorted(tmp_path.glob("x_*.mcap"))
+    assert len(made) >= 2
+    merged = ["merge", str(two[0]), str(tmp_path / "x.mcap"), "-o"]
+    assert cli.main([*merged, str(tmp_path / "whole.mcap")]) == cli.OK
+    made[-1].unlink()
+    capsys.readouterr()
+    assert cli.main([*merged, str(tmp_path / "cut.mcap")]) == cli.DAMAGED
+    assert f"segment {len(made)} is missing" in capsys.readouterr().err

@@ -139,6 +139,8 @@ def test_no_column_is_cut_in_a_narrow_terminal(width):
     assert sum("288.67" in line for line in lines) == 2
     side_by_side = [line for line in lines if line.startswith("channel") and "resid us" in line]
     assert len(side_by_side) == (width == 150)
+    [clocks] = [k for k, line in enumerate(lines) if "resid us" in line]
+    assert side_by_side or not lines[clocks - 1].strip()  # each table under an empty line
 
 
 def test_the_mode_stands_in_the_head():
