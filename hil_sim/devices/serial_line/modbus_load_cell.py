@@ -249,25 +249,25 @@ class ModbusLoadCellTwin(SerialTwin):
     def _registers(self) -> dict[int, int]:
         gross_n = self._gross_n()
         weights = {_GROSS: gross_n, _NET: gross_n - self._tare_n, _PEAK: self._peak_n - self._offset_n()}
-        registers = {**_IDENTITY, **self._stored, _STATUS: self._status(weights)}
-        for address, weight_n in weights.items():
-            word = self._shown(weight_n)
-            word = abs(word) if self._signs_in_status else word & 0xFFFF_FFFF
+        shown = {address: self._shown(weight_n) for address, weight_n in weights.items()}
+        registers = {**_IDENTITY, **self._stored, _STATUS: self._status(weights, shown)}
+        for address, word in shown.items():
+            word = abs(word) if self._signs_in_status else word & 0xFFFF_FFFF  # noqa: PLW2901
             registers[address], registers[address + 1] = word >> 16, word & 0xFFFF
         registers[_DIVISION] = UNIT_NEWTON << 8 | self._division_code
         return registers
 
-    def _status(self, weights: dict[int, float]) -> int:
-        gross_n, net_n, peak_n = weights[_GROSS], weights[_NET], weights[_PEAK]
+    def _status(self, weights: dict[int, float], shown: dict[int, int]) -> int:
+        gross_n = weights[_GROSS]
         signs = self._signs_in_status
         bits = {
             2: gross_n > self._capacity_n + 9 * self._division_n,
             3: gross_n > 1.1 * self._capacity_n,
-            4: abs(self._shown(gross_n)) >= _LARGEST_SHOWN,
-            5: abs(self._shown(net_n)) >= _LARGEST_SHOWN,
-            7: signs and self._shown(gross_n) < 0,
-            8: signs and self._shown(net_n) < 0,
-            9: signs and self._shown(peak_n) < 0,
+            4: abs(shown[_GROSS]) >= _LARGEST_SHOWN,
+            5: abs(shown[_NET]) >= _LARGEST_SHOWN,
+            7: signs and shown[_GROSS] < 0,
+            8: signs and shown[_NET] < 0,
+            9: signs and shown[_PEAK] < 0,
             10: self._net_mode,
             11: max(self._recent) - min(self._recent) <= 2 * self._division_n,
             12: abs(gross_n) <= self._division_n / 4,
