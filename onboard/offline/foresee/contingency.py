@@ -21,6 +21,7 @@ from onboard.flight.estimate.roles import roles_of
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.foresee.foresee import foresee
+from onboard.offline.foresee.kept import kept
 from onboard.offline.foresee.plan import UNDETERMINED, Expected, Foreseen, Plan
 
 PULSE, CELL = "pulse", "cell"
@@ -84,16 +85,16 @@ def foresee_without(vehicle: config.Vehicle, plan: Plan, lost: Sequence[str]) ->
         ValueError: a name that is none of these.
         ConfigError, SignalError, EstimationError: the motion with everything determines nothing, as :func:`foresee`.
     """
-    whole = foresee(vehicle, plan)
     words: list[str] = []
     less, parked, why = vehicle, plan, ""
     for name in lost:
         less, parked, said = _without(less, parked, name)
         words.append(said)
+    whole = kept(vehicle, plan, lambda: foresee(vehicle, plan))
     left: Foreseen | None = None
     try:
         _require_measured(less)
-        left = foresee(less, parked)
+        left = kept(less, parked, lambda: foresee(less, parked))
     except ValueError as error:  # of configuration, model or estimation: with what is left there is no estimator
         why = str(error)
     return Contingency(tuple(lost), tuple(words), whole, left, why)
