@@ -1,13 +1,9 @@
-"""Columns of the links' parameters for all rows at many ticks, by spatial algebra (Limparis 2.115, 2.132).
+"""Columns of the links' parameters for all rows, from one Pinocchio call per tick (Limparis 2.115, 2.132).
 
-The wrench through a cut is the sum over the links beyond it, and a link's is linear in its ten parameters: in its own
-axes, ``momentum of A + V x* momentum of V``, with V and A its twist and that twist's rate of change (Featherstone,
-Rigid Body Dynamics Algorithms, 2008, chapter 2). Projected on ``g``, a row of the cut moved to the link as a twist is,
-
-    row = sum of (g A' - (V x g) V') [i, t] M [i, t],
-
-M the constant columns of a momentum. A combination of columns thus needs the products in brackets, 36 numbers a link,
-times one matrix.
+Pinocchio's joint torque regressor is linear in the ten parameters of each *joint's* body, about the joint's frame. Its
+row of a joint's velocity is that joint's torque row, and its first six rows are the wrench on each body about the
+base's origin, in base axes. A link is a part of its joint's body, so its columns are those of the body times a constant
+matrix; and the wrench through any cut is the sum over the links beyond, moved to the cut's frame.
 
 Only requested combinations of columns are computed: a :class:`Fold`, made once of a matrix ``mix``, represents ``Y @
 mix``. Known parameters can thus be left out of the rows or summed into one column.
@@ -17,11 +13,14 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from onboard.dynamics.errors import UrdfError
+from onboard.dynamics.inertia import parameters_of, pseudo_inertia
 from onboard.dynamics.kinematics import Chain, cross
-from onboard.dynamics.spatial import MOMENTUM, force_transforms, times
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.spatial import times
+from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 
 
@@ -47,29 +46,53 @@ class Projected(Protocol):
 class _Cut(NamedTuple):
     """Rows through one frame."""
 
-    rows: list[int]
-    projection: FloatArray  # (rows here, 6) on the wrench (force, moment) at the frame, in its axes
+    frame: int
+    rows: slice | NDArray[np.intp]
+    velocities: (
+        slice | NDArray[np.intp] | None
+    )  # rows of Pinocchio's regressor that are these rows, for a joint's torque
+    projection: FloatArray  # (rows here, 6); on the wrench about the base's origin where the frame is fixed in the base
+    fixed: bool
+    coasting: bool
+    columns: BoolArray  # (10 x links,) of the links beyond
+    links: IndexArray  # these
+    own: FloatArray  # (rows here, 6) projection on the wrench at the frame, in its axes
     body: int  # that the frame is fixed to
     axes: FloatArray  # (3, 3) the frame's in that body's
     origin: FloatArray  # (3,)
-    coasting: bool
-    links: IndexArray  # beyond
 
     def in_base(self, chain: Chain) -> FloatArray:
-        """On the wrench about the base's origin, base axes, (n, rows here, 6)."""
+        """The projection on the wrench about the base's origin, base axes, (n, rows here, 6)."""
         on, at = chain.axes[:, self.body], chain.origins[:, self.body]
         R = (on @ self.axes)[:, None]
-        force, moment = times(R, self.projection[:, :3]), times(R, self.projection[:, 3:])
+        force, moment = times(R, self.own[:, :3]), times(R, self.own[:, 3:])
         force += cross((at + times(on, self.origin))[:, None], moment)
         return np.concatenate([force, moment], axis=-1)
+
+
+def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Consecutive indices as a slice, for a view instead of a copy."""
+    return slice(int(index[0]), int(index[-1]) + 1) if (np.diff(index) == 1).all() else index
 
 
 class Fold(NamedTuple):
     """Prepared combination ``Y[:, links] @ mix``: one matrix per cut, with and without the payload."""
 
-    held: tuple[FloatArray, ...]  # (36 x links beyond, c) each
+    held: tuple[FloatArray, ...]  # (10 x bodies, c) each
     released: tuple[FloatArray, ...]
     columns: int
+
+
+def body_parameters(vehicle: VehicleModel) -> FloatArray:
+    """Map from link parameters to those of the joints' bodies, ``T P T'`` per link, (10 x bodies, 10 x links)."""
+    model = vehicle.model
+    out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
+    for link, name in enumerate(vehicle.links):
+        frame = model.frames[vehicle.frame_id(name)]
+        pose, first = frame.placement.homogeneous, 10 * (int(frame.parentJoint) - 1)
+        for k, unit in enumerate(np.eye(10)):
+            out[first : first + 10, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
+    return out
 
 
 class WrenchColumns:
@@ -85,22 +108,43 @@ class WrenchColumns:
     """
 
     def __init__(self, vehicle: VehicleModel, rows: Sequence[Projected]) -> None:
-        self._rows, self._chi, self._payload = len(rows), vehicle.chi, vehicle.payload_columns()
+        self._model, self._data = vehicle.model, vehicle.model.createData()
+        self._rows = len(rows)
+        self._bodies = body_parameters(vehicle)
+        self._chi, self._payload = vehicle.chi, vehicle.payload_columns()
         groups: dict[tuple[str, bool], list[int]] = {}
         for index, row in enumerate(rows):
             groups.setdefault((row.frame, row.coasting), []).append(index)
         self._cuts = [self._cut(vehicle, rows, *key, mine) for key, mine in groups.items()]
+        self._coasting = sorted({cut.coasting for cut in self._cuts})
         self.whole = self.fold(np.eye(10 * len(vehicle.links)))
 
-    @staticmethod
-    def _cut(vehicle: VehicleModel, rows: Sequence[Projected], name: str, coasting: bool, mine: list[int]) -> _Cut:
-        frame, beyond = vehicle.model.frames[vehicle.frame_id(name)], vehicle.distal_links(name)
+    def _cut(
+        self, vehicle: VehicleModel, rows: Sequence[Projected], name: str, coasting: bool, mine: list[int]
+    ) -> _Cut:
+        index, beyond = vehicle.frame_id(name), vehicle.distal_links(name)
         if not beyond:
             raise UrdfError(f"nothing with mass hangs beyond {name!r}; measure elsewhere or give a link inertia")
-        projection, place = np.array([rows[row].projection for row in mine]), frame.placement
-        body = int(frame.parentJoint) - 1  # Pinocchio's joint 1 is the base's
-        axes, origin = np.array(place.rotation), np.array(place.translation)
-        return _Cut(mine, projection, body, axes, origin, coasting, np.array(beyond, np.intp))
+        columns = np.zeros(10 * len(vehicle.links), bool)
+        for link in beyond:
+            columns[10 * link : 10 * link + 10] = True
+        projection = own = np.array([rows[row].projection for row in mine])
+        frame = self._model.frames[index]
+        velocities = None
+        for joint in vehicle.joints:
+            axis = np.concatenate([[0.0] * 3, joint.axis] if joint.revolute else [joint.axis, [0.0] * 3])
+            if joint.name == name and (projection == axis).all():
+                velocities = np.full(len(mine), joint.v_index)
+        fixed = int(frame.parentJoint) == 1
+        if fixed:
+            projection = projection @ frame.placement.toActionMatrix().T
+            if (projection == np.eye(FREE_FLYER_NV)[np.abs(projection).argmax(axis=1)]).all():
+                velocities = np.abs(projection).argmax(axis=1)
+        places = None if velocities is None else _as_slice(velocities)
+        place, body = frame.placement, int(frame.parentJoint) - 1  # Pinocchio's joint 1 is the base's
+        at = body, np.array(place.rotation), np.array(place.translation)
+        links = np.array(beyond, np.intp)
+        return _Cut(index, _as_slice(np.array(mine)), places, projection, fixed, coasting, columns, links, own, *at)
 
     def fold(self, mix: FloatArray) -> Fold:
         """Prepare a combination of the columns for repeated evaluation.
@@ -110,57 +154,51 @@ class WrenchColumns:
         """
         without = mix.copy()
         without[self._payload] = 0.0
-        columns = mix.shape[1]
         held, released = (
-            tuple((_PRODUCTS @ part.reshape(-1, 10, columns)[cut.links]).reshape(-1, columns) for cut in self._cuts)
-            for part in (mix, without)
+            tuple(self._bodies @ (cut.columns[:, None] * part) for cut in self._cuts) for part in (mix, without)
         )
-        return Fold(held, released, columns)
+        return Fold(held, released, mix.shape[1])
 
-    def make(
-        self, fold: Fold, held: BoolArray, chain: Chain, rate: FloatArray, acceleration: FloatArray, force: FloatArray
-    ) -> FloatArray:
+    def make(self, fold: Fold, held: BoolArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """The columns of ``fold`` at n ticks, (n, rows, c) (Limparis 2.132).
 
         Args:
             fold: which.
             held: (n,) whether the payload is.
-            chain: motion of links and joints relative to the base.
-            rate: of the base, in its axes as what follows, (n, 3).
-            acceleration: angular.
-            force: specific force at the base's origin.
+            q: Pinocchio's configurations, (n, nq), the base at the origin.
+            v: velocities, (n, nv), the base's own linear one zero.
+            a: accelerations, (n, nv), the base's linear one its specific force.
         """
-        n, (R, p, V, A) = len(held), chain.links
-        X = force_transforms(R, p)  # (n, links, 6, 6)
-        turns = rate[:, None]
-        moves = A.copy()  # and what the base's rate, and what is added, do to it
-        moves[..., :3] += cross(turns, V[..., :3])
-        moves[..., 3:] += cross(turns, V[..., 3:]) + acceleration[:, None]
-        twists = V.copy()
-        twists[..., 3:] += turns
-        out = np.empty((n, self._rows, fold.columns))
-        for cut, with_it, without in zip(self._cuts, fold.held, fold.released, strict=True):
-            rows, links = len(cut.rows), cut.links
-            change = moves[:, links]
-            if not cut.coasting:
-                change[..., :3] += force[:, None]
-            seen = np.broadcast_to(cut.in_base(chain)[:, None], (n, len(links), rows, 6))
-            own = np.concatenate([twists[:, links, None], change[:, :, None], seen], axis=2) @ X[:, links]
-            twist, change, seen = own[:, :, :1], own[:, :, 1:2], own[:, :, 2:]
-            turned = np.empty_like(seen)  # V x g
-            turned[..., :3] = cross(twist[..., 3:], seen[..., :3]) + cross(twist[..., :3], seen[..., 3:])
-            turned[..., 3:] = cross(twist[..., 3:], seen[..., 3:])
-            products = seen[..., None] * change[..., None, :] - turned[..., None] * twist[..., None, :]
-            part = products.reshape(n, len(links), rows, 36).swapaxes(1, 2).reshape(n, rows, -1)
-            if held.all():
-                out[:, cut.rows] = (part.reshape(n * rows, -1) @ with_it).reshape(n, rows, -1)
-            else:
-                for which, matrix in ((held, with_it), (~held, without)):
-                    out[np.flatnonzero(which)[:, None], cut.rows] = part[which] @ matrix
+        out = np.empty((len(q), self._rows, fold.columns))
+        for coasting in self._coasting:
+            if coasting:
+                a = a.copy()
+                a[:, :3] = 0.0
+            body, placements = self._regressors(q, v, a)
+            for number, cut in enumerate(self._cuts):
+                if cut.coasting != coasting:
+                    continue
+                if cut.velocities is not None:
+                    part = body[:, cut.velocities]
+                else:
+                    G = cut.projection if cut.fixed else cut.projection @ placements[cut.frame]
+                    part = G @ body[:, :FREE_FLYER_NV]
+                if held.all():
+                    out[:, cut.rows] = part @ fold.held[number]
+                else:
+                    out[held, cut.rows] = part[held] @ fold.held[number]
+                    out[~held, cut.rows] = part[~held] @ fold.released[number]
         return out
 
     def unit_force(self, held: BoolArray, chain: Chain) -> FloatArray:
-        """The rows' response at the URDF's parameters to a unit specific force along each base axis, (n, rows, 3)."""
+        """The rows' response at the URDF's parameters to a unit specific force along each base axis, (n, rows, 3).
+
+        The force on a link is its mass times that, and acts where its first moment is.
+
+        Args:
+            held: (n,) whether the payload is.
+            chain: motion of links and joints; of the joints only the positions matter.
+        """
         R, p, *_ = chain.links
         chi = np.repeat(self._chi.reshape(1, -1, 10), len(held), axis=0)
         chi.reshape(len(held), -1)[~held, self._payload] = 0.0
@@ -170,9 +208,20 @@ class WrenchColumns:
         for cut in self._cuts:
             if not cut.coasting:
                 g = cut.in_base(chain)
-                beyond = first[:, cut.links].sum(axis=1)[:, None], mass[:, cut.links].sum(axis=1)[:, None]
-                out[:, cut.rows] = beyond[1] * g[..., :3] + cross(g[..., 3:], beyond[0])
+                moment, of_mass = (part[:, cut.links].sum(axis=1)[:, None] for part in (first, mass))
+                out[:, cut.rows] = of_mass * g[..., :3] + cross(g[..., 3:], moment)
         return out
 
-
-_PRODUCTS = MOMENTUM.swapaxes(0, 1).reshape(36, 10)
+    def _regressors(self, q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, dict[int, FloatArray]]:
+        """Pinocchio's regressor at each tick, (n, nv, 10 x bodies), and the moving cuts' matrices, (n, 6, 6) each."""
+        model, data = self._model, self._data
+        body = np.empty((len(q), model.nv, self._bodies.shape[0]))
+        moving = [cut.frame for cut in self._cuts if cut.velocities is None and not cut.fixed]
+        placements = {frame: np.empty((len(q), 6, 6)) for frame in moving}
+        for tick in range(len(q)):
+            body[tick] = pin.computeJointTorqueRegressor(model, data, q[tick], v[tick], a[tick])
+            if moving:
+                pin.forwardKinematics(model, data, q[tick])
+                for frame in moving:
+                    placements[frame][tick] = pin.updateFramePlacement(model, data, frame).toActionMatrix().T
+        return body, placements

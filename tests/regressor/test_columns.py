@@ -1,11 +1,11 @@
-"""The rows of all ticks at once are Pinocchio's regressor, tick by tick."""
+"""Rows, and their response to a specific force from sums of first moments, are Pinocchio's regressor."""
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.rows.predicted_motion import body_parameters
+from onboard.regressor.columns import body_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 from tests.regressor.test_rows import VEHICLES, random_motion

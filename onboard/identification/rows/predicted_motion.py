@@ -19,9 +19,9 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import parameters_of, pseudo_inertia
 from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.regressor.columns import body_parameters
 from onboard.regressor.rows import BaseMotion
 
 _MEMORY_S = 2.0  # of the momentum's observer
@@ -34,18 +34,6 @@ class _Tick(NamedTuple):
     ddq: FloatArray
     rate: FloatArray
     held: bool
-
-
-def body_parameters(vehicle: VehicleModel) -> FloatArray:
-    """Map from link parameters to those of the joints' bodies, ``T P T'`` per link, (10 x bodies, 10 x links)."""
-    model = vehicle.model
-    out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
-    for link, name in enumerate(vehicle.links):
-        frame = model.frames[vehicle.frame_id(name)]
-        pose, first = frame.placement.homogeneous, 10 * (int(frame.parentJoint) - 1)
-        for k, unit in enumerate(np.eye(10)):
-            out[first : first + 10, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
-    return out
 
 
 class PredictedMotion:
