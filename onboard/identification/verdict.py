@@ -4,11 +4,12 @@ The rules, from worst to best; every applicable reason is listed:
 
 - *do not use*: no row could be used, or the estimator failed; more than one row in twenty contradicts the others; the
   estimate explains less than 70 % of the measured signal, and noise does not explain the rest; the estimate is five
-  sigmas or more from any physically possible body; no requested quantity is determined, or no requested mass or moment
-  of inertia is known to half of itself; one half of the motion is predicted from the other no better than without an
-  estimate, beyond the effect of noise; a fitted correction of an instrument lies five stated sigmas out.
-- *weak*: a requested quantity is not determined (it is named), or not known to half of itself; one half predicts the
-  other with an error above 50 %; a correction lies three sigmas out; the log is too short to hold out a half.
+  sigmas or more from any physically possible body; no requested quantity is determined; one half of the motion is
+  predicted from the other no better than without an estimate, beyond the effect of noise; a fitted correction of an
+  instrument lies five stated sigmas out.
+- *weak*: a requested quantity is not determined (it is named), or not known well enough
+  (:mod:`onboard.identification.useful`); one half predicts the other with an error above 50 %; a correction lies three
+  sigmas out; the log is too short to hold out a half.
 - *good*: none of these.
 
 Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
@@ -28,11 +29,11 @@ from onboard.identification.quantities import MOST_CONTRADICTED, Findings, Quant
 from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.prediction import HeldOutFit
+from onboard.identification.useful import Size, is_positive, too_wide
 
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
 WEAKLY_PREDICTED = 0.5
 FARTHEST_BODY = 5.0  # sigmas from what was found to the likeliest body
-WIDEST = 0.5  # half an interval, of the quantity itself
 WORST_MISFIT = 2.0  # of a maximum likelihood fit, whose residuals are independent
 
 
@@ -59,12 +60,12 @@ class Standing(NamedTuple):
         return f"{self.level}: {self.why}" if self.why else str(self.level)
 
 
-def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
+def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None = None) -> Standing:
     """Level of a quantity, in flight and afterwards.
 
     *Do not use*: a finding refuses all estimates, also those that the data do not determine, or the interval of a mass
-    or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero; half its
-    width is above 50 % of it; a finding weakens it. The text of a good one says which calibrations it leans on.
+    or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero, or is
+    too wide for its ``size``; a finding weakens it. The text of a good one says which calibrations it leans on.
     """
     if findings.against:
         return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
@@ -76,15 +77,10 @@ def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
             return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
         if quantity.low <= 0.0:
             reasons.append("its interval contains zero")
-        elif quantity.high - quantity.mean > WIDEST * quantity.mean:
-            reasons.append(f"its interval is as wide as {(quantity.high - quantity.mean) / quantity.mean:.0%} of it")
+    if not reasons and (wide := too_wide(quantity, size)):
+        reasons.append(wide)
     reasons += findings.doubts
     return Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD, quantity.leans)
-
-
-def is_positive(name: str, unit: str) -> bool:
-    """Whether a quantity is a mass or a moment of inertia, and no product of inertia."""
-    return unit == "kg" or (unit == "kg m^2" and not name.startswith(("I_xy", "I_xz", "I_yz")))
 
 
 class Verdict(NamedTuple):
@@ -115,7 +111,6 @@ class Evidence(NamedTuple):
     misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
     findings: Findings = Findings()  # about all quantities
     standings: Mapping[str, Standing] = MappingProxyType({})  # of what was asked and is determined
-    sizes: frozenset[str] = frozenset()  # names of the masses and moments of inertia among these
     corrections: Mapping[str, float] = MappingProxyType({})  # fitted to the instruments: by name, in stated sigmas
     unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
 
@@ -133,9 +128,6 @@ def verdict(evidence: Evidence) -> Verdict:
     bad += _together(of_one, Level.DO_NOT_USE)
     if len(weak) == len(evidence.asked):
         bad.append("the motion determines nothing that was asked; move more, and every joint")
-    sizes = [one for name, one in of_one.items() if name in evidence.sizes]
-    if sizes and not any(one.level is Level.GOOD for one in sizes):
-        bad.append("no mass or moment of inertia is known to half of itself; move more, or for longer")
     held_out = evidence.held_out
     reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK), *doubtful(evidence.corrections)]
     if held_out is None:

@@ -16,6 +16,7 @@ from onboard import channels
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.useful import sizes
 from onboard.identification.verdict import LEVELS, Level, Standing, standing
 
 
@@ -57,11 +58,12 @@ class Answers:
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0
+        size = sizes(quantities)
         for row, quantity in zip(answers[p:], quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
             row["drawn"] = quantity.drawn if quantity.supported else 0.0
             row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
-            _put(row, standing(quantity, findings))
+            _put(row, standing(quantity, findings, size.get(quantity.name)))
         return state, answers, self._changes(now_ns, answers[p:])
 
     def _changes(self, now_ns: int, quantities: Rows) -> list[Batch]:

@@ -1,8 +1,8 @@
-"""What may not be as stated of a free-flyer: the drawing of its base and links, the scales of its load cells.
+"""What may not be as stated of a free-flyer: the drawing of base and links, its joints, the scales of its load cells.
 
 Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, or
 each of its ten parameters by itself; of a link, both by one factor. One factor over all links is another arm, one over
-base and links a wrong unit or balance.
+base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -15,7 +15,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
-from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL
+from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL, LIKELY_DELAY_s
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
@@ -66,7 +66,7 @@ def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
     The motion tells ratios of masses alone. Where one cell is all that measures a force, a factor of all masses is a
     factor of that cell.
     """
-    found = [*_bodies(predictor), *_cells(predictor)]
+    found = [*_bodies(predictor), *_joints(predictor), *_cells(predictor)]
     forces = sum(isinstance(one, FurtherCell) for one in predictor.further) + len(predictor.thrusters)
     gauge = {ALL_MASSES, *(one.name for one in predictor.further)} if forces == 1 else set()
     return [one._replace(alike=one.name in gauge) for one in found]
@@ -104,6 +104,15 @@ def _of_mass(chi: FloatArray) -> FloatArray:
     """Change of a body's standard parameters, (10,), with its mass, for a mass twice as large and the same inertia."""
     mass, centre, inertia = body_of(chi)
     return standard_of(RigidBody(2.0 * mass, centre, inertia)) - chi
+
+
+def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
+    sizes = {"zero": LIKELY_SIZE, "scale": LIKELY_SIZE, "delay": LIKELY_DELAY_s}
+    for joint in predictor.vehicle.joints:
+        for what, size in sizes.items():
+            name = f"{what}_{joint.name}"
+            if name in predictor.names and predictor.stated[at := predictor.names.index(name)] > 0.0:
+                yield Suspect(name, np.array([at]), np.full((1, 1), size), ODDS / len(sizes))
 
 
 def _cells(predictor: ImuPredictor) -> Iterator[Suspect]:

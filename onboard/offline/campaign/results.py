@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from onboard.identification.verdict import Level
+from onboard.identification.verdict import Level, Standing
 from onboard.offline.campaign.instants import WIDER, Instants
 from onboard.offline.tables.truth import Truth
 
@@ -146,11 +146,12 @@ def of_log(found: "Identified", truth: Truth | None) -> FlightResult:
     known = {name: float(value) for name, value in true.items() if isinstance(value, int | float)}
     refused = found.verdict.level is Level.DO_NOT_USE
     why = "; ".join(found.verdict.reasons) if refused else ""
-    answers = []
+    answers, each = [], found.standings
     for one in found.answers:
         made = Answer(one.name, one.unit, known.get(one.name, math.nan), bound=one.bound, leans=one.leans)
-        level = Level.DO_NOT_USE if refused else one.standing.level
-        made = made._replace(level=str(level), why=why or one.standing.why)
+        of_one = each.get(one.name, Standing(Level.WEAK))
+        level = Level.DO_NOT_USE if refused else of_one.level
+        made = made._replace(level=str(level), why=why or of_one.why)
         if one.supported and not refused:
             made = made._replace(supported=True, value=one.value, low=one.low, high=one.high, sigma=one.sigma)
         answers.append(made)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.verdict import is_positive
+from onboard.identification.useful import is_positive
 from onboard.offline.campaign.instants import WIDER
 from onboard.offline.campaign.results import Outcome, kinds
 from onboard.offline.campaign.store import FACTOR

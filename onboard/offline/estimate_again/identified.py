@@ -1,6 +1,7 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
+from onboard.identification.useful import sizes
 from onboard.identification.verdict import Level, Standing, Verdict, standing
 from onboard.offline.estimate_again.residuals import Residuals
 from onboard.offline.estimate_again.throws import Throw, plain
@@ -30,16 +32,20 @@ class Answer(NamedTuple):
     bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
     leans: str = ""  # on which stated sigmas, where these make up a good part of its own
 
-    @property
-    def standing(self) -> Standing:
-        """What it is good for by itself."""
-        numbers = self.value, self.sigma, self.low, self.high
-        told = QuantityEstimate(self.name, self.unit, *numbers, math.nan, self.supported, "", leans=self.leans)
-        return standing(told, Findings())
-
     def as_json(self) -> dict[str, Any]:
         """Plain values, None for NaN."""
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
+
+
+def standings(answers: Iterable[Answer]) -> dict[str, Standing]:
+    """What each that the data determine is good for, by its name."""
+    told = [
+        QuantityEstimate(one.name, one.unit, one.value, *one[3:6], math.nan, one.supported, "", leans=one.leans)
+        for one in answers
+        if one.supported
+    ]
+    size = sizes(told)
+    return {one.name: standing(one, Findings(), size.get(one.name)) for one in told}
 
 
 class RunAnswer(NamedTuple):
@@ -77,6 +83,11 @@ class Identified:
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
+
+    @property
+    def standings(self) -> dict[str, Standing]:
+        """What each answer that the data determine is good for by itself."""
+        return standings(self.answers)
 
     def with_before(self, before: BeforeCapture | None) -> "Identified":
         """The same with the motion of the payload before it was captured."""

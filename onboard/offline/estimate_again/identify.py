@@ -25,7 +25,8 @@ from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.standard import identified_links, without_rotors
-from onboard.identification.verdict import Evidence, Level, Standing, is_positive, standing, verdict
+from onboard.identification.useful import sizes
+from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, check_times, feed
@@ -169,8 +170,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         away[f"the load {thrown.load.name}"] = thrown.principal.away
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
-    standings, sizes = _standings(estimate, thrown)
-    evidence = evidence._replace(findings=who.findings(), standings=standings, sizes=sizes)
+    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown))
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
@@ -190,19 +190,15 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     )
 
 
-def _standings(estimate: Estimate, thrown: throws.Throw | None) -> tuple[dict[str, Standing], frozenset[str]]:
-    """What each determined answer is good for by itself, the principal moments of a throw's load among them.
-
-    And the names of what has a size of its own: masses and moments of inertia; of a throw, its load's.
-    """
+def _standings(estimate: Estimate, thrown: throws.Throw | None) -> dict[str, Standing]:
+    """What each determined answer is good for, the principal moments of a throw's load among them."""
     answers = [one for one in estimate.quantities if one.supported]
-    sizes = frozenset(one.name for one in answers if is_positive(one.name, one.unit))
     if thrown is not None and thrown.principal is not None:
         rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
         for name, value, sigma, low, high in rows:
             answers.append(QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, ""))
-        sizes = frozenset(_PRINCIPAL)
-    return {one.name: standing(one, Findings()) for one in answers}, sizes
+    size = sizes(answers)
+    return {one.name: standing(one, Findings(), size.get(one.name)) for one in answers}
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:

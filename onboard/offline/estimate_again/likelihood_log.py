@@ -28,8 +28,8 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.table.air_bearing import TableExiddm
 from onboard.identification.table.joints import with_joints
-from onboard.identification.verdict import Evidence, is_positive, verdict
-from onboard.offline.estimate_again.identified import Answer, Identified
+from onboard.identification.verdict import Evidence, verdict
+from onboard.offline.estimate_again.identified import Answer, Identified, standings
 from onboard.offline.estimate_again.residuals import Residuals, by_axis
 from onboard.recording.reader import LogReader
 
@@ -148,8 +148,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
         away={link.link: link.away},
         misfit=found.misfit,
         findings=found.findings,
-        standings={answer.name: answer.standing for answer in answers if answer.supported},
-        sizes=frozenset(answer.name for answer in answers if is_positive(answer.name, answer.unit)),
+        standings=standings(answers),
         corrections=found.corrections,
         unchecked=found.unchecked,
     )

@@ -52,7 +52,7 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     found = flown.identifier.estimate().quantities
     spread = np.sqrt(np.diag(body_covariance(flown.payload, flown.covariance[PAYLOAD, PAYLOAD])))
     values = body_values(model, flown.payload)
-    told = [expected(one, values[one.name], wide) for one, wide in zip(found, spread.tolist(), strict=True)]
+    told = expected(found, values, spread.tolist())
     both = plan.used(vehicle) & plan.held
     R_BS, _ = model.pose_in_base(roles_of(vehicle).imu.frame)
     words = axes_words(model, plan, flown.rate @ R_BS.T, both)

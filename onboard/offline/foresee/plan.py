@@ -1,5 +1,6 @@
 """A planned motion, and what is expected of a vehicle that flies it."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
+from onboard.identification.useful import sizes
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.rows import BaseMotion
 
@@ -123,18 +125,27 @@ class Foreseen(NamedTuple):
     words: tuple[str, ...]
 
 
-def expected(one: QuantityEstimate, value: float, sigma: float) -> Expected:
-    """A quantity by the rules of the flight: weak where it is not supported, or not known to half of itself.
+def expected(
+    answers: Sequence[QuantityEstimate], values: Mapping[str, float], sigmas: Iterable[float]
+) -> list[Expected]:
+    """Quantities by the rules of the flight: weak where one is not supported, or too wide for its size.
 
     Args:
-        one: as the estimator answers it along the plan.
-        value: assumed, in place of its mean.
-        sigma: expected, also of one that is not supported.
+        answers: of the estimator along the plan.
+        values: assumed, in place of their means, by name.
+        sigmas: expected, also of one that is not supported.
     """
-    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
-    said = standing(one._replace(mean=value, sigma=sigma, low=value - half, high=value + half), Findings())
-    why = said.why if one.supported else UNDETERMINED
-    return Expected(one.name, one.unit, value, sigma, said.level, why if said.level is Level.WEAK else "")
+    found, z = list[Expected](), float(ndtri(0.5 + 0.5 * LEVEL))
+    told = [
+        one._replace(mean=values[one.name], sigma=s, low=values[one.name] - z * s, high=values[one.name] + z * s)
+        for one, s in zip(answers, sigmas, strict=True)
+    ]
+    size = sizes(told)
+    for one in told:
+        said = standing(one, Findings(), size.get(one.name))
+        why = said.why if one.supported else UNDETERMINED
+        found.append(Expected(*one[:4], said.level, why if said.level is Level.WEAK else ""))
+    return found
 
 
 def body_values(model: VehicleModel, body: RigidBody | None) -> dict[str, float]:

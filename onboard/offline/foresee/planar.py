@@ -12,6 +12,7 @@ from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.joints import bound
 from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.identified import standings
 from onboard.offline.estimate_again.likelihood_log import LONGEST_S, body_answers
 from onboard.offline.estimate_again.planar_log import table_prior, underway
 from onboard.offline.foresee.plan import UNDETERMINED, Expected, Foreseen, Plan, axes_words, body_values
@@ -56,13 +57,11 @@ def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     own = exiddm.layout.estimated("payload")
     body = body_estimate(x[own], covariance[np.ix_(own, own)])
     names = tuple(body_values(model, payload))
+    answers = body_answers(names, *body, 1.0, np.sqrt(np.diag(body.covariance)))
+    each = standings(answers)
     told = [
-        Expected(
-            *(one.name, one.unit, one.value, one.sigma),
-            one.standing.level if one.supported else Level.WEAK,
-            one.standing.why if one.supported else UNDETERMINED,
-        )
-        for one in body_answers(names, *body, 1.0, np.sqrt(np.diag(body.covariance)))
+        Expected(one.name, one.unit, one.value, one.sigma, *each.get(one.name, (Level.WEAK, UNDETERMINED)))
+        for one in answers
     ]
     sigma, stated = np.sqrt(np.diag(covariance)), exiddm.layout.sigma
     drag = []

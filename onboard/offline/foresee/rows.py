@@ -80,7 +80,7 @@ def foresee_rows(
     beta = identifier.base.value(chi)
     at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}
     at |= body_values(model, plan.payload)
-    quantities = [expected(one, at[one.name], one.sigma) for one in found.quantities]
+    quantities = expected(found.quantities, at, [one.sigma for one in found.quantities])
     hidden = set(vehicle.file.estimation.nuisance)
     parameters = [
         Expected(name, "", value, sigma, Level.GOOD if fine else Level.WEAK, "" if fine else UNDETERMINED)

@@ -8,7 +8,7 @@ from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.mission import Mission
 from onboard import config
 from onboard.identification.verdict import Level, Verdict
-from onboard.offline.estimate_again.identified import Answer
+from onboard.offline.estimate_again.identified import Answer, standings
 from onboard.offline.views import own_mission
 
 VEHICLE = SimpleNamespace(file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
@@ -23,7 +23,8 @@ FOUND = (
 @pytest.mark.parametrize("reasons", [(), ("the fit failed: not converged",)])
 def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
-    found = SimpleNamespace(verdict=verdict, answers=() if reasons else FOUND, runs=())
+    answers = () if reasons else FOUND
+    found = SimpleNamespace(verdict=verdict, answers=answers, standings=standings(answers), runs=())
     monkeypatch.setattr(own_mission, "likelihood_of", lambda _: lambda *_: found)
     rows, runs = own_mission.after_the_run(VEHICLE, None)
     assert runs == []
