@@ -54,9 +54,11 @@ class Weighed(NamedTuple):
     stated: Known
     every: tuple[Hypothesis, ...]
 
-    def known(self, one: Hypothesis) -> Known:
-        """Mean and covariance if a hypothesis is true."""
-        return self.stated[0] + one.shift, self.stated[1] + one.root @ one.root.T
+    def known(self, one: Hypothesis, part: slice = slice(None)) -> Known:
+        """Mean and covariance of a part of the state if a hypothesis is true."""
+        x, P = self.stated
+        root = one.root[part]
+        return x[part] + one.shift[part], P[part, part] + root @ root.T
 
     @property
     def likeliest(self) -> Hypothesis:

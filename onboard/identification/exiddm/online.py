@@ -251,9 +251,8 @@ class ExiddmIdentifier:
 
     def _is_determined(self, weighed: Weighed) -> bool:
         """Whether the mass is known so well that what is known of all else follows from a linear model."""
-        state, covariance = weighed.known(weighed.likeliest)
-        sigma = float(np.sqrt(covariance[PAYLOAD.start, PAYLOAD.start]))
-        return not self.exiddm.held or sigma < DETERMINED * float(state[PAYLOAD.start])
+        mean, covariance = weighed.known(weighed.likeliest, PAYLOAD)
+        return not self.exiddm.held or float(np.sqrt(covariance[0, 0])) < DETERMINED * float(mean[0])
 
     @property
     def _weighed(self) -> Weighed:
@@ -319,10 +318,10 @@ class ExiddmIdentifier:
         Taking the part A of a prior's information on parameters k, of mean zero, away changes a covariance P by
         ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
         """
-        state, P = weighed.known(hypothesis)
-        mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
+        mean, covariance = weighed.known(hypothesis, PAYLOAD)
         at = doubted if hypothesis.suspect is None else np.setdiff1d(doubted, hypothesis.suspect.at)
         if at.size:
+            state, P = weighed.known(hypothesis)
             taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))
             gain = np.linalg.solve(taken - P[np.ix_(at, at)], P[at, PAYLOAD]).T
             mean, covariance = mean + gain @ state[at], covariance + gain @ P[at, PAYLOAD]
