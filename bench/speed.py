@@ -137,7 +137,7 @@ def measure(
         if any("{log}" in COMMANDS[name] for name in only):
             for one, out in logs.items():
                 out.mkdir()
-                run(one, COMMANDS["hil dymaflex"].format(seed=seed, out=out))
+                run(one, COMMANDS["hil-dymaflex"].format(seed=seed, out=out))
         for _ in range(rounds):
             for name in only:
                 for one, its in logs.items():
