@@ -111,9 +111,9 @@ class VehiclePlant(world.Plant):
         self._parts: list[_Part] = []  # not interpolated to their end
         self._filled = 0  # rows interpolated
         self._start(rng)
-        self._waits = self.program.waits or isinstance(self._flight, ServoFlight)
-        self._part = _PART * self.chunk if not self._waits and self.program.duration_s > _WHOLE_S else 0
-        if not (self._waits or self._part):
+        waits = self.program.waits or isinstance(self._flight, ServoFlight)
+        self._part = _PART * self.chunk if not waits and self.program.duration_s > _WHOLE_S else 0
+        if not (waits or self._part):
             self._compute(self.rows)
             self._make(round(_AT_ONCE_S / self.step_s))
 
@@ -382,7 +382,7 @@ class VehiclePlant(world.Plant):
 
     def _run_chunk(self) -> None:
         self.count += self.chunk
-        if self._waits or (self._part and self._done * self._every < min(self.count, self.rows)):
+        if not self._part or self._done * self._every < min(self.count, self.rows):
             self._compute(min(self.count + self._part, self.rows))
         if self._filled < min(self.count, self.rows):  # not of servos
             self._make(self.count + _BLOCK * self.chunk)

@@ -84,7 +84,7 @@ def test_a_rehearsal_in_real_time_gives_the_table_and_every_reader_reads_its_log
     code = cli.main([*flown, "--log", str(log), "--json", str(result)])
     table = json.loads(result.read_text())
     assert table["identified"]
-    assert len(table["masses"]) == 4
+    assert len(table["masses"]) == 3
     for mass in table["masses"]:
         assert mass["low"] < mass["truth"] < mass["high"]
     for name in ("joint_1", "load_cell", "can_sync", "pulse", "arm_phase"):
