@@ -112,7 +112,7 @@ class Bank:
         first = 0
         for one in suspects:
             every[one.at, first : (first := first + one.along.shape[1])] = one.along
-        self.at: IndexArray = np.flatnonzero(every.any(axis=1))
+        self.at: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
         self._of_all = every[self.at] / sigma[self.at, None] ** 2
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
         for fixed in (*self._scaled, self.at, self._alike, self._of_all, self._inner):  # a checkpoint names it
