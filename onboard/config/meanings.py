@@ -238,8 +238,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     },
     LinkTolerance: {
         "mass_relative": _M(
-            "Standard deviation of the mass, relative; the arm's checks the scales of cells and encoders, and it "
-            "counts where the ratio of two masses is taken."
+            "Standard deviation of the mass, relative; the arm's checks the scales of cells and encoders."
         ),
         "centre_m": _M("Standard deviation of each coordinate of the centre of mass."),
         "inertia_relative": _M("Standard deviation of the inertia about the centre of mass, relative, at its mass."),

@@ -103,7 +103,7 @@ class Expected(NamedTuple):
     unit: str
     value: float  # assumed
     sigma: float  # expected, 1 sigma
-    level: Level  # weak: the motion does not determine it, or not to half of itself
+    level: Level  # weak: the motion does not determine it, or too wide for its size
     why: str = ""
 
 
