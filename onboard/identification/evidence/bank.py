@@ -17,6 +17,7 @@ kept. What a filter makes of a prior that has such terms is taken back to "as st
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -106,16 +107,17 @@ class Bank:
 
     def __init__(self, suspects: Sequence[Suspect], sigma: FloatArray) -> None:
         self.suspects = tuple(suspects)
-        self._scaled = [one.along / sigma[one.at, None] ** 2 for one in suspects]
         self._alike = np.array([False, *(one.alike for one in suspects)])
-        every = np.zeros((len(sigma), sum(one.along.shape[1] for one in suspects)))
-        first = 0
-        for one in suspects:
-            every[one.at, first : (first := first + one.along.shape[1])] = one.along
+        self._log_odds = np.log([1.0, *(one.odds for one in suspects)])
+        ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
+        self._columns = [slice(*pair) for pair in pairwise(ends)]
+        every = np.zeros((len(sigma), ends[-1]))
+        for one, own in zip(suspects, self._columns, strict=True):
+            every[one.at, own] = one.along
         self.at: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
         self._of_all = every[self.at] / sigma[self.at, None] ** 2
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
-        for fixed in (*self._scaled, self.at, self._alike, self._of_all, self._inner):  # a checkpoint names it
+        for fixed in (self.at, self._alike, self._log_odds, self._of_all, self._inner):  # a checkpoint names it
             fixed.setflags(write=False)
         for one in suspects:
             one.at.setflags(write=False)
@@ -142,18 +144,31 @@ class Bank:
             stated: what is known if nothing is wrong.
         """
         x, P = stated
-        found = [Hypothesis(None, 0.0, 0.0, 0.0, np.zeros_like(x), np.zeros((len(x), 0)))]
-        for one, U in zip(self.suspects, self._scaled, strict=True):
-            PU = P[:, one.at] @ U
-            told, V = np.linalg.eigh(one.along.T @ U - U.T @ PU[one.at])
-            M = 1.0 + np.maximum(told, 0.0)  # below zero by rounding
-            root, g = PU @ V / np.sqrt(M), V.T @ (U.T @ x[one.at]) / np.sqrt(M)
-            nats = 0.5 * float(g @ g - np.log(M).sum())
-            size = float(np.linalg.norm(g / np.sqrt(M))) / len(g) ** 0.5
-            found.append(Hypothesis(one, 0.0, nats, size, root @ g, root))
-        evidence = np.array([one.nats for one in found])
+        PU, slope = P[:, self.at] @ self._of_all, self._of_all.T @ x[self.at]  # (p, R), (R,) of all suspects at once
+        M = self._inner - self._of_all.T @ PU[self.at]  # (R, R)
+        scale = np.sqrt(np.maximum(np.diag(M), 1.0))  # (R,) of suspects with one column; below one by rounding
+        roots, g = PU / scale, slope / scale
+        shifts, nats, sizes = (roots * g).T, 0.5 * g**2 - np.log(scale), np.abs(g) / scale
+        found = [(0.0, 0.0, np.zeros_like(x), np.zeros((len(x), 0)))]
+        for own in self._columns:
+            k = own.start
+            if own.stop == k + 1:
+                found.append((float(nats[k]), float(sizes[k]), shifts[k], roots[:, own]))
+            else:
+                found.append(_of_several(PU[:, own], slope[own], M[own, own]))
+        evidence = np.array([one[0] for one in found])
         evidence[self._alike] = evidence[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
-        each = evidence + np.log([1.0, *(one.odds for one in self.suspects)])
+        each = evidence + self._log_odds
         weights = np.exp(each - each.max())
         weights /= weights.sum()
-        return Weighed(stated, tuple(one._replace(weight=float(w)) for one, w in zip(found, weights, strict=True)))
+        every = zip((None, *self.suspects), weights.tolist(), found, strict=True)
+        return Weighed(stated, tuple(Hypothesis(one, weight, *rest) for one, weight, rest in every))
+
+
+def _of_several(PU: FloatArray, slope: FloatArray, M: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
+    """Evidence, size, shift and root of a suspect with several columns, (p, r), (r,) and (r, r)."""
+    told, V = np.linalg.eigh(M)
+    scale = np.sqrt(np.maximum(told, 1.0))
+    root, g = PU @ V / scale, V.T @ slope / scale
+    nats, size = 0.5 * float(g @ g) - float(np.log(scale).sum()), float(np.linalg.norm(g / scale)) / len(g) ** 0.5
+    return nats, size, root @ g, root

@@ -53,6 +53,23 @@ def test_each_hypothesis_is_the_fit_with_its_prior_and_has_the_evidence_of_its_r
     np.testing.assert_allclose([one.weight for one in weighed.every], odds / odds.sum(), rtol=1e-5)
 
 
+def test_a_hypothesis_is_the_same_whether_weighed_alone_or_among_many(linear: Linear, rng: np.random.Generator) -> None:
+    """Also of suspects that share places and columns."""
+    several = [BODY, CELL, BODY._replace(name="alone", along=BODY.along[:, :1])]
+    several += [Suspect(f"at_{k}", np.array([k, k + 1]), rng.standard_normal((2, 1)), 0.01) for k in (1, 2, 3)]
+    stated = linear.solved()
+    _, *every = Bank(several, SIGMA).weigh(stated).every
+    assert len(every) == len(several)
+    for one, suspect in zip(every, several, strict=True):
+        _, alone = Bank([suspect], SIGMA).weigh(stated).every
+        assert one.suspect is suspect
+        assert one.nats == pytest.approx(alone.nats, rel=1e-10)
+        assert one.size == pytest.approx(alone.size, rel=1e-10)
+        np.testing.assert_allclose(one.shift, alone.shift, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(one.root @ one.root.T, alone.root @ alone.root.T, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(one.shift, linear.solved(suspect)[0] - stated[0], rtol=1e-6, atol=1e-9)
+
+
 def test_a_freed_filter_has_all_errors_in_its_prior_and_is_taken_back(linear: Linear) -> None:
     bank = Bank([BODY, CELL], SIGMA)
     freed = bank.freed(linear.solved())
