@@ -1,4 +1,4 @@
-"""What the keys of ``[planar]`` and ``[parabola]`` mean, and when to change them; see ``meanings``."""
+"""What the keys of ``[planar]``, ``[parabola]`` and ``[free_body]`` mean, and when to change them; see ``meanings``."""
 
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),
@@ -42,4 +42,28 @@ JOINT = {
         "a swing was seen to die away",
     ),
     "damping_relative": ("How well that is known, relative, 1 sigma.", "it was measured"),
+}
+
+FREE_BODY: dict[str, tuple[str, ...]] = {
+    "rotor_sigma": ("Relative sigma of the rotors' inertia in the URDF, which all inertias scale with.",),
+    "carrier": ("Table: the device itself, without a load.",),
+    "load": ("Tables: what it carries in which logs.",),
+}
+
+CARRIER: dict[str, tuple[str, ...]] = {
+    "mass_kg": ("Mass of the device itself.",),
+    "centre_of_mass_m": ("Its centre of mass, base axes.",),
+    "centre_of_mass_sigma_m": ("How well that is known, 1 sigma by axis.",),
+    "inertia_kg_m2": ("XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, base axes.",),
+    "inertia_sigma_kg_m2": ("How well these are known, 1 sigma.",),
+}
+
+LOAD: dict[str, tuple[str, ...]] = {
+    "name": ("Name of the load.",),
+    "logs": ("Pattern of the names of its logs.",),
+    "role": ('"carrier": the device alone; "proof": a known body; these two calibrate. "load": to be told.',),
+    "mass_kg": ("Weighed.",),
+    "truth_kg_m2": ("Known moments of inertia, to compare with or to calibrate by.",),
+    "truth_source": ("Where they are from.",),
+    "bars_percent": ("Mean and worst error that are accepted.",),
 }

@@ -178,6 +178,19 @@ class DisturbanceKeys(Section):
     time_s: Positive = 60.0
 
 
+class UsefulKeys(Section):
+    """How wide half an interval may be where an answer is *good*.
+
+    Over a mass, a moment of inertia, the largest moment of the body (products of inertia), or the body's size
+    (coordinates of its centre of mass).
+    """
+
+    mass: Positive = 0.2
+    moment: Positive = 0.2
+    product: Positive = 0.2
+    centre: Positive = 0.1
+
+
 class MotorKeys(Section):
     """A motor coupled to several joints: its rate per joint rate, and its presliding length (Dahl)."""
 
@@ -255,4 +268,5 @@ class Estimation(Section):
     carried: Carried | None = None
     exiddm: ExiddmKeys = ExiddmKeys()
     disturbance: DisturbanceKeys = DisturbanceKeys()
+    useful: UsefulKeys = UsefulKeys()
     imu_prior: ImuPriorKeys = Field(default=ImuPriorKeys(), validation_alias=AliasChoices("imu_prior", "doubt"))

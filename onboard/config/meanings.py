@@ -5,7 +5,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
-from onboard.config.base_meanings import JOINT, PARABOLA, PLANAR, PUCK
+from onboard.config.base_meanings import CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PLANAR, PUCK
 from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
@@ -24,6 +24,7 @@ from onboard.config.estimation import (
     Phases,
     Prior,
     Resumed,
+    UsefulKeys,
     Zero,
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
@@ -163,6 +164,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
         "exiddm": _M('Table of method "exiddm".'),
         "disturbance": _M('Table: what pushes a free base unknown on board, for method "exiddm".'),
+        "useful": _M("Table: how narrow an interval must be to be good; a wider one is weak."),
         "imu_prior": _M(
             "Table: sigmas of the base IMU's errors, for method exiddm; of rows, a moving base's two biases."
         ),
@@ -265,6 +267,15 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "torque_N_m": _M("Of a torque, the same.", "as above; 0.01 N and 0.002 N m held for what bench flights had"),
         "time_s": _M("In half of it the variance of both grows by as much as at the start.", "it changes faster"),
     },
+    UsefulKeys: {
+        "mass": _M("Half of a 95 % interval of a mass, over the mass.", "a controller asks for more, or needs less"),
+        "moment": _M("Of a moment of inertia, over it.", "as above"),
+        "product": _M("Of a product of inertia, over the body's largest moment.", "as above"),
+        "centre": _M(
+            "Of a coordinate of a centre of mass, over the body's size: rms distance of its mass from its frame.",
+            "as above",
+        ),
+    },
     ImuPriorKeys: {
         "gyro_bias_rad_s": _M("Bias of the gyro at the start, 1 sigma by axis.", "from a data sheet or a calibration"),
         "gyro_drift_rad_s2": _M("Its drift.", "the IMU warms up in flight"),
@@ -281,27 +292,9 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
         "position_m": _M("Of each coordinate of its place in the drawing.", "the mounting was measured"),
     },
-    FreeBody: {
-        "rotor_sigma": _M("Relative sigma of the rotors' inertia in the URDF, which all inertias scale with."),
-        "carrier": _M("Table: the device itself, without a load."),
-        "load": _M("Tables: what it carries in which logs."),
-    },
-    Carrier: {
-        "mass_kg": _M("Mass of the device itself."),
-        "centre_of_mass_m": _M("Its centre of mass, base axes."),
-        "centre_of_mass_sigma_m": _M("How well that is known, 1 sigma by axis."),
-        "inertia_kg_m2": _M("XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, base axes."),
-        "inertia_sigma_kg_m2": _M("How well these are known, 1 sigma."),
-    },
-    Load: {
-        "name": _M("Name of the load."),
-        "logs": _M("Pattern of the names of its logs."),
-        "role": _M('"carrier": the device alone; "proof": a known body; these two calibrate. "load": to be told.'),
-        "mass_kg": _M("Weighed."),
-        "truth_kg_m2": _M("Known moments of inertia, to compare with or to calibrate by."),
-        "truth_source": _M("Where they are from."),
-        "bars_percent": _M("Mean and worst error that are accepted."),
-    },
+    FreeBody: {key: _M(*said) for key, said in FREE_BODY.items()},
+    Carrier: {key: _M(*said) for key, said in CARRIER.items()},
+    Load: {key: _M(*said) for key, said in LOAD.items()},
     Parabola: {key: _M(*said) for key, said in PARABOLA.items()},
     Planar: {key: _M(*said) for key, said in PLANAR.items()},
     Puck: {key: _M(*said) for key, said in PUCK.items()},

@@ -3,7 +3,7 @@
 A mass or a moment of inertia is held against itself, a product of inertia against the largest moment of its body, a
 coordinate of a centre of mass against the size of the body: ``(|c|^2 + tr I / 2 m)^(1/2)``, the root mean square
 distance of its mass from the origin of its frame. A body of which mass or inertia is not told has no size, and its
-products and centre are not judged.
+products and centre are not judged. What is useful is stated by the user (``[estimation.useful]``).
 """
 
 from collections.abc import Iterable
@@ -13,8 +13,16 @@ import numpy as np
 
 from onboard.identification.quantities import BODY, QuantityEstimate
 
-_OF_ITSELF, _OF_THE_BODY, _OF_ITS_MOMENTS = 0.2, 0.1, 0.2  # what a controller of the pair needs, and no more
 _CENTRE, _MOMENTS, _PRODUCTS = ("c_x", "c_y", "c_z"), ("I_xx", "I_yy", "I_zz"), ("I_xy", "I_xz", "I_yz")
+
+
+class Useful(NamedTuple):
+    """Half an interval over what it is held against, at most; by default what a controller of the pair needs."""
+
+    mass: float = 0.2
+    moment: float = 0.2
+    product: float = 0.2
+    centre: float = 0.1
 
 
 class Size(NamedTuple):
@@ -30,10 +38,14 @@ def is_positive(name: str, unit: str) -> bool:
     return unit == "kg" or (unit == "kg m^2" and not name.startswith(_PRODUCTS))
 
 
-def sizes(quantities: Iterable[QuantityEstimate]) -> dict[str, Size]:
+def sizes(quantities: Iterable[QuantityEstimate], useful: Useful) -> dict[str, Size]:
     """By name, of the quantities that have one."""
     told = {one.name: one for one in quantities if one.supported}
-    found = {name: Size(one.mean, _OF_ITSELF, "it") for name, one in told.items() if is_positive(name, one.unit)}
+    found = {
+        name: Size(one.mean, useful.mass if one.unit == "kg" else useful.moment, "it")
+        for name, one in told.items()
+        if is_positive(name, one.unit)
+    }
     for name in [name for name in told if name.startswith(f"{BODY[0]}_")]:
         body = name.removeprefix(BODY[0])
         of = {kind: told.get(kind + body) for kind in BODY}
@@ -41,12 +53,12 @@ def sizes(quantities: Iterable[QuantityEstimate]) -> dict[str, Size]:
         if not moments:
             continue
         for kind in _PRODUCTS:
-            found[kind + body] = Size(max(moments), _OF_ITS_MOMENTS, "its largest moment")
+            found[kind + body] = Size(max(moments), useful.product, "its largest moment")
         centre = [one.mean for kind in _CENTRE if (one := of[kind]) is not None]
         if len(moments) == 3 and sum(moments) > 0.0 < told[name].mean:
             size = float(np.sqrt(np.dot(centre, centre) + sum(moments) / 2.0 / told[name].mean))
             for kind in _CENTRE:
-                found[kind + body] = Size(size, _OF_THE_BODY, "the body's size")
+                found[kind + body] = Size(size, useful.centre, "the body's size")
     return found
 
 

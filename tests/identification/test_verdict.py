@@ -15,7 +15,7 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate
-from onboard.identification.useful import sizes
+from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
@@ -151,7 +151,7 @@ def quantity(mean, half, name="m_payload", unit="kg", supported=True):
     ],
 )
 def test_a_quantity_stands_by_what_is_possible_and_by_its_interval(found, level, said):
-    standing_of = standing(found, Findings(), sizes([found]).get(found.name))
+    standing_of = standing(found, Findings(), sizes([found], Useful()).get(found.name))
     assert standing_of.level is level
     assert said in standing_of.why
 

@@ -25,6 +25,7 @@ from onboard.config.estimation import (
     Phases,
     Prior,
     Resumed,
+    UsefulKeys,
     Zero,
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
@@ -55,6 +56,7 @@ TABLES: dict[str, type[Section]] = {
     "[estimation.masses.drawing.NAME]": LinkTolerance,
     "[estimation.exiddm]": ExiddmKeys,
     "[estimation.disturbance]": DisturbanceKeys,
+    "[estimation.useful]": UsefulKeys,
     "[estimation.imu_prior]": ImuPriorKeys,
     "[estimation.carried]": Carried,
     "[free_body]": FreeBody,

@@ -12,12 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
-from onboard import channels
+from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
-from onboard.identification.useful import sizes
+from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import LEVELS, Level, Standing, standing
+
+
+def useful_of(vehicle: config.Vehicle) -> Useful:
+    """How narrow an interval must be to be good, as the vehicle file states it."""
+    return Useful(**vehicle.file.estimation.useful.model_dump())
 
 
 class Answers:
@@ -26,10 +31,11 @@ class Answers:
     Args:
         estimate_dtype: of the channel ``estimate``.
         nuisance: parameters that are never marked as supported.
+        useful: how narrow an interval is that is good.
     """
 
-    def __init__(self, estimate_dtype: np.dtype[np.void], nuisance: Collection[str]) -> None:
-        self._dtype, self._nuisance = estimate_dtype, list(nuisance)
+    def __init__(self, estimate_dtype: np.dtype[np.void], nuisance: Collection[str], useful: Useful) -> None:
+        self._dtype, self._nuisance, self._useful = estimate_dtype, list(nuisance), useful
         self._told: set[bytes] = set()  # supported at some time, and not withdrawn since
         self._withdrawn: set[bytes] = set()
 
@@ -58,7 +64,7 @@ class Answers:
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0
-        size = sizes(quantities)
+        size = sizes(quantities, self._useful)
         for row, quantity in zip(answers[p:], quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
             row["drawn"] = quantity.drawn if quantity.supported else 0.0

@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
-from onboard.flight.estimate.answers import Answers, change_event
+from onboard.flight.estimate.answers import Answers, change_event, useful_of
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.identification import METHODS, build_online, channels_of, with_hypotheses
 from onboard.flight.estimate.joint_signals import JointSignals
@@ -120,7 +120,7 @@ class Estimator:
         self._asking = None if vehicle.segments is None else Asking(vehicle, vehicle.segments, self.online, self.model)
         if self._asking is not None:
             self.outputs["request"] = channels.REQUEST
-        self._answers = Answers(self.outputs["estimate"], settings.nuisance)
+        self._answers = Answers(self.outputs["estimate"], settings.nuisance, useful_of(vehicle))
         self._sequence = dict.fromkeys(self.outputs, 0)
 
     @property

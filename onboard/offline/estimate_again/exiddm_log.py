@@ -19,7 +19,7 @@ from onboard.dynamics.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.flight.estimate.answers import change_of, instrument_of
+from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
@@ -122,14 +122,14 @@ class _Flight:
     def __init__(self, vehicle: config.Vehicle, online: ExiddmIdentifier, ticks: Ticks, attached: BoolArray) -> None:
         settings = vehicle.file.estimation
         self._online, self._ticks, self._attached = online, ticks, attached
-        self._period_s = 1.0 / settings.row_rate_hz
+        self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
         self._held = settings.exiddm.held_at_start or settings.carried is not None
 
     def identified(
         self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
     ) -> Identified:
         """Estimates and verdict of the flight."""
-        kept = Kept(log, payload, self._ticks, self._period_s, refused, {})
+        kept = Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
         seen = int(np.isfinite(self._ticks.measured).sum())
         if self._online.exiddm.predictor.bends.size:
             return no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")

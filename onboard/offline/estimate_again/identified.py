@@ -1,7 +1,7 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
-from onboard.identification.useful import sizes
+from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Level, Standing, Verdict, standing
 from onboard.offline.estimate_again.residuals import Residuals
 from onboard.offline.estimate_again.throws import Throw, plain
@@ -37,14 +37,14 @@ class Answer(NamedTuple):
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
 
 
-def standings(answers: Iterable[Answer]) -> dict[str, Standing]:
+def standings(answers: Iterable[Answer], useful: Useful) -> dict[str, Standing]:
     """What each that the data determine is good for, by its name."""
     told = [
         QuantityEstimate(one.name, one.unit, one.value, *one[3:6], math.nan, one.supported, "", leans=one.leans)
         for one in answers
         if one.supported
     ]
-    size = sizes(told)
+    size = sizes(told, useful)
     return {one.name: standing(one, Findings(), size.get(one.name)) for one in told}
 
 
@@ -78,16 +78,12 @@ class Identified:
     held_out: HeldOut | None = None
     misfit: float | None = None  # of a maximum likelihood fit, over its degrees of freedom
     observability: ObservedDirections | None = None
+    standings: Mapping[str, Standing] = field(default_factory=dict)  # of each answer that the data determine
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
-
-    @property
-    def standings(self) -> dict[str, Standing]:
-        """What each answer that the data determine is good for by itself."""
-        return standings(self.answers)
 
     def with_before(self, before: BeforeCapture | None) -> "Identified":
         """The same with the motion of the payload before it was captured."""

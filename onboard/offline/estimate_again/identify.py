@@ -15,6 +15,7 @@ from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
@@ -25,12 +26,12 @@ from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.standard import identified_links, without_rotors
-from onboard.identification.useful import sizes
+from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, check_times, feed
-from onboard.offline.estimate_again.identified import Answer, Identified
+from onboard.offline.estimate_again.identified import Answer, Identified, standings
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.parabolic_log import identify_parabolas
 from onboard.offline.estimate_again.planar_log import identify_planar
@@ -170,7 +171,8 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         away[f"the load {thrown.load.name}"] = thrown.principal.away
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
-    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown))
+    useful = useful_of(vehicle)
+    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown, useful))
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
@@ -186,18 +188,19 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         observability=observed_directions(who.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         links=links,
+        standings=standings(answers, useful),
         residuals=kept.residuals(who.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
 
 
-def _standings(estimate: Estimate, thrown: throws.Throw | None) -> dict[str, Standing]:
+def _standings(estimate: Estimate, thrown: throws.Throw | None, useful: Useful) -> dict[str, Standing]:
     """What each determined answer is good for, the principal moments of a throw's load among them."""
     answers = [one for one in estimate.quantities if one.supported]
     if thrown is not None and thrown.principal is not None:
         rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
         for name, value, sigma, low, high in rows:
             answers.append(QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, ""))
-    size = sizes(answers)
+    size = sizes(answers, useful)
     return {one.name: standing(one, Findings(), size.get(one.name)) for one in answers}
 
 

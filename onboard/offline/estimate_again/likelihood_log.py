@@ -28,6 +28,7 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.table.air_bearing import TableExiddm
 from onboard.identification.table.joints import with_joints
+from onboard.identification.useful import Useful
 from onboard.identification.verdict import Evidence, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified, standings
 from onboard.offline.estimate_again.residuals import Residuals, by_axis
@@ -48,6 +49,7 @@ class Kept(NamedTuple):
     period_s: float  # between ticks
     refused: Mapping[str, int]  # rows by reason
     idle: Mapping[str, int]  # rows not fitted for another reason
+    useful: Useful
 
 
 class Judged(NamedTuple):
@@ -139,6 +141,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
     answers = (*of_payload, *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
+    each = standings(answers, kept.useful)
     evidence = Evidence(
         found.rows_used,
         kept.refused,
@@ -148,7 +151,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
         away={link.link: link.away},
         misfit=found.misfit,
         findings=found.findings,
-        standings=standings(answers),
+        standings=each,
         corrections=found.corrections,
         unchecked=found.unchecked,
     )
@@ -164,6 +167,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
         misfit=found.misfit,
         observability=observed_directions(body_seen(body), names),
         links=(link,),
+        standings=each,
         residuals=found.residuals,
     )
 

@@ -15,6 +15,7 @@ from onboard import config
 from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -70,7 +71,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
         pass
     ticks, period_s = Ticks.joined(recorder.ticks), 1.0 / vehicle.file.estimation.row_rate_hz
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
-    kit = _Kit(online, Kept(log, payload, ticks, period_s, refused, {}))
+    kit = _Kit(online, Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)))
     runs = cut(ticks, period_s, settings)
     flown = [_Flown(run, _flight(kit, run)) for run in runs if not run.reason]
     _each(kit, flown)

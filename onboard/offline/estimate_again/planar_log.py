@@ -13,6 +13,7 @@ from scipy.special import ndtri
 from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
@@ -93,7 +94,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     def judge(found: PayloadFit, wider: float) -> Judged:
         return _drags(found, at_start.pucks, wider)
 
-    return identified(Kept(log, payload, ticks, period_s, refused, {}), build, judge)
+    return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
 
 
 def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:

@@ -18,6 +18,7 @@ from onboard.dynamics.payload import body_jacobian, standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.identification import build_exiddm, channels_of
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import CYCLIC_LEFT, kernel_of
@@ -52,7 +53,7 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     found = flown.identifier.estimate().quantities
     spread = np.sqrt(np.diag(body_covariance(flown.payload, flown.covariance[PAYLOAD, PAYLOAD])))
     values = body_values(model, flown.payload)
-    told = expected(found, values, spread.tolist())
+    told = expected(found, values, spread.tolist(), useful_of(vehicle))
     both = plan.used(vehicle) & plan.held
     R_BS, _ = model.pose_in_base(roles_of(vehicle).imu.frame)
     words = axes_words(model, plan, flown.rate @ R_BS.T, both)

@@ -18,7 +18,7 @@ from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
-from onboard.identification.useful import sizes
+from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.rows import BaseMotion
 
@@ -126,7 +126,7 @@ class Foreseen(NamedTuple):
 
 
 def expected(
-    answers: Sequence[QuantityEstimate], values: Mapping[str, float], sigmas: Iterable[float]
+    answers: Sequence[QuantityEstimate], values: Mapping[str, float], sigmas: Iterable[float], useful: Useful
 ) -> list[Expected]:
     """Quantities by the rules of the flight: weak where one is not supported, or too wide for its size.
 
@@ -134,13 +134,14 @@ def expected(
         answers: of the estimator along the plan.
         values: assumed, in place of their means, by name.
         sigmas: expected, also of one that is not supported.
+        useful: how narrow an interval is that is good.
     """
     found, z = list[Expected](), float(ndtri(0.5 + 0.5 * LEVEL))
     told = [
         one._replace(mean=values[one.name], sigma=s, low=values[one.name] - z * s, high=values[one.name] + z * s)
         for one, s in zip(answers, sigmas, strict=True)
     ]
-    size = sizes(told)
+    size = sizes(told, useful)
     for one in told:
         said = standing(one, Findings(), size.get(one.name))
         why = said.why if one.supported else UNDETERMINED

@@ -5,6 +5,7 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
@@ -58,7 +59,7 @@ def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     body = body_estimate(x[own], covariance[np.ix_(own, own)])
     names = tuple(body_values(model, payload))
     answers = body_answers(names, *body, 1.0, np.sqrt(np.diag(body.covariance)))
-    each = standings(answers)
+    each = standings(answers, useful_of(vehicle))
     told = [
         Expected(one.name, one.unit, one.value, one.sigma, *each.get(one.name, (Level.WEAK, UNDETERMINED)))
         for one in answers

@@ -23,6 +23,7 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
 from onboard.estimation.smoothing import Kernel, SmoothingWindow, correlation_inflation
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.identification import build_identifier
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
@@ -80,7 +81,7 @@ def foresee_rows(
     beta = identifier.base.value(chi)
     at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}
     at |= body_values(model, plan.payload)
-    quantities = expected(found.quantities, at, [one.sigma for one in found.quantities])
+    quantities = expected(found.quantities, at, [one.sigma for one in found.quantities], useful_of(vehicle))
     hidden = set(vehicle.file.estimation.nuisance)
     parameters = [
         Expected(name, "", value, sigma, Level.GOOD if fine else Level.WEAK, "" if fine else UNDETERMINED)

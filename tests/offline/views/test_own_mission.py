@@ -7,6 +7,7 @@ import pytest
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.mission import Mission
 from onboard import config
+from onboard.identification.useful import Useful
 from onboard.identification.verdict import Level, Verdict
 from onboard.offline.estimate_again.identified import Answer, standings
 from onboard.offline.views import own_mission
@@ -24,7 +25,7 @@ FOUND = (
 def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
     answers = () if reasons else FOUND
-    found = SimpleNamespace(verdict=verdict, answers=answers, standings=standings(answers), runs=())
+    found = SimpleNamespace(verdict=verdict, answers=answers, standings=standings(answers, Useful()), runs=())
     monkeypatch.setattr(own_mission, "likelihood_of", lambda _: lambda *_: found)
     rows, runs = own_mission.after_the_run(VEHICLE, None)
     assert runs == []
