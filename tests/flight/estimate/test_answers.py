@@ -4,6 +4,7 @@ import numpy as np
 
 from onboard import channels
 from onboard.flight.estimate.answers import Answers
+from onboard.identification.useful import Useful
 from onboard.identification.verdict import LEVELS, Level
 
 
@@ -14,7 +15,7 @@ def said(answers: Answers, supported: bool, level: Level) -> list[str]:
 
 
 def test_an_answer_that_was_told_and_is_not_to_be_used_is_withdrawn_once() -> None:
-    answers = Answers(np.dtype([("host_ns", "i8")]), ())
+    answers = Answers(np.dtype([("host_ns", "i8")]), (), Useful())
     assert said(answers, False, Level.DO_NOT_USE) == []  # nothing was told yet
     assert said(answers, True, Level.GOOD) == []
     assert said(answers, False, Level.WEAK) == []  # not determined for some ticks
