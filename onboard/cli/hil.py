@@ -147,7 +147,9 @@ def _told(
     except OSError as error:
         complain(refusal(error))
         return FAILED
-    return OK if result["identified"] and result["accounted"] else FAILED
+    for lost in flown.lost:
+        complain(f"of the log: {lost}")
+    return OK if result["identified"] and result["accounted"] and not flown.lost else FAILED
 
 
 def _foresee(vehicle: "config.Vehicle", world: Any) -> list[dict[str, Any]]:

@@ -29,9 +29,10 @@ from onboard.flight.estimate.estimation import EstimationWorker, create_rings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store import manifest, rings
 from onboard.flight.store.directories import scratch
-from onboard.flight.store.flight_log import open_simulated_recorder
+from onboard.flight.store.flight_log import open_simulated_log, simulated_recorder
 from onboard.flight.supervise import runner
 from onboard.flight.supervise.runner_processes import FlightError
+from onboard.recording.recorder import NOT_KEPT
 from onboard.recording.texts import printable
 from onboard.ring import RingReader
 
@@ -78,6 +79,7 @@ class Flown(NamedTuple):
     truth: dict[str, Any]
     answers: Mapping[bytes, np.void] = {}  # the last of each name, whether the log has them or not
     troubles: tuple[str, ...] = ()  # of the recorder
+    lost: tuple[str, ...] = ()  # of these, what says that rows are not in the log
 
 
 def fly_simulated(
@@ -116,7 +118,8 @@ def fly_simulated(
         estimation = EstimationWorker(estimator, inputs, Publisher(answers, "_estimation"))
         requests = rings.readers(directory, ["request"])["request"] if "request" in estimator.outputs else None
         told: list[np.void] = []
-        recorder = open_simulated_recorder(vehicle, directory, log, told.extend)
+        writer = open_simulated_log(vehicle, log)
+        recorder = simulated_recorder(writer, directory, told.extend)
 
         def answered(now_ns: int) -> int | None:
             """Pass on what was asked for; a flight that knows enough, or has given up, ends soon after."""
@@ -134,9 +137,12 @@ def fly_simulated(
             answered,
         )
         quantities = RingReader(directory / "quantity.ring").read()[0]
-    troubles = tuple(printable(row["text"]) for row in told if row["severity"] >= Severity.ERROR)
+    lost, troubles = (
+        tuple(printable(row["text"]) for row in told if row["severity"] >= Severity.ERROR and of(row["code"].decode()))
+        for of in (NOT_KEPT.__contains__, lambda _: True)
+    )
     last = dict(zip(quantities["name"].tolist(), quantities, strict=True))
-    return Flown(log, world.produced(), world.truth(), last, troubles)
+    return Flown(writer.path, world.produced(), world.truth(), last, troubles, lost)
 
 
 def _pass_on(requests: RingReader, ask: Callable[[str], object]) -> bool:
@@ -223,7 +229,7 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
         raise FlightError(f"died in flight: {', '.join(died)}; the log holds what they said")
     if flight.died:
         troubles += ("the log could not be ended; the next start adds what the rings hold",)
-    return Flown(log, end["produced"], end["truth"], flight.answers, troubles)
+    return Flown(log, end["produced"], end["truth"], flight.answers, troubles, flight.lost)
 
 
 class _Asked:

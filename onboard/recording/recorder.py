@@ -22,6 +22,7 @@ from onboard.recording.space import SpaceGuard, refusal
 
 EVENT_CHANNEL = "recorder_event"
 REFUSED, FULL, LOG_LOST = "disk_refused", "disk_full", "log_lost"
+NOT_KEPT = frozenset({LOG_LOST, OVERRUN, "rows_lost"})  # events that say that rows are not in the log
 _SOURCE = "recorder"
 _KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
 _TELL_NS = _LOOK_NS = 1_000_000_000
@@ -101,6 +102,7 @@ class Recorder:
         self._refusal = REFUSED
         self._room = True
         self._look_ns = self._tell_ns = 0
+        self._told_gaps = 0  # gap records whose rows an event has said to be lost
         for source in self._sources:
             writer.register(source.name, source.ring.dtype, units=(units or {}).get(source.name))
         writer.register(GAP_CHANNEL, records.GAP)
@@ -145,6 +147,7 @@ class Recorder:
         try:
             if not self._writer.failing and not self._writer.ended:
                 self._give_up_the_rest(now_ns)
+                self._tell_lost(now_ns)
             self._writer.close()
         except OSError:
             return report._replace(failing=True)
@@ -193,6 +196,13 @@ class Recorder:
                 source.drop(0, FULL)
             self._tell_missing(now_ns, source)
 
+    def _tell_lost(self, now_ns: int) -> None:
+        """Say once that the log is not whole, also where a recorder that died left rows out."""
+        if (gaps := self._sequence[GAP_CHANNEL] - self._told_gaps) > 0:
+            self._told_gaps += gaps
+            text = f"rows that came are not in the log: {gaps} gap records of the recorder say which (heft info)"
+            self.say(now_ns, Severity.ERROR, "rows_lost", text)
+
     def _tell_missing(self, now_ns: int, source: RingSource) -> None:
         for first, last, from_ns, to_ns, cause in source.missing:
             self._own(GAP_CHANNEL, records.gap(now_ns, source.name, first, last, to_ns - from_ns, cause, counted=True))
@@ -224,6 +234,7 @@ class Recorder:
             for channel, (before, last) in loss.rows.items():
                 span = before.sequence + 1, last.sequence, max(0, last.host_ns - before.host_ns)
                 self._own(GAP_CHANNEL, records.gap(now_ns, channel, *span, LOG_LOST, counted=True))
+                self._told_gaps += 1
         if self._failing_since_ns is not None and not self._writer.failing:
             since_ns, self._failing_since_ns = self._failing_since_ns, None
             text = f"the disk accepts writes again after {(now_ns - since_ns) * 1e-9:.3f} s"

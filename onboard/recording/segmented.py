@@ -47,7 +47,7 @@ SEAL_AFTER_NS = 3_000_000_000  # a segment of 40 MB takes 0.3 s of CPU time, and
 class Preamble(NamedTuple):
     """Common content of every segment's head."""
 
-    flight: str  # unique id of the flight
+    flight: str  # unique id of the flight; empty: a log in one file, another is begun only where somebody takes it
     attachments: tuple[Attachment, ...] = ()
     metadata: Mapping[str, Mapping[str, str]] = {}
 
@@ -223,7 +223,7 @@ class SegmentedLog:
             self._opened_ns, self._seal_ns = now_ns, now_ns + SEAL_AFTER_NS
         if synced or (self._astray and not self._writer.failing):
             self._end_segment()
-            if self._next is None:
+            if self._next is None and self._preamble.flight:
                 self._open_ahead(now_ns)
             if self._full(now_ns):
                 self._change(now_ns)
@@ -245,7 +245,7 @@ class SegmentedLog:
             self._look_after_files(self._open_again_ns)
         while self._unsealed:
             self._seal(self._unsealed.pop())
-        if not self._end_said:
+        if self._preamble.flight and not self._end_said:
             self._end_said = True  # set even if the disk refuses it
             last = {"flight": self._preamble.flight, "segments": str(self._number + 1)}
             self._writer.add_metadata(END, with_crc(END, last))
@@ -275,8 +275,9 @@ class SegmentedLog:
         path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
         writer = LogWriter(self._open_sink(path), sync_interval_ns=self._sync_interval_ns)
         try:
-            told = {"flight": self._preamble.flight, "number": str(number)}
-            writer.add_metadata(METADATA, with_crc(METADATA, told))
+            if self._preamble.flight:
+                told = {"flight": self._preamble.flight, "number": str(number)}
+                writer.add_metadata(METADATA, with_crc(METADATA, told))
             for attachment in self._preamble.attachments:
                 writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
             for name, items in self._preamble.metadata.items():
@@ -332,7 +333,8 @@ class SegmentedLog:
             raise OSError(
                 errno.ENOENT, f"{self.path.name} was {taken.how}, and no other can be made: {self._why_not_ahead}"
             )
-        path, before, nothing = self.path, self._at_head, ChannelProgress(-1, now_ns)
+        began_ns = now_ns if self._opened_ns is None else self._opened_ns
+        path, before, nothing = self.path, self._at_head, ChannelProgress(-1, began_ns)
         is_lost = taken.rest < self._writer.bytes_written
         if is_lost:
             self._writer.abandon()

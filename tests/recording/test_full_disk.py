@@ -39,5 +39,6 @@ def test_on_a_disk_that_fills_up_events_go_on_and_gaps_add_up_to_the_row(tmp_pat
             "disk_nearly_full",
             "disk_resumed",
             "disk_has_room",
+            "rows_lost",
         ],
     }

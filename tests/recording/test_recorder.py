@@ -240,7 +240,7 @@ def test_what_a_ring_can_hold_no_longer_is_given_up_and_told_exactly(tmp_path, n
     assert gap["cause"] == (b"disk_full" if number == errno.ENOSPC else b"disk_refused")
     before, after = int(gap["first_missing"]) - 1, int(gap["last_missing"]) + 1
     assert gap["duration_ns"] == (after - before) * 1000
-    assert events(log) == [("ERROR", "disk_error"), ("INFO", "disk_resumed")]
+    assert events(log) == [("ERROR", "disk_error"), ("INFO", "disk_resumed"), ("ERROR", "rows_lost")]
 
 
 @pytest.mark.parametrize(("stall_s", "lost"), [(0.5, 0), (5.0, 0), (15.0, 3050)])

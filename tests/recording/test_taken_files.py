@@ -19,14 +19,27 @@ ROWS = 40
 class Flight:
     """40 rows a step of 50 ms."""
 
-    def __init__(self, log, span_ns=10**12):
+    def __init__(self, log, span_ns=10**12, name="f1"):
         self.log, self.said = log, []
         log.parent.mkdir(exist_ok=True)
         self.ring = RingWriter(log.parent.parent / "reading.ring", READING, 10_000)
-        self.writer = SegmentedLog(log, Preamble("f1", (), {"flight": {"vehicle": "x"}}), limits=Limits(span_ns))
+        self.preamble = Preamble(name, (), {"flight": {"vehicle": "x"}})
+        self.writer = SegmentedLog(log, self.preamble, limits=Limits(span_ns))
         reader, losses = RingReader(self.ring.path), self.writer.take_losses
         self.recorder = Recorder(self.writer, [reader], losses=losses, said=self.said.extend)
         self.now_ns = self.number = 0
+
+    def take_over(self):
+        self.writer, self.said = SegmentedLog.resume(self.log, self.preamble), []
+        recorded, losses = self.writer.recorded, self.writer.take_losses
+        reader = RingReader(self.ring.path)
+        self.recorder = Recorder(self.writer, [reader], recorded=recorded, losses=losses, said=self.said.extend)
+
+    def steps_unread(self, count):
+        for _ in range(count):
+            self.ring.push(reading_rows(self.number, ROWS))
+            self.number += ROWS
+            self.now_ns += STEP_NS
 
     def steps(self, count):
         for _ in range(count):
@@ -157,3 +170,34 @@ def test_the_one_opened_ahead_is_opened_again(tmp_path):
     flight.steps(40)
     assert flight.end() == ([], {})
     assert len(LogReader(flight.log).segments) >= 3
+
+
+def test_a_log_in_one_file_goes_on_in_another_only_where_it_is_taken(tmp_path):
+    flight = Flight(tmp_path / "flights" / "virtual.mcap", name="")
+    flight.steps(20)
+    assert os.listdir(flight.log.parent) == ["virtual.mcap"]
+    flight.log.unlink()
+    flight.steps(20)
+    second = flight.log.with_name("virtual_001.mcap")
+    assert flight.writer.path == second
+    assert flight.codes() == ["log_lost"]
+    flight.log = second
+    lost, events = flight.end()
+    assert f"virtual.mcap was removed: {len(lost)} rows" in events["log_lost"]
+
+
+def test_a_recorder_that_takes_over_says_at_the_end_that_rows_are_lost(tmp_path):
+    flight = Flight(tmp_path / "flights" / "a.mcap")
+    flight.steps(4)
+    flight.writer.abandon()  # killed
+    flight.steps_unread(300)  # more than the ring holds
+    flight.take_over()
+    flight.steps(4)
+    flight.writer.sync(flight.now_ns + 10**9)
+    flight.writer.abandon()  # again, with the gap in the log
+    flight.take_over()
+    flight.steps(4)
+    lost, events = flight.end()
+    assert len(lost) > 1000
+    assert flight.codes() == ["rows_lost"]
+    assert "1 gap records" in events["rows_lost"]

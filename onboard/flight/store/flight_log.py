@@ -4,6 +4,7 @@ import importlib.metadata
 import platform
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +16,8 @@ from onboard.flight.store.manifest import Manifest, Storage
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
 from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
+from onboard.recording.sink import FileSink
 from onboard.recording.space import SpaceGuard
-from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader
 
 VEHICLE_ATTACHMENT = "vehicle.toml"
@@ -113,39 +114,35 @@ def open_recorder(
     return Recorder(writer, readers, recorded=writer.recorded, space=space, said=said, losses=writer.take_losses)
 
 
-def open_simulated_recorder(
-    vehicle: config.Vehicle, directory: Path, log: Path, said: Callable[[Rows], object] = lambda rows: None
-) -> Recorder:
+def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path) -> Recorder:
     """A recorder of every ring in ``directory`` into one file, for a flight on a virtual clock that no power cut meets.
-
-    Args:
-        vehicle: what flies.
-        directory: of the rings.
-        log: the file.
-        said: told each event of the recorder's own.
 
     Raises:
         FileExistsError: there is such a log already.
         OSError: the file cannot be created.
     """
-    return Recorder(open_simulated_log(vehicle, log), ring_readers(directory), said=said)
+    return simulated_recorder(open_simulated_log(vehicle, log), directory)
 
 
-def open_simulated_log(vehicle: config.Vehicle, log: Path) -> LogWriter:
+def simulated_recorder(
+    log: SegmentedLog, directory: Path, said: Callable[[Rows], object] = lambda rows: None
+) -> Recorder:
+    """A recorder of every ring in ``directory`` into ``log``; ``said`` is told each event of the recorder's own."""
+    return Recorder(log, ring_readers(directory), said=said, losses=log.take_losses)
+
+
+def open_simulated_log(vehicle: config.Vehicle, log: Path) -> SegmentedLog:
     """A log in one file that says what a flight's says, of something on a virtual clock.
+
+    Where somebody removes, renames or cuts off the file, it goes on in another, as a real flight does.
 
     Raises:
         FileExistsError: there is such a log already.
         OSError: the file cannot be created.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    writer = LogWriter.create(log, durable=False)
-    _, attachments, metadata = preamble(vehicle, "")
-    for attachment in attachments:
-        writer.attach(attachment.name, attachment.media_type, attachment.data)
-    for name, items in metadata.items():
-        writer.add_metadata(name, items)
-    return writer
+    never, opened = Limits(1 << 62, 1 << 62), partial(FileSink, durable=False)
+    return SegmentedLog(log, preamble(vehicle, ""), limits=never, open_sink=opened)
 
 
 def ring_readers(directory: Path) -> list[RingReader]:

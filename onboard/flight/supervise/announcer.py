@@ -15,7 +15,7 @@ from drivers.records import EVENT, GAP, Rows, Severity
 from onboard import config
 from onboard.channels import QUANTITY
 from onboard.devices.base import BusDevice
-from onboard.recording.recorder import LOG_LOST
+from onboard.recording.recorder import NOT_KEPT
 from onboard.ring import RingError, RingReader
 
 LOGGER = logging.getLogger("heft")
@@ -133,7 +133,7 @@ class Announcer:
                 self._phase = text
             elif code == "mode":
                 self._mode = text.partition(":")[0]
-            elif code == LOG_LOST:
+            elif code in NOT_KEPT:
                 self.lost.append(text)
             if source == "recorder" and severity >= Severity.ERROR:
                 self.troubles.append(text)
