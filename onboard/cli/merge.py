@@ -54,7 +54,7 @@ def _merge(arguments: argparse.Namespace) -> int:
         )
     with progress() as bar:
         if arguments.in_turn:
-            made = in_turn(groups, arguments.in_turn, arguments.output, progress=bar)
+            made = in_turn(parts, arguments.in_turn, arguments.output, progress=bar)
         else:
             made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)
     write_json(arguments.json, made)

@@ -102,6 +102,16 @@ def test_a_segment_that_is_gone_is_named_with_what_it_held(tmp_path, whole, caps
         ] * 2
 
 
+@pytest.mark.parametrize("number", range(5))
+def test_recordings_joined_in_turn_tell_a_segment_that_is_gone(tmp_path, whole, other, capsys, number):
+    second = str(lay(tmp_path / "second", other))
+    name = sorted(whole)[number]
+    log = str(lay(tmp_path / "log", {key: data for key, data in whole.items() if key != name}))
+    joined = ["merge", "--in-turn", "recording", "-o", str(tmp_path / "joined.mcap")]
+    assert cli.main([*joined, log, second]) == cli.DAMAGED
+    assert f"segment {number} " in capsys.readouterr().err
+
+
 def test_exchanged_segments_are_put_in_order_and_a_neighbours_is_no_part(tmp_path, whole, other):
     files = whole | {"x_001.mcap": whole["x_003.mcap"], "x_003.mcap": whole["x_001.mcap"]}
     log = LogReader(lay(tmp_path / "exchanged", files))

@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, SCALAR, Rows
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
-from onboard.offline.rescue.merge import Merged
+from onboard.offline.rescue.merge import Merged, Part
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -21,11 +21,11 @@ PAUSE_S = 2.0  # between the recordings: longer than any smoothing
 SAID_ns = 100_000_000  # how often the channel says it: a payload is taken at a phase's second reading
 
 
-def in_turn(parts: Sequence[Sequence[Path]], phase: str, output: Path, *, progress: Progress | None = None) -> Merged:
+def in_turn(parts: Sequence[Part], phase: str, output: Path, *, progress: Progress | None = None) -> Merged:
     """Write the recordings to a new log, in the order given.
 
     Args:
-        parts: segments of each log, of two or more; with the same channels.
+        parts: the logs, two or more, with the same channels; their clocks are not looked at.
         phase: name of the channel that says which it is.
         output: the file to create.
         progress: receives a task that counts the bytes read.
@@ -39,20 +39,20 @@ def in_turn(parts: Sequence[Sequence[Path]], phase: str, output: Path, *, progre
     """
     if len(parts) < 2:
         raise ValueError("give two recordings or more to put one after the other")
-    logs = [LogReader(part) for part in parts]
-    _require(parts, logs, phase)
+    logs = [part.open() for part in parts]
+    _require(logs, phase)
     task = None if progress is None else progress.add_task("merge", total=sum(log.size for log in logs))
-    spans = [_span(log, part) for log, part in zip(logs, parts, strict=True)]
+    spans = [_span(log) for log in logs]
     rows = {name: 0 for log in logs for name in log.channels} | {phase: 0}
     end_ns, following = spans[0][0] - round(PAUSE_S * 1e9), dict[str, int]()
     with LogWriter.create(output, durable=False) as writer:
         for name, kind in logs[0].channels.items():
             writer.register(name, kind, units=logs[0].units[name])
         writer.register(phase, SCALAR)
-        for number, (part, (first_ns, last_ns)) in enumerate(zip(parts, spans, strict=True), 1):
+        for number, (log, (first_ns, last_ns)) in enumerate(zip(logs, spans, strict=True), 1):
             shift_ns = end_ns + round(PAUSE_S * 1e9) - first_ns
             before, due_ns = dict(following), first_ns + shift_ns
-            for name, own in LogReader(part).batches():
+            for name, own in LogReader(log.segments).batches():
                 moved = own.copy()
                 moved["host_ns"] += shift_ns
                 told = _said(number, rows[phase], due_ns, int(moved["host_ns"][0]))
@@ -64,9 +64,9 @@ def in_turn(parts: Sequence[Sequence[Path]], phase: str, output: Path, *, progre
                 writer.write(name, moved)
                 rows[name] = rows.get(name, 0) + len(moved)
             if progress is not None and task is not None:
-                progress.update(task, advance=logs[number - 1].size)
+                progress.update(task, advance=log.size)
             end_ns = last_ns + shift_ns
-        sources = {str(number): ", ".join(path.name for path in part) for number, part in enumerate(parts, 1)}
+        sources = {str(number): ", ".join(path.name for path in log.segments) for number, log in enumerate(logs, 1)}
         writer.add_metadata("in turn", sources)
     return Merged(rows, tuple(one for log in logs for one in log.damage), ())
 
@@ -99,23 +99,23 @@ def _samples(log: LogReader) -> dict[str, np.dtype[np.void]]:
     return {name: kind for name, kind in log.channels.items() if _of_samples(kind)}
 
 
-def _require(parts: Sequence[Sequence[Path]], logs: Sequence[LogReader], phase: str) -> None:
+def _require(logs: Sequence[LogReader], phase: str) -> None:
     first = _samples(logs[0])
-    for part, log in zip(parts, logs, strict=True):
+    for log in logs:
         if VEHICLE_ATTACHMENT in log.attachments:
-            raise ValueError(f"{part[0]} is the log of a flight; its phases are in it, and it is identified by itself")
+            raise ValueError(f"{log.path} is the log of a flight; its phases are in it, and it is identified by itself")
         if other := sorted({*first} ^ {*_samples(log)}):
-            raise ChannelError(f"{part[0]} and {parts[0][0]} differ by channel {other[0]}; import them by one mapping")
+            raise ChannelError(f"{log.path} and {logs[0].path} differ by channel {other[0]}; import them by one mapping")
         if phase in log.channels:
-            raise ChannelError(f"{part[0]} has a channel {phase!r} already; name another one")
+            raise ChannelError(f"{log.path} has a channel {phase!r} already; name another one")
 
 
-def _span(log: LogReader, part: Sequence[Path]) -> tuple[int, int]:
+def _span(log: LogReader) -> tuple[int, int]:
     """First and last time of its samples, ns."""
     first, last = np.iinfo(np.int64).max, np.iinfo(np.int64).min
     for _, rows in log.batches():
         if _of_samples(rows.dtype):
             first, last = min(first, int(rows["host_ns"].min())), max(last, int(rows["host_ns"].max()))
     if last < first:
-        raise ChannelError(f"{part[0]} has no samples")
+        raise ChannelError(f"{log.path} has no samples")
     return first, last

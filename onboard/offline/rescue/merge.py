@@ -43,6 +43,10 @@ class Part(NamedTuple):
         """Prefix of its channels."""
         return self.label or self.segments[0].stem
 
+    def open(self) -> LogReader:
+        """A reader of it. Raises LogFormatError, OSError."""
+        return LogReader(self.whole or self.segments)
+
 
 class Merged(NamedTuple):
     """Rows by channel of the new log, damage of the old ones, and warnings."""
@@ -70,7 +74,7 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
     """
     if len(parts) < 2:
         raise ValueError(f"{parts[0].name if parts else 'nothing'}: give two logs or more to merge")
-    logs = [LogReader(part.whole or part.segments) for part in parts]
+    logs = [part.open() for part in parts]
     parts = _labelled(parts, logs)
     names = _names(parts, logs, rename)
     size = sum(log.size for log in logs)
