@@ -1,4 +1,4 @@
-"""A rehearsal whose log somebody removes or cuts off: the answers are printed, what is lost is told, the exit code is 1."""
+"""A rehearsal whose log somebody removes or cuts off: answers are printed, what is lost is told, the exit code is 1."""
 
 import os
 import shutil
@@ -58,7 +58,7 @@ def test_a_rehearsal_whose_log_is_removed_says_what_is_lost_and_keeps_the_rest(
 
 @pytest.mark.timeout(120)
 def test_a_rehearsal_whose_log_is_cut_off_says_what_is_lost(tmp_path: Path) -> None:
-    code, out, err, log = rehearse(tmp_path, take=lambda log: os.truncate(log, 150_000))
+    code, _, err, log = rehearse(tmp_path, take=lambda log: os.truncate(log, 150_000))
     assert code == cli.FAILED
     assert "of the log: flown.mcap was cut off after 150000 of" in err
     assert "Traceback" not in err
@@ -69,7 +69,7 @@ def test_a_rehearsal_whose_log_is_cut_off_says_what_is_lost(tmp_path: Path) -> N
 @pytest.mark.realtime
 @pytest.mark.timeout(200)
 def test_a_rehearsal_on_the_real_clock_does_not_end_as_a_success(tmp_path: Path) -> None:
-    code, out, err, log = rehearse(tmp_path, "--realtime", take=remove_directory)
+    code, out, err, _ = rehearse(tmp_path, "--realtime", take=remove_directory)
     assert code == cli.FAILED
     assert "of the log: flown.mcap was removed: " in err
     assert "every sample accounted for: imu_base" in out

@@ -105,7 +105,8 @@ def _require(logs: Sequence[LogReader], phase: str) -> None:
         if VEHICLE_ATTACHMENT in log.attachments:
             raise ValueError(f"{log.path} is the log of a flight; its phases are in it, and it is identified by itself")
         if other := sorted({*first} ^ {*_samples(log)}):
-            raise ChannelError(f"{log.path} and {logs[0].path} differ by channel {other[0]}; import them by one mapping")
+            both = f"{log.path} and {logs[0].path}"
+            raise ChannelError(f"{both} differ by channel {other[0]}; import them by one mapping")
         if phase in log.channels:
             raise ChannelError(f"{log.path} has a channel {phase!r} already; name another one")
 
