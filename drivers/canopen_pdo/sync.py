@@ -78,6 +78,11 @@ class SyncCounter:
         """CLOCK_MONOTONIC arrival of the last SYNC."""
         return self._host_ns
 
+    @property
+    def is_late(self) -> bool:
+        """Whether the last SYNC came a period or more after its time: frames wait somewhere."""
+        return self._behind >= 1.0
+
     def silence(self, host_ns: int) -> float:
         """SYNC periods from the last SYNC to ``host_ns``; 0 before the first."""
         return 0.0 if self._tick is None else (host_ns - self._host_ns) / self.period_ns

@@ -66,6 +66,8 @@ class SyncChannel(PdoChannel):
         """Assign the TPDOs held between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``."""
         answers = next_tick - tick
         held = self._held
+        if not self.started and self._sync.is_late:  # so is the command to start
+            self._live_tick = next_tick
         lowest = max(0, self._last_tick + 1 - tick) if self._next else 0
         if answers == 1 and len(held) == 1 and lowest == 0:
             self._answer(tick, *held.pop())
@@ -114,11 +116,15 @@ class SyncChannel(PdoChannel):
         self._reset_since_row = False
 
     def settle(self) -> None:
-        """The next SYNC is overdue: assign the held TPDOs to the last SYNC and to unseen ones after it."""
+        """The next SYNC is overdue: assign the held TPDOs to the last SYNC and to unseen ones after it.
+
+        One alone that is later than its period waits for the next SYNC, whose number tells a pause from losses.
+        """
         tick = self._sync.tick
         if self._held and tick is not None:
             periods = (self._held[-1][0] - self._sync.host_ns) // self._period_ns
-            self.close(tick, self._sync.host_ns, tick + 1 + max(periods, 0))
+            if periods < 1 or len(self._held) > 1:
+                self.close(tick, self._sync.host_ns, tick + 1 + max(periods, 0))
 
     def sync_restarted(self, host_ns: int, last: int, tick: int) -> None:
         """SYNC numbers jump from ``last`` to ``tick``: close the rows up to ``last``; the jump itself is no loss."""

@@ -374,6 +374,49 @@ def test_answers_lost_before_the_first_row_are_a_gap_and_a_node_that_starts_is_g
     assert not any(gap["counted"] for gap in of(stream.batches, "gap"))
 
 
+@pytest.mark.parametrize("paused", [6, 11, 60])
+def test_a_bus_that_pauses_while_a_node_is_started_has_lost_no_answer(paused):
+    """A busy computer, or an adapter: SYNCs come late and at once, and the command to start waited as long."""
+    stream = Stream()
+    stream.channel.live = False
+    for number in range(20):
+        stream.sync_at(number)
+    stream.channel.go_live()
+    for number in range(20, 20 + paused):
+        stream.sync_at(number, (20 + paused) * PERIOD_NS)
+    for number in range(20 + paused, 50 + paused):
+        stream.sync_at(number, number * PERIOD_NS + PERIOD_NS // 10)
+        if number > 20 + paused:
+            stream.answer(number, PERIOD_NS // 2)
+    assert len(stream.end()) == 29
+    assert gaps(stream) == []
+
+
+@pytest.mark.parametrize("paused", [3, 10, 60])
+def test_an_answer_that_comes_after_a_pause_belongs_to_the_sync_before_it(paused):
+    stream = Stream()
+    for number in range(11):
+        stream.sync_at(number)
+        stream.answer(number, delay_ns=300_000 if number < 10 else paused * PERIOD_NS)
+    stream.channel.settle()  # the next SYNC is overdue
+    for number in range(11, 11 + paused):
+        stream.sync_at(number, (10 + paused) * PERIOD_NS + 200_000)
+        stream.answer(number, delay_ns=(10 + paused - number) * PERIOD_NS + 300_000)
+    stream.sync_at(11 + paused)
+    rows = stream.end()
+    assert rows["tick"].tolist() == rows["value_raw"].tolist() == list(range(11 + paused))
+    assert gaps(stream) == [END]
+
+
+def test_the_last_answer_of_a_run_is_a_row_however_late_it_comes():
+    stream = Stream()
+    for number in range(5):
+        stream.sync_at(number)
+        stream.answer(number, delay_ns=300_000 if number < 4 else 4 * PERIOD_NS)
+    stream.channel.settle()
+    assert stream.end()["tick"].tolist() == [0, 1, 2, 3, 4]
+
+
 def test_answers_before_the_first_sync_are_a_gap():
     stream = Stream()
     for number in range(20):
