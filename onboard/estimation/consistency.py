@@ -132,6 +132,12 @@ class BlockScores(TimeBlocks):
                 if N.shape[1] > p:
                     moment -= N[:, p]
 
+    def expect_noise(self) -> None:
+        """Of rows that were made without noise: takes in what that of the regressor adds on average."""
+        normal, moment, added = self.sums
+        normal += added[..., :-1]
+        moment += added[..., -1]
+
 
 class JackknifeEstimate:
     """Estimate with block-jackknife intervals: regressor noise, correlated rows, few blocks, prior, common causes.
@@ -146,6 +152,7 @@ class JackknifeEstimate:
     Attributes:
         mean: the estimate, (p,), corrected for regressor noise.
         level: as given.
+        floored: whether the formal covariance is a lower bound.
 
     Raises:
         SingularError: as :meth:`SquareRootRls.solve`.
@@ -162,7 +169,7 @@ class JackknifeEstimate:
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)
         plain = rls.solve()
-        self.level, self._floored = level, True
+        self.level, self.floored = level, True
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         R = rls.information_root
         T = np.linalg.inv(R)  # (p, p)
@@ -214,7 +221,7 @@ class JackknifeEstimate:
     def covariance(self) -> FloatArray:
         """Covariance of the estimate with all corrections but Student's, (p, p); at least the formal one."""
         rows = self._moves.T @ self._moves * self._rows_weight() + self._prior_half @ self._prior_half.T
-        if not self._floored:
+        if not self.floored:
             return np.asarray(rows + self._common @ self._common.T, np.float64)
         # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below one.
         inverse = np.linalg.inv(self._root)
@@ -250,7 +257,7 @@ class JackknifeEstimate:
         total, squares = share.sum(axis=0), (share**2).sum(axis=0)
         freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
         variance = jackknife + prior
-        if self._floored:
+        if self.floored:
             variance = np.maximum(variance, self.formal_variance(w))
         t = stdtrit(freedom, 0.5 + 0.5 * self.level)
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)

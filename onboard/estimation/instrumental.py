@@ -193,7 +193,7 @@ class InstrumentalEstimate(JackknifeEstimate):
         information, right = rls.prior_equations()
         A, b = H.sum(axis=0) + information, g.sum(axis=0)
         inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)
-        self.level, self._floored = level, blocks.count < _FEW_BLOCKS
+        self.level, self.floored = level, blocks.count < _FEW_BLOCKS
         self.mean = inverse @ (b[:, -1] + right)
         self._root = inverse @ _factor(G.sum(axis=0) + information)
         causes = inverse @ b[:, :-1]

@@ -138,6 +138,16 @@ class RecursiveLeastSquares:
     def _keep_from(self, newest_s: float, blocks: int) -> None:
         self.blocks.keep_from(newest_s, blocks)
 
+    def expect_noise(self) -> None:
+        """Of rows that were made without noise: takes in what that of the regressor adds on average."""
+        values, vectors = np.linalg.eigh(self.blocks.noise)
+        told = values > values[-1] * np.finfo(np.float64).eps
+        rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T[told]  # rows' rows: the noise
+        shared = (vectors.T @ self.blocks.noise_moment)[told] / np.sqrt(values[told])
+        none = np.zeros((len(rows), self.rls.considered)) if self.rls.considered else None
+        self.rls.update(rows, shared, np.ones(len(rows)), none)
+        self.blocks.expect_noise()
+
     def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> JackknifeEstimate:
         """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""
         return JackknifeEstimate(self.rls, self.blocks, considered_sigma, level)

@@ -16,7 +16,7 @@ dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +98,7 @@ class _Pieces(NamedTuple):
         return _One(_Pieces(self.coefficients[:, [function]]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _One:
     """The first one of some functions, by itself."""
 
@@ -330,6 +330,14 @@ def smooth(
     )
 
 
+@lru_cache(maxsize=8)
+def _gains_of_unit_width(kernel: Kernel) -> tuple[FloatArray, list[FloatArray]]:
+    """Phases over the kernel's width, far beyond any kernel's pass band, and the gain at each, of each derivative."""
+    u, phases = np.linspace(-0.5, 0.5, 1001), np.arange(0.0, 60.0, 0.1)
+    waves = np.exp(1j * phases[:, None] * u)
+    return phases, [np.abs(waves @ part(u)) * (u[1] - u[0]) for part in kernel.parts]
+
+
 class Response:
     """Frequency response of a kernel: gain of a sine, for the value and the two derivatives.
 
@@ -339,11 +347,9 @@ class Response:
     """
 
     def __init__(self, width_s: float, kernel: Kernel = SPLINE) -> None:
-        u = np.linspace(-0.5, 0.5, 1001)
         self._width_s = width_s
-        self._phases = np.arange(0.0, 60.0, 0.1)  # phase over the kernel width, far beyond any kernel's pass band
-        waves = np.exp(1j * self._phases[:, None] * u)
-        self._gains = [np.abs(waves @ part(u)) * (u[1] - u[0]) / width_s**k for k, part in enumerate(kernel.parts)]
+        self._phases, gains = _gains_of_unit_width(kernel)
+        self._gains = [gain / width_s**k for k, gain in enumerate(gains)]
 
     def gain(self, rate_rad_s: FloatArray, derivative: int = 0) -> FloatArray:
         """Amplitude of the derivative per amplitude of a sine of these angular frequencies."""

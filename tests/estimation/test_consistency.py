@@ -5,6 +5,7 @@ import pytest
 
 from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.errors import RowError, SingularError
+from onboard.estimation.memory import RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.smoothing import smooth
 
@@ -127,6 +128,28 @@ def test_noise_that_the_left_hand_side_shares_is_taken_out_of_it_too(rng):
     covered, _ = coverage(draw, 200)
     assert np.mean(means) == pytest.approx(2.0, abs=0.02)  # 0.98 where the shared noise is passed over
     assert ((covered >= 0.91) & (covered <= 1.0)).all(), covered
+
+
+@pytest.mark.parametrize("shared", [0.0, -0.7])
+def test_rows_without_noise_tell_what_those_with_it_will(shared, rng):
+    """What the regressor's noise adds on average is put in, and taken out again of the estimate, not of its spread."""
+    at = np.arange(0, 40, PERIOD_S)
+    Y, sigma = motion(at), np.full(at.size, 1.4)
+    noise = np.zeros((at.size, 1, 4))
+    noise[:, 0] = [0.35, 0.1, 0.0, shared]
+    C = rng.normal(size=(at.size, 1))
+    made = RecursiveLeastSquares(3, 1, 5 * WIDTH_S)
+    made.rls.prior(TRUTH, PRIOR[1])
+    made.add(at, Y, Y @ TRUTH, sigma, C, noise)
+    assert abs(made.block_jackknife([0.0]).mean[0] - TRUTH[0]) > 0.1
+    made.expect_noise()
+    found = made.block_jackknife([1.0])
+    np.testing.assert_allclose(found.mean, TRUTH, rtol=1e-9)
+    information = Y.T @ Y / 1.4**2 + np.diag(PRIOR[1] ** -2.0)
+    inverse, added = np.linalg.inv(information), at.size / 1.4**2 * np.outer(noise[0, 0, :3], noise[0, 0, :3])
+    spread = inverse @ (information + added) @ inverse
+    np.testing.assert_allclose(found.formal_variance(np.eye(3)), np.diag(spread), rtol=1e-9)
+    np.testing.assert_allclose(found.causes(np.eye(3)), inverse @ Y.T @ C / 1.4**2, rtol=1e-9)
 
 
 def test_not_knowing_the_noise_well_widens_what_it_biases(rng):

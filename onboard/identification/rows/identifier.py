@@ -124,7 +124,7 @@ class Identifier:
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
-        self._inflation = 1.0
+        self._inflation, self._without_noise = 1.0, False
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
@@ -206,6 +206,14 @@ class Identifier:
             for reason in self.refused:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
+
+    def expect_noise(self) -> None:
+        """Takes in what noise adds to the rows on average, after all of them, where they were made without it.
+
+        Sigmas are then those to expect of the stated errors: residuals have no scatter.
+        """
+        self._recursion.expect_noise()
+        self._without_noise = True
 
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
@@ -330,7 +338,9 @@ class Identifier:
         self._errors.restate(self.rls)
         sigma = np.array([cause.sigma * (not exact) for cause in self.considered])
         fitted = None if exact else self.fitted_errors
-        return self._recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
+        found = self._recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
+        found.floored |= self._without_noise
+        return found
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

@@ -7,7 +7,7 @@ from onboard.identification.verdict import LEVELS
 from onboard.offline.foresee.free import foresee_free
 from onboard.offline.foresee.plan import Expected, Foreseen, Plan
 from onboard.offline.foresee.planar import foresee_planar
-from onboard.offline.foresee.rows import Noises, foresee_rows
+from onboard.offline.foresee.rows import foresee_rows
 
 _MOST_TICKS = 100_000  # of all motions of the base
 
@@ -30,8 +30,7 @@ def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> For
     if vehicle.file.estimation.method == "exiddm":
         return foresee_free(vehicle, plan)
     most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next
-    drawn: dict[bytes, Noises] = {}
-    return _over([foresee_rows(vehicle, one, coarse=coarse, drawn=drawn) for one in plan.by_base()[:most]])
+    return _over([foresee_rows(vehicle, one, coarse=coarse) for one in plan.by_base()[:most]])
 
 
 def _over(found: list[Foreseen]) -> Foreseen:

@@ -11,8 +11,8 @@ from onboard.estimation.gates import GateReason, reasons
 from onboard.flight.estimate.identification import build_identifier
 from onboard.identification.rows.identifier import Identifier
 from onboard.offline.begin.vehicle import Wanted, make
-from onboard.offline.foresee import rows
 from onboard.offline.foresee.plan import Plan, plan_of
+from onboard.offline.foresee.rows import StatedNoise
 
 BIAS_m_s2 = 0.03
 HZ = 50.0
@@ -27,15 +27,16 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[config.Vehicle, Pla
 
 
 def fed(vehicle: config.Vehicle, plan: Plan, bias: np.ndarray) -> Identifier:
-    """An identifier after a flight without noise but that of the plan, its accelerometer off by a bias."""
+    """An identifier after a flight without noise, its accelerometer off by a bias."""
     identifier, model = build_identifier(vehicle)
     chi = identifier.model.chi.copy()
     assert plan.payload is not None
     chi[model.payload_columns()] = standard_of(plan.payload)
-    signals = rows._signals(vehicle, identifier, plan, plan.bases[0], chi, coarse=False)
+    signals = StatedNoise(vehicle, identifier, 1.0 / HZ, coarse=False).signals(plan, plan.bases[0], chi)
     f = signals.motion.specific_force_m_s2
     signals = signals._replace(motion=signals.motion._replace(specific_force_m_s2=f + bias))
     identifier.update(signals, plan.held, reasons(~plan.used(vehicle), GateReason.PHASE))
+    identifier.expect_noise()
     return identifier
 
 
