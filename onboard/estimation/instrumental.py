@@ -165,7 +165,9 @@ class RecursiveInstrumental(RecursiveLeastSquares):
 
     def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
         """The estimate with its block-jackknife covariance."""
-        return InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)
+        found = InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)
+        found.floored |= self._without_noise
+        return found
 
 
 class InstrumentalEstimate(JackknifeEstimate):

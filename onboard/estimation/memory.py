@@ -70,6 +70,7 @@ class RecursiveLeastSquares:
             self.rls = WindowRls(parameters, considered, closed)
             self.blocks = BlockScores(parameters, block_s, max(closed + 2, 4))
         self._last_s: float | None = None
+        self._without_noise = False
 
     def add(
         self,
@@ -139,7 +140,10 @@ class RecursiveLeastSquares:
         self.blocks.keep_from(newest_s, blocks)
 
     def expect_noise(self) -> None:
-        """Of rows that were made without noise: takes in what that of the regressor adds on average."""
+        """Of rows that were made without noise: takes in what that of the regressor adds on average.
+
+        No residual scatters then: intervals are formal ones.
+        """
         values, vectors = np.linalg.eigh(self.blocks.noise)
         told = values > values[-1] * np.finfo(np.float64).eps
         rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T[told]  # rows' rows: the noise
@@ -147,6 +151,7 @@ class RecursiveLeastSquares:
         none = np.zeros((len(rows), self.rls.considered)) if self.rls.considered else None
         self.rls.update(rows, shared, np.ones(len(rows)), none)
         self.blocks.expect_noise()
+        self._without_noise = True
 
     def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> JackknifeEstimate:
         """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""

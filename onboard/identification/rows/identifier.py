@@ -70,6 +70,9 @@ class Identifier:
         start: warm start; default: the prior.
         whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
 
+    Attributes:
+        recursion: of the rows.
+
     Raises:
         UnknownFrameError: something considered that the model lacks, or an IMU frame that the base lacks.
         RowError: see :mod:`onboard.estimation`.
@@ -112,10 +115,10 @@ class Identifier:
         )  # its sigmas by the prior
         self._instruments: Instruments | None = None
         if instruments_lag_s is None:
-            self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
+            self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
         else:
             instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
-            self._recursion = instrumental
+            self.recursion = instrumental
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
         self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
@@ -124,7 +127,7 @@ class Identifier:
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
-        self._inflation, self._without_noise = 1.0, False
+        self._inflation = 1.0
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
@@ -165,12 +168,12 @@ class Identifier:
     @property
     def rls(self) -> SquareRootRls:
         """The recursive least squares."""
-        return self._recursion.rls
+        return self.recursion.rls
 
     @property
     def blocks(self) -> BlockScores:
         """The rows per block of time."""
-        return self._recursion.blocks
+        return self.recursion.blocks
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Processes the rows of new ticks.
@@ -206,14 +209,6 @@ class Identifier:
             for reason in self.refused:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
-
-    def expect_noise(self) -> None:
-        """Takes in what noise adds to the rows on average, after all of them, where they were made without it.
-
-        Sigmas are then those to expect of the stated errors: residuals have no scatter.
-        """
-        self._recursion.expect_noise()
-        self._without_noise = True
 
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
@@ -261,7 +256,7 @@ class Identifier:
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
         rows, y, C, sigma, own, doubt = self._errors.at(noisy, mean)
-        self._recursion.add(times, rows, y, sigma, C, doubt)
+        self.recursion.add(times, rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
@@ -338,9 +333,7 @@ class Identifier:
         self._errors.restate(self.rls)
         sigma = np.array([cause.sigma * (not exact) for cause in self.considered])
         fitted = None if exact else self.fitted_errors
-        found = self._recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
-        found.floored |= self._without_noise
-        return found
+        return self.recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

@@ -29,6 +29,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RAT
 from onboard.offline.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 
 _BATCH_TICKS, _PART_TICKS = 50, 10  # of a prediction; of a gain, whose work grows with the cube of its readings
+_BATCH_S = 0.5  # of few ticks: biases walk from one batch to the next
 _ANY_RATE_rad_s = 10.0  # sigma of the base's rate where nothing is known
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
 
@@ -43,7 +44,9 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    flown = fly(vehicle, plan)
+    few = plan.few(vehicle)
+    vehicle, plan = vehicle.with_row_rate(vehicle.file.estimation.row_rate_hz / few.step), plan.part(few)
+    flown = fly(vehicle, plan, round(_BATCH_S * vehicle.file.estimation.row_rate_hz))
     if flown is None:
         return Foreseen((), (), None, 0.0, ())
     exiddm, model = flown.identifier.exiddm, flown.model
@@ -71,12 +74,13 @@ class Flown(NamedTuple):
     rate: FloatArray  # (n, 3) of the gyro
 
 
-def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
+def fly(vehicle: config.Vehicle, plan: Plan, batch: int = _BATCH_TICKS) -> Flown | None:
     """Covariance of the filter along a planned motion; None where no payload is held in it.
 
     Args:
         vehicle: its file.
         plan: the motion, at the estimator's ticks.
+        batch: ticks that are predicted at once.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -98,7 +102,7 @@ def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
             covariance[block, block] = np.diag(width**2)
         state[PAYLOAD] = standard_of(payload) if held else _NOTHING
         part = slice(first, last)
-        state, covariance, rate[part] = _fly(predictor, plan, noise, used, part, state, covariance)
+        state, covariance, rate[part] = _fly(predictor, plan, noise, used, part, state, covariance, batch)
         if held:
             last_held = state.copy(), covariance.copy()
     return Flown(identifier, model, payload, *last_held, rate)
@@ -118,13 +122,14 @@ def _fly(
     part: slice,
     state: FloatArray,
     covariance: FloatArray,
+    batch: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """State and covariance after a part of the motion in which one payload is held, or none; gyro's rates (n, 3)."""
     q, dq, ddq = (signal[part] for signal in (plan.q, plan.dq, plan.ddq))
     here, joints, cyclic = used[part], noise.of_joints(dq), noise.cyclic(q, dq)
     rate = np.zeros((len(q), 3))
-    for first in range(0, len(q) - 3, _BATCH_TICKS):
-        ticks = slice(first, min(first + _BATCH_TICKS + 2, len(q)))
+    for first in range(0, len(q) - 3, batch):
+        ticks = slice(first, min(first + batch + 2, len(q)))
         now = predictor.predict(q[ticks], dq[ticks], ddq[ticks], state, cyclic[ticks])
         sigma = np.hypot(noise.of_lines(dq[ticks]), predictor.joint_noise(q[ticks], joints[ticks], state))[1:-1]
         inside = slice(first + 1, first + 1 + len(now.values))

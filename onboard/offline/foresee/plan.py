@@ -25,6 +25,7 @@ from onboard.regressor.rows import BaseMotion
 LEVEL = 0.95  # of the intervals shown
 UNDETERMINED = "not determined"
 _MOST_TICKS = 20_000  # of which a long motion's rates are taken
+_IN_KERNEL, _APART_S = 5, 0.05  # ticks in its width at least, time between two at most
 _FEW_ANGLE = 0.03  # of the largest rms rate: about such an axis a link hardly turns
 
 
@@ -48,6 +49,11 @@ class Plan(NamedTuple):
         bases = tuple(BaseMotion(*(signal[ticks] for signal in base)) for base in self.bases)
         kept = {name: getattr(self, name)[ticks] for name in ("time_s", "q", "dq", "ddq", "phase", "held")}
         return self._replace(**kept, bases=bases)
+
+    def few(self, vehicle: config.Vehicle) -> slice:
+        """Ticks that tell as much as all where nothing is drawn: all change as slowly as the smoothed motion."""
+        apart_s = min(vehicle.file.estimation.smoothing_ms * 1e-3 / _IN_KERNEL, _APART_S)
+        return slice(None, None, max(1, int(apart_s / float(self.time_s[1] - self.time_s[0]))))
 
     def by_base(self) -> "tuple[Plan, ...]":
         """The plan with each of its base's motions alone; itself where it has none or one."""

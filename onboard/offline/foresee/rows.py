@@ -4,9 +4,9 @@ Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters
 sigmas that the stated noise has behind the smoothing kernel. None is drawn: what it does to the regressor is taken in
 as its mean, and what is reported is the formal covariance, with prior and considered calibrations in it.
 
-Without noise rows change as slowly as the motion: ticks five to a kernel's width tell what all of them tell. Where rows
-are filtered (:mod:`onboard.identification.rows.whitening`) all are taken, or, coarse, those given stand for the many
-that fit between them: their noise is white, smaller by that number, and without what differentiated samples add.
+Where rows are filtered (:mod:`onboard.identification.rows.whitening`) all ticks are taken, or, coarse, those given stand
+for the many that fit between them: their noise is white, smaller by that number, and without what differentiated
+samples add.
 """
 
 from itertools import pairwise
@@ -45,7 +45,6 @@ from onboard.regressor.rows import BaseMotion, standing
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints, orders_of
 
 _MOST_TICKS = 20_000  # whose rows are made at a time: 0.2 GB
-_FEW = 5  # ticks in a kernel's width, where rows are not filtered
 _FINE = 20  # steps in a kernel's width, of which coarse ticks stand for as many as fit
 
 
@@ -68,7 +67,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
         chi[model.payload_columns()] = standard_of(plan.payload)
     motion, period_s = _base_motion(model, plan, chi), float(plan.time_s[1] - plan.time_s[0])
     if identifier.whitening is None:
-        few = slice(None, None, max(1, int(vehicle.file.estimation.smoothing_ms * 1e-3 / (_FEW * period_s))))
+        few = plan.few(vehicle)
         plan, motion = plan.part(few), BaseMotion(*(signal[few] for signal in motion))
         period_s *= few.step
     noise = StatedNoise(vehicle, identifier, period_s, coarse=coarse)
@@ -78,7 +77,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
         part = slice(first, last)
         own = BaseMotion(*(signal[part] for signal in motion))
         identifier.update(noise.signals(plan.part(part), own, chi), plan.held[part], excluded[part])
-    identifier.expect_noise()
+    identifier.recursion.expect_noise()
     found = identifier.stated_estimate()
     beta = identifier.base.value(chi)
     at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}

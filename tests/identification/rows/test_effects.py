@@ -36,7 +36,7 @@ def fed(vehicle: config.Vehicle, plan: Plan, bias: np.ndarray) -> Identifier:
     f = signals.motion.specific_force_m_s2
     signals = signals._replace(motion=signals.motion._replace(specific_force_m_s2=f + bias))
     identifier.update(signals, plan.held, reasons(~plan.used(vehicle), GateReason.PHASE))
-    identifier.expect_noise()
+    identifier.recursion.expect_noise()
     return identifier
 
 
