@@ -4,8 +4,8 @@ Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters
 sigmas that the stated noise has behind the smoothing kernel. None is drawn: what it does to the regressor is taken in
 as its mean, and what is reported is the formal covariance, with prior and considered calibrations in it.
 
-Where rows are filtered (:mod:`onboard.identification.rows.whitening`) all ticks are taken, or, coarse, those given stand
-for the many that fit between them: their noise is white, smaller by that number, and without what differentiated
+Where rows are filtered (:mod:`onboard.identification.rows.whitening`) all ticks are taken, or, coarse, those given
+stand for the many that fit between them: their noise is white, smaller by that number, and without what differentiated
 samples add.
 """
 

@@ -8,7 +8,6 @@ from rich.console import Console
 
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.planned import default_plan
-from hil_sim.scenario.load import load
 from onboard import config
 from onboard.cli import main
 from onboard.dynamics.free_flight import predict_base_from_rate
@@ -102,7 +101,7 @@ def test_a_bound_is_the_same_by_every_second_tick(name: str, sways: int):
     """RockSat's sigmas of one draw of noise were 0.24 to 1.26 of each other."""
     vehicle = config.load(config.packaged(name))
     period_s = 1.0 / vehicle.file.estimation.row_rate_hz
-    plan = plan_of(vehicle, default_plan(load(name), period_s))
+    plan = plan_of(vehicle, default_plan(scenario_of(name), period_s))
     assert len(plan.bases) == sways
     half = plan.part(slice(None, None, 2))
     found = [
