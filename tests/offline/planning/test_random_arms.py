@@ -4,10 +4,11 @@ The planner looks at limits every 40 ms with Pinocchio; here a segment is flown 
 vehicle that floats at rest, holding each payload that the library says it is safe with.
 """
 
+import re
 import tempfile
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import hypothesis.strategies as st
 import numpy as np
@@ -22,13 +23,16 @@ from hil_sim.plants.spline import CubicSpline
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard import config
-from onboard.cli import main
+from onboard.cli import BAD_INPUT, main
 from onboard.config.driving import Range, require_within, resampled
+from onboard.config.segments import Library
+from onboard.dynamics.inertia import RigidBody
 from onboard.flight.estimate.identification import build_model
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning import segments
-from onboard.offline.planning.limits import JointLimit, LimitsFile
+from onboard.offline.planning.limits import JointLimit, Limits, LimitsFile
 from onboard.offline.planning.planning import Wanted
+from onboard.offline.planning.search import Found, Problem, Search, search
 from onboard.offline.planning.segments import plan_segments, scaled
 from tests.offline.planning.test_planning import SCENARIO
 
@@ -79,6 +83,35 @@ def urdf(arm: Arm) -> str:
     return f'<robot name="random">{text}</robot>'
 
 
+class Planned(NamedTuple):
+    """A vehicle with its URDF read by the simulator, what it holds, and segments planned for it."""
+
+    vehicle: config.Vehicle
+    drawing: urdf_drawing.Drawing
+    body: RigidBody
+    library: Library
+
+
+def planned(arm: Arm) -> Planned:
+    """Segments of a random arm."""
+    with tempfile.TemporaryDirectory() as place:
+        directory = Path(place)
+        (directory / "drawn.urdf").write_text(urdf(arm))
+        (directory / "over.toml").write_text(SCENARIO)
+        assert main(["init", str(directory / "it"), "--base", "free", "--urdf", str(directory / "drawn.urdf")]) == 0
+        path = directory / "it" / "vehicle.toml"
+        vehicle, scenario = config.load(path), scenario_of(str(path), directory / "over.toml")
+        own = JointLimit(acceleration=arm.acceleration)
+        names = [joint.name for joint in build_model(vehicle).joints]
+        said = LimitsFile(base_rate_rad_s=arm.base_rate, joint=dict.fromkeys(names, own))
+        wanted = Wanted(2.0, 5.0, limits=said, starts=1, iterations=1, masses=MASSES_kg)
+        library = plan_segments(vehicle, lambda period_s: default_plan(scenario, period_s), wanted, lambda _: None)
+        body = plan_of(vehicle.with_row_rate(5.0), default_plan(scenario, 0.2)).payload
+        drawing = urdf_drawing.read(vehicle.urdf_text, "drawn.urdf")
+    assert body is not None
+    return Planned(vehicle, drawing, body, library)
+
+
 class Told:
     """A segment as the joints' motion."""
 
@@ -105,21 +138,17 @@ def test_no_segment_leaves_a_limit_with_a_payload_that_it_is_safe_with(
 ) -> None:
     arm = Arm(seed, joints)._replace(**{near: by * NEAR[near]})
     monkeypatch.setattr(segments, "KINDS", ("all",))
-    with tempfile.TemporaryDirectory() as place:
-        directory = Path(place)
-        (directory / "drawn.urdf").write_text(urdf(arm))
-        (directory / "over.toml").write_text(SCENARIO)
-        assert main(["init", str(directory / "it"), "--base", "free", "--urdf", str(directory / "drawn.urdf")]) == 0
-        path = directory / "it" / "vehicle.toml"
-        vehicle, scenario = config.load(path), scenario_of(str(path), directory / "over.toml")
-        own = JointLimit(acceleration=arm.acceleration)
-        names = [joint.name for joint in build_model(vehicle).joints]
-        said = LimitsFile(base_rate_rad_s=arm.base_rate, joint=dict.fromkeys(names, own))
-        wanted = Wanted(2.0, 5.0, limits=said, starts=1, iterations=1, masses=MASSES_kg)
-        library = plan_segments(vehicle, lambda period_s: default_plan(scenario, period_s), wanted, lambda _: None)
-        body = plan_of(vehicle.with_row_rate(5.0), default_plan(scenario, 0.2)).payload
-        drawing = urdf_drawing.read(vehicle.urdf_text, "drawn.urdf")
-    assert body is not None
+    looked_at: list[Search] = []
+    monkeypatch.setattr(segments, "search", lambda over, *how: (looked_at.append(over), search(over, *how))[1])
+    vehicle, drawing, body, library = planned(arm)
+    assert len(looked_at) == len(MASSES_kg)
+    for over in looked_at:
+        problem, basis = Problem(over), over.splines.basis(np.arange(0.0, over.splines.duration_s, 0.01))
+        for corner in (problem.low, problem.high):  # a spline lies in the hull of its coefficients
+            q = over.splines.move(basis, problem.coefficients(corner))[0]
+            assert np.abs(q).max() <= SHARE * arm.half + 1e-9
+            if near == "half":
+                assert np.abs(q).max() > 0.98 * SHARE * arm.half  # all of the range may be used
     heaviest = [k for k, name in enumerate(library.names) if name.endswith(f"_{MASSES_kg[1]:g}kg")]
     assert (library.excess[heaviest] <= 0.0).all()
     flown = 0
@@ -144,6 +173,72 @@ def test_no_segment_leaves_a_limit_with_a_payload_that_it_is_safe_with(
             if k in heaviest:
                 assert rate <= arm.base_rate
     assert flown >= len(heaviest) * len(MASSES_kg)
+
+
+@pytest.mark.parametrize("near", ["velocity", "effort"])
+def test_a_motion_of_the_heaviest_that_breaks_a_limit_is_shrunk_until_it_keeps_all(
+    near: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is known these are flown: also where the search went on to motions that are too large."""
+
+    def too_far(over: Search, *how: Any) -> Found:
+        found = search(over, *how)
+        return found._replace(coefficients=4.0 * found.coefficients)
+
+    monkeypatch.setattr(segments, "KINDS", ("all",))
+    monkeypatch.setattr(segments, "search", too_far)
+    library = planned(Arm(3, 2)._replace(**{near: NEAR[near]})).library
+    [heaviest] = [k for k, name in enumerate(library.names) if name.endswith(f"_{MASSES_kg[1]:g}kg")]
+    assert (library.excess[heaviest] <= 0.0).all()
+    assert (library.excess[[k for k in range(len(library.names)) if k != heaviest]] > 0.0).any()
+
+
+@pytest.fixture(scope="module")
+def arm_of_three(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its directory: vehicle.toml, over.toml."""
+    directory = tmp_path_factory.mktemp("arm_of_three")
+    (directory / "drawn.urdf").write_text(urdf(Arm(5, 3)))
+    (directory / "over.toml").write_text(SCENARIO)
+    assert main(["init", str(directory / "it"), "--base", "free", "--urdf", str(directory / "drawn.urdf")]) == 0
+    return directory
+
+
+_STANDS = st.tuples(st.floats(-2.5, 2.0), st.floats(0.1, 2.0), st.sampled_from([-0.2, 0.0, 0.1, 0.5, 0.9, 1.0, 1.2]))
+
+
+@given(st.lists(_STANDS, min_size=3, max_size=3))
+def test_an_arm_that_stands_outside_its_limits_has_no_room_and_inside_none_beyond_them(
+    arm_of_three: Path, joints: list[tuple[float, float, float]]
+) -> None:
+    low, width, share = np.array(joints).T
+    high, stands = low + width, low + share * width
+    model = build_model(config.load(arm_of_three / "it" / "vehicle.toml"))
+    names = [joint.name for joint in model.joints]
+    said = {name: JointLimit(low=float(a), high=float(b)) for name, a, b in zip(names, low, high, strict=True)}
+    outside = [name for name, q, a, b in zip(names, stands, low, high, strict=True) if not a < q < b]
+    its = Limits(model, LimitsFile(joint=said), None)
+    if outside:
+        with pytest.raises(config.ConfigError, match=f"^({'|'.join(outside)}) starts at "):
+            its.room(stands)
+        return
+    down, up = its.room(stands)
+    assert (down < 0.0).all()
+    assert (up > 0.0).all()
+    assert (stands + down >= low - 1e-12).all()
+    assert (stands + up <= high + 1e-12).all()
+
+
+@pytest.mark.parametrize("also", [[], ["--segments"]])
+def test_no_motion_is_planned_from_outside_the_limits(
+    arm_of_three: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], also: list[str]
+) -> None:
+    (tmp_path / "limits.toml").write_text("joint.joint_2 = { low = 2.3, high = 2.4 }\n")
+    vehicle, over = str(arm_of_three / "it" / "vehicle.toml"), str(arm_of_three / "over.toml")
+    asked = ["plan", vehicle, "--scenario", over, "--limits", str(tmp_path / "limits.toml"), *also]
+    assert main([*asked, "--starts", "1", "--iterations", "1", "-o", str(tmp_path / "plan")]) == BAD_INPUT
+    said = " ".join(capsys.readouterr().err.split())
+    assert re.search(r"joint_2 starts at \S+, its limits are 2.3 to 2.4; widen them", said)
+    assert not (tmp_path / "plan").exists()
 
 
 @given(
