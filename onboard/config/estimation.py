@@ -168,13 +168,14 @@ class ImuPriorKeys(Section):
 
 
 class DisturbanceKeys(Section):
-    """What pushes a free base unknown on board, as a random walk: standard deviations of each component at the start.
+    """What pushes a free base unknown on board, a drifting random walk: sigma of each component at the start.
 
-    In the base's axes; zero: nothing does. ``time_s``: in half of it the variance grows by as much as at the start.
+    In the base's axes; zero: nothing does; silent: by the vehicle's mass (``exiddm_priors.disturbance_prior``).
+    ``time_s``: in half of it the variance grows by as much as at the start.
     """
 
-    force_N: NotNegative = 0.0  # noqa: N815
-    torque_N_m: NotNegative = 0.0  # noqa: N815
+    force_N: NotNegative | None = None  # noqa: N815
+    torque_N_m: NotNegative | None = None  # noqa: N815
     time_s: Positive = 60.0
 
 

@@ -263,8 +263,13 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "payload_inertia_sigma_kg_m2": _M("The same of its inertia.", "as above"),
     },
     DisturbanceKeys: {
-        "force_N": _M("Each component of a force at the base's origin, 1 sigma at the start.", "air drags, gas leaks"),
-        "torque_N_m": _M("Of a torque, the same.", "as above; 0.01 N and 0.002 N m held for what bench flights had"),
+        "force_N": _M(
+            "Each component of a force at the base's origin, 1 sigma at first; silent: 0.4 mN a kilogram of vehicle.",
+            "what drags, leaks and pulls is known",
+        ),
+        "torque_N_m": _M(
+            "Of a torque, the same; silent: that force at the heaviest link's radius of gyration.", "as above"
+        ),
         "time_s": _M("In half of it the variance of both grows by as much as at the start.", "it changes faster"),
     },
     UsefulKeys: {

@@ -12,6 +12,9 @@ from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 
+# Of a silent file: air, umbilicals and valves of bench flights, 0.01 N on the 26 kg of DYMAFLEX.
+UNTOLD_m_s2 = 4e-4
+
 
 def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
     """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
@@ -40,12 +43,20 @@ def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
     return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
 
 
-def disturbance_prior(vehicle: config.Vehicle, *, tracked: bool = False) -> DisturbancePrior:
-    """Prior on what pushes the base unknown; none between hands and with a tracker, which does not predict it."""
+def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:
+    """Prior on what pushes the base unknown; none between hands and with a tracker, which does not predict it.
+
+    A silent key: a force in proportion to the vehicle's mass without payload, a torque of it at the radius of
+    gyration of its heaviest link.
+    """
     keys = vehicle.file.estimation.disturbance
     if tracked or vehicle.file.parabola is not None:
         return DisturbancePrior()
-    return DisturbancePrior(keys.force_N, keys.torque_N_m, keys.time_s)
+    masses = model.chi[::10]
+    heaviest = model.chi[10 * int(masses.argmax()) :]
+    radius_m = float(np.sqrt((heaviest[4] + heaviest[6] + heaviest[9]) / 2.0 / heaviest[0]))
+    force = UNTOLD_m_s2 * float(masses.sum()) if keys.force_N is None else keys.force_N
+    return DisturbancePrior(force, force * radius_m if keys.torque_N_m is None else keys.torque_N_m, keys.time_s)
 
 
 def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:

@@ -157,7 +157,7 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         further += trackers
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
-        others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, tracked=bool(trackers))
+        others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, model, tracked=bool(trackers))
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others)
         known = None
         if settings.carried:

@@ -56,26 +56,32 @@ def test_derivatives_by_a_disturbance_are_finite_differences(held):
     plain = online(held, imu_prior=PRIOR, links=["base"]).predictor
     given = 0.01, 5, {"base": plain.drawn["base"][1] @ plain.drawn["base"][1].T}, PRIOR
     predictor = ImuPredictor(plain.vehicle, "imu_base", *given, disturbance=DisturbancePrior(0.01, 0.002, 60.0))
-    assert predictor.names[-6:] == tuple(f"disturbance_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+    each = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
+    assert predictor.names[-12:] == tuple(f"disturbance_{what}{one}" for what in ("", "drift_") for one in each)
+    np.testing.assert_allclose(predictor.sigma[-6:], 0.1 * predictor.sigma[-12:-6])  # rad/s that a base turns by
     check_derivatives(predictor, held, np.zeros(0))
 
 
 def test_a_disturbance_pushes_the_base_and_wanders(held):
-    """A force of 1 N accelerates all by what it weighs; a torque turns the base."""
+    """A force of 1 N accelerates all by what it weighs; a torque turns the base; both change as they drift."""
     given = online(held).predictor.vehicle, "imu_base", 0.01, 5, {}, CERTAIN
     predictor, ticks = ImuPredictor(*given, disturbance=DisturbancePrior(1.0, 1.0, 60.0)), ticks_of(held)
     x, motion = np.zeros(len(predictor.names)), (ticks.q[:12], ticks.dq[:12], ticks.ddq[:12])
     still = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
-    x[-6] = 1.0
+    x[-12] = 1.0
     pushed = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
     mass_kg = predictor.chi(x).reshape(-1, 10)[:, 0].sum()
     at_centre = np.linalg.norm((pushed - still)[:, 3:], axis=1)
     assert at_centre.min() > 0.5 / mass_kg
-    x[-6], x[-1] = 0.0, 1.0
+    x[-12], x[-7] = 0.0, 1.0
     turned = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x).values
     assert (np.diff(np.linalg.norm(turned[:, :3], axis=1)) > 0.0).all()
     aged = predictor.aged(np.zeros((len(x), len(x))), 3000)  # half a minute
-    np.testing.assert_allclose(np.diag(aged)[-6:], 1.0)
+    np.testing.assert_allclose(np.diag(aged)[-12:-6], 1.0)
+    x[-7], x[-12], x[-6] = 0.0, -0.5, 10.0  # N, N/s: none after 50 ms
+    predicted = predictor.predict(motion[0][:1].repeat(12, axis=0), *np.zeros((2, *motion[0].shape)), x)
+    assert predicted.state[-12] == pytest.approx(0.5)  # ten ticks later
+    np.testing.assert_allclose((predicted.values - still)[4, 3:], 0.0, atol=0.02 / mass_kg)
 
 
 def check_derivatives(predictor, held, bends):

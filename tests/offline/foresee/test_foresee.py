@@ -28,7 +28,8 @@ ARM = Path(__file__).resolve().parents[2] / "flight" / "own" / "planar_arm.urdf"
 SCENARIO = '[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 12.0\n'
 
 _NO_ERROR = "position_m = 0.0\nzero_rad = 0.0\nscale = 0.0\ndelay_s = 0.0\n"
-EXACT = (  # of a vehicle by heft init --base free --joints 2: joints and the IMU's place, and nothing drifts
+EXACT = (  # of a vehicle by heft init --base free --joints 2: joints and the IMU's place; nothing drifts or pushes
+    ("[estimation.prior.link]", "[estimation.disturbance]\nforce_N = 0.0\n\n[estimation.prior.link]"),
     ("gyro_drift_rad_s2 = 8.7e-5", "gyro_drift_rad_s2 = 0.0\nposition_m = 0.0"),
     ("accelerometer_drift_m_s3 = 1e-3", "accelerometer_drift_m_s3 = 0.0"),
     (

@@ -194,6 +194,10 @@ class Thruster(NamedTuple):
         return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)
 
 
+TURNING_rad_s = 0.1
+"""Of a base, one sigma: so fast does a wrench that is fixed in space, as drag, change in its axes."""
+
+
 class DisturbancePrior(NamedTuple):
     """What pushes the base unknown, in its axes: drag, a leak. Standard deviations about none; zero: exactly none."""
 
@@ -202,9 +206,11 @@ class DisturbancePrior(NamedTuple):
     memory_s: float = np.inf  # of its random walk: in half of it the variance grows by that before the flight
 
     def block(self) -> Block:
-        """Force and moment, (6,)."""
-        names = tuple(f"disturbance_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
-        return Block(names, np.repeat([self.force_N, self.torque_N_m], 3))
+        """Force and moment, and how they change with time, (12,)."""
+        of_each = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
+        names = tuple(f"disturbance_{what}{one}" for what in ("", "drift_") for one in of_each)
+        sigma = np.repeat([self.force_N, self.torque_N_m], 3)
+        return Block(names, np.concatenate([sigma, TURNING_rad_s * sigma]))
 
 
 class PlacedImu(NamedTuple):

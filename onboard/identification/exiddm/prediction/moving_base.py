@@ -63,10 +63,11 @@ class MovingBase:
             forces = np.zeros((len(readings.q), self._wrenches.shape[1])) if thrust is None else thrust
             push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
         if self._disturbed:
+            time_s = period_s * np.arange(len(readings.q))[:, None, None]
             unit = np.broadcast_to(np.eye(6), (len(readings.q), 6, 6))
             known = Push(unit[..., :0], np.zeros(0)) if push is None else push
             both = np.concatenate([known.gain, x[at["disturbance"]]])
-            push = Push(np.concatenate([known.of_each, unit], axis=2), both)
+            push = Push(np.concatenate([known.of_each, unit, time_s * unit], axis=2), both)
         chi = self._links.chi(x[at["payload"]], self._basis @ x[at["links"]])
         if self._joint_errors is None:
             links = chain_motion(vehicle, *readings[:3]).links
