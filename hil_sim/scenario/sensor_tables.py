@@ -20,7 +20,7 @@ MeasuredQuantity = Literal[
 class Table(BaseModel):
     """Base of all tables: frozen, unknown keys are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class Axes(Table):

@@ -29,6 +29,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
     # The matrices are small: BLAS threads cost more than they save (a replay takes a third of the time without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
     arguments = parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command

@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Collection
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -161,6 +160,8 @@ def _body(ten: Rows) -> RigidBody:
 
 def _with_answers(urdf: str, link: str, now_ns: int, ten: Rows) -> str:
     """The URDF with the element ``<identified>`` at its end."""
+    from xml.sax.saxutils import quoteattr  # noqa: PLC0415 - brings an HTTP client to every start
+
     lines = [f'  {_MARK}link={quoteattr(link)} level="good" host_ns="{now_ns}" vehicle_ns="{ten["vehicle_ns"][0]}">']
     for one in ten:
         numbers = " ".join(f'{field}="{float(one[field])!r}"' for field in ("value", "low", "high", "sigma"))
