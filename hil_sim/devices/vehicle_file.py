@@ -18,7 +18,7 @@ from hil_sim.plants.urdf_drawing import Drawing
 from hil_sim.scenario import bed
 from hil_sim.scenario.load import load, merged, names, parse
 from hil_sim.scenario.sheets import Sheets, sheet
-from hil_sim.scenario.tables import Scenario, ScenarioError
+from hil_sim.scenario.tables import Files, Scenario, ScenarioError
 
 Table = dict[str, Any]
 Over = str | Path | Mapping[str, Any]  # the path of a scenario file, or its tables
@@ -60,7 +60,7 @@ def scenario_of(name: str | Path, over: Over | None = None, campaign: str | None
             "devices are on buses and not columns of a recording"
         )
     own = {} if over is None else _tables_of(over)
-    return load(name, {key: value for key, value in own.items() if key != "scenario"})
+    return load(name, {key: value for key, value in own.items() if key != "scenario"}, _texts(over))
 
 
 def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
@@ -92,8 +92,13 @@ def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
         if over is not None:
             table = _laid_over(table, over)
     _drop_empty(table)
-    files = tuple((str(over), Path(over).read_text(encoding="utf-8")) for over in overs if isinstance(over, str | Path))
+    files = _texts(*overs)
     return parse(table, " with ".join([f"rehearsal of {vehicle}", *(path for path, _ in files)]), files)
+
+
+def _texts(*overs: Over | None) -> Files:
+    """Path and text of those that are files."""
+    return tuple((str(over), Path(over).read_text(encoding="utf-8")) for over in overs if isinstance(over, str | Path))
 
 
 def _tables_of(over: Over) -> Table:

@@ -31,18 +31,20 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
-def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, over: Files = ()) -> Scenario:
     """Read a packaged scenario by name, or any TOML file by path (it ends in ``.toml``).
 
     Args:
         name_or_path: ``"rocksat"``, or a path.
         overrides: nested tables laid over the file's, e.g. ``{"as_built": {"tip_mass": {"mass_factor": 0.9}}}``.
+        over: the file that these were read from, to be named where they are wrong.
 
     Raises:
         ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
     """
     label, table, files = _read(name_or_path)
-    return parse(merged(table, overrides or {}), label, files)
+    label = " with ".join([label, *(path for path, _ in over)])
+    return parse(merged(table, overrides or {}), label, (*files, *over))
 
 
 def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any], Files]:

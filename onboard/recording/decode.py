@@ -11,7 +11,7 @@ from drivers.records import GAP, Rows
 from onboard.recording import mcap_format
 from onboard.recording.chunk import BODY_AT
 from onboard.recording.errors import LogFormatError, SchemaError
-from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, message_bytes, units_from_ros2msg
+from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, is_altered, message_bytes, units_from_ros2msg
 
 _HEAD = mcap_format.RECORD_HEAD
 _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all messages of a run
@@ -180,6 +180,8 @@ class Decoder:
             raise LogFormatError(
                 f"channel {channel.topic!r} has rows of {dtype.itemsize} bytes, which heft never writes"
             )
+        if is_altered(dtype):
+            raise LogFormatError(f"channel {channel.topic!r} has fields of another kind than heft writes")
         fields: Mapping[str, Any] = known.dtype.fields or {}
         if [fields[name][0].str if name in fields else "" for name in ("sequence", "host_ns")] != ["<u8", "<i8"]:
             raise LogFormatError(f"channel {channel.topic!r} lacks the fields sequence and host_ns of every record")

@@ -88,3 +88,16 @@ def test_what_is_missing_is_told_with_the_line_of_its_table(vehicle: Path, capsy
     lines = told(vehicle, "\n[[sequence]]\nphase = 1\n", capsys)
     assert "over:2: 'sequence.0.action' is missing; add it" in lines
     assert all(line.startswith("over:2: ") for line in lines)
+
+
+@pytest.mark.parametrize("mission", ["rocksat", "rocksat_mixed", "dymaflex", "capture"])
+def test_a_packaged_mission_is_not_blamed_for_the_file_over_it(
+    mission: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    over = tmp_path / "over.toml"
+    over.write_text('sequenc = []\n\n[[sequence]]\nphase = 0\naction = "hold"\nspin = 1\nduration_s = -3\n')
+    assert cli.main(["hil", mission, "--scenario", str(over), "--faults"]) == cli.BAD_INPUT
+    lines = capsys.readouterr().err.removeprefix("heft: ").splitlines()
+    assert f"{over}:1: unknown key 'sequenc'; did you mean 'sequence'? Units are in the key" in lines
+    assert f"{over}:7: 'sequence.0.duration_s': more than 0 is wanted here (found -3)" in " ".join(lines)
+    assert any(line.startswith(f"{over}:6: unknown key 'sequence.0.spin'") for line in lines)

@@ -306,3 +306,39 @@ def test_steps_of_the_estimator_that_are_none_are_refused(tmp_path):
             writer.write("tick", rows)
         with pytest.raises(ChannelError, match=why):
             list(steps(Pass(LogReader(path), ["tick"]), ("imu_base",)))
+
+
+@pytest.mark.parametrize(
+    ("channel", "field"),
+    [
+        ("arm_phase", "value_raw"),
+        ("arm_phase", "unit"),
+        ("imu_base", "gyro_scale_rad_s"),
+        ("tick", "fresh"),
+        ("tick", "final"),
+    ],
+)
+def test_rows_that_are_defined_otherwise_are_refused(tmp_path, capsys, channel, field):
+    vehicle = config.load(config.packaged("rocksat"))
+    kinds = {**vehicle.channels, "tick": channels.tick_dtype(len(vehicle.channels)), "clock": channels.CLOCK}
+    shaped = [(name, kinds[channel][name], (1,) * 6 * (name == field)) for name in kinds[channel].names or ()]
+    kinds[channel] = np.dtype(shaped, align=True)
+    with LogWriter.create(tmp_path / "x.mcap", durable=False) as writer:
+        writer.attach("vehicle.toml", "application/toml", ROCKSAT.encode())
+        writer.attach("rocksat.urdf", "application/xml", URDF)
+        for name, kind in kinds.items():
+            rows = np.zeros(3, kind)
+            rows["sequence"], rows["host_ns"] = range(3), range(0, 300_000_000, 100_000_000)
+            if name == "tick":
+                rows["consumed"], rows["first_sequence"], rows["last_sequence"] = 1, *[np.arange(3)[:, None]] * 2
+            writer.register(name, kind)
+            writer.write(name, rows)
+    said = f"rows of '{channel}' are none" if channel == "tick" else f"'{channel}' has fields of another kind"
+    assert cli.main(["replay", str(tmp_path / "x.mcap")]) == (cli.BAD_INPUT if channel == "tick" else cli.FAILED)
+    assert said in " ".join(capsys.readouterr().err.split())
+    if channel != "tick":  # identify does without the steps
+        assert cli.main(["identify", str(tmp_path / "x.mcap")]) == cli.BAD_INPUT
+        assert cli.main(["info", str(tmp_path / "x.mcap")]) == cli.DAMAGED
+    for number, options in enumerate(([], ["--aligned", "100"])):
+        written = ["dump", str(tmp_path / "x.mcap"), *options, "--to", "csv", str(tmp_path / f"csv_{number}")]
+        assert cli.main(written) in (cli.OK, cli.BAD_INPUT, cli.DAMAGED)

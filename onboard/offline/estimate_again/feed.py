@@ -13,6 +13,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.roles import roles_of
 from onboard.offline.tables.source import Interleaved
+from onboard.offline.tables.vehicle_file import require_kinds
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -28,15 +29,12 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
     Raises:
         ChannelError: a channel is missing or of another kind.
     """
-    wanted = vehicle.channels
-    missing = [name for name in wanted if name not in log.channels]
-    other = [name for name, dtype in wanted.items() if name not in missing and log.channels[name] != dtype]
-    if missing or other:
-        what = f"no channel {', '.join(missing)}" if missing else f"another kind of rows in {', '.join(other)}"
+    if missing := [name for name in vehicle.channels if name not in log.channels]:
         raise ChannelError(
-            f"{log.path} has {what}, which vehicle {vehicle.file.vehicle.name!r} needs; it has "
-            f"{', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
+            f"{log.path} has no channel {', '.join(missing)}, which vehicle {vehicle.file.vehicle.name!r} needs; it "
+            f"has {', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
         )
+    require_kinds(log, vehicle)
 
 
 def _pause_ns(source: Interleaved, now_ns: int) -> int:

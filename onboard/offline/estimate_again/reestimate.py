@@ -19,7 +19,7 @@ from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.estimate_again.replay import Pass, steps
 from onboard.offline.tables.progress import follow
-from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.offline.tables.vehicle_file import require_kinds, vehicle_of
 from onboard.offline.views.summary import LogOverview, count_gates, summary
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
@@ -62,6 +62,7 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     Raises:
         LogFormatError: it is no log.
         ConfigError: it carries no vehicle, or the settings do not fit.
+        ChannelError: its rows are not of the kind that this vehicle gives.
         OSError: a file cannot be read.
     """
     log = LogReader(path)
@@ -73,6 +74,7 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
                 f"{settings} changes the devices' channels, which a flight that is over cannot; change [estimation], "
                 "[free_body] or numbers of a device"
             )
+        require_kinds(log, vehicle)
         estimator = Estimator(vehicle)
     now, short = LogOverview(), ""
     rows_of_log = Pass(log, [*estimator.inputs, "tick"])

@@ -19,7 +19,7 @@ from onboard import config
 from onboard.channels import tick_dtype
 from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.tables.progress import follow
-from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.offline.tables.vehicle_file import require_kinds, vehicle_of
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -162,6 +162,7 @@ def replay(path: Path, progress: Progress | None = None) -> Replay:
     Raises:
         LogFormatError: it is no log.
         ConfigError: it carries no vehicle that can be used.
+        ChannelError: its rows are not of the kind that this vehicle gives.
     """
     log = LogReader(path)
     restarts_ns = _restarts_ns(log)  # first: the vehicle then takes no pass of its own
@@ -232,8 +233,9 @@ def _restarts_ns(log: LogReader) -> list[int]:
         ticks = log.read("tick")
     except ChannelError:
         return []
-    anew = ticks["fresh"] != 0 if "fresh" in (ticks.dtype.names or ()) else np.zeros(len(ticks), np.bool_)
-    return [int(at_ns) for at_ns in ticks["host_ns"][anew]]
+    if "fresh" not in (ticks.dtype.names or ()) or ticks.dtype["fresh"] != np.uint8:
+        return []  # of an earlier version; or none of ours: steps refuses them
+    return [int(at_ns) for at_ns in ticks["host_ns"][ticks["fresh"] != 0]]
 
 
 def _published_before(log: LogReader, restarts_ns: Sequence[int], outputs: Iterable[str]) -> deque[dict[str, int]]:
@@ -243,6 +245,7 @@ def _published_before(log: LogReader, restarts_ns: Sequence[int], outputs: Itera
 
 
 def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int], tell: Callable[[], None]) -> Replay:
+    require_kinds(log, vehicle)
     estimator = Estimator(vehicle)
     outputs = estimator.outputs
     rows = Pass(log, [*estimator.inputs, "tick", *outputs])

@@ -198,6 +198,11 @@ def _fields(dtype: np.dtype[np.void]) -> dict[str, tuple[int, ...]]:
     return {name: dtype.fields[name][0].shape for name in dtype.names}
 
 
+def _is_plain(dtype: np.dtype[np.void], name: str, kinds: str) -> bool:
+    """Whether there is a field of this name with one element, of one of these kinds."""
+    return name in (dtype.names or ()) and dtype[name].shape == () and dtype[name].kind in kinds
+
+
 def _components(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int, ...]]]:
     """Suffix of the column's name, and index in the field, of each element."""
     if shape == (3,) and _CARTESIAN & set(name.split("_")):
@@ -225,11 +230,13 @@ def _converted(
     own = next((name for name in fields if name.startswith(f"{base}_scale_")), None)
     if own is not None:
         scale, unit, text = own, unit_of(own), b""
-    elif base == "value" and {"scale", "unit"} <= set(fields):
+    elif base == "value" and _is_plain(dtype, "scale", "iuf") and _is_plain(dtype, "unit", "S"):
         text = bytes(sample["unit"][0]) if len(sample) else b""
         scale, unit = "scale", printable(text)
     else:
         return []
+    if not _is_plain(dtype, scale, "iuf") or dtype[f"{base}_raw"].base.kind not in "iuf":
+        return []  # not as heft defines it
     digits = 9 if dtype[scale] == np.float32 else 17
     signal = meaning.signal if meaning.signal and meaning.signal.corrections else None
 

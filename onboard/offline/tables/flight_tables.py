@@ -11,7 +11,7 @@ from onboard import config
 from onboard.offline.tables.columns import Column, Times, columns, time_columns, timed_dtype, with_times
 from onboard.offline.tables.meaning import Meaning, meanings
 from onboard.offline.tables.selection import Selection, inside, span_of
-from onboard.offline.tables.vehicle_file import attached_vehicle
+from onboard.offline.tables.vehicle_file import attached_vehicle, require_kinds
 from onboard.offline.tables.vehicle_time import UNKNOWN, clocked, timed
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -46,6 +46,11 @@ class FlightTables:
                 self.vehicle = attached_vehicle(self.log)
             except config.ConfigError as error:
                 self.why_none = str(error)
+        if self.vehicle is not None:
+            try:
+                require_kinds(self.log, self.vehicle)
+            except ChannelError as error:
+                self.vehicle, self.why_none = None, str(error)
         self.meanings: dict[str, Meaning] = meanings(self.log, self.vehicle)
         self.times = Times(start_ns, utc_offset_ns(self.log.metadata))
         self.clocked = clocked(self.log, self.vehicle) if self.vehicle else []

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from onboard import config
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
+from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 MOST_NAME_BYTES = 255  # of a file, by Linux
@@ -26,6 +27,14 @@ def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
         return config.load(directory / VEHICLE_ATTACHMENT)
     except config.ConfigError as error:  # no vehicle directory of that name
         raise config.ConfigError(str(error).replace(f"{directory}/", f"{log.path}: its ")) from error
+
+
+def require_kinds(log: LogReader, vehicle: config.Vehicle) -> None:
+    """Raises ChannelError where rows of a log's channel are not of the kind that the vehicle's device gives."""
+    wanted = vehicle.channels.items()
+    if other := [name for name, dtype in wanted if log.channels.get(name, dtype) != dtype]:
+        what = f"another kind of rows in {', '.join(other)} than the vehicle gives"
+        raise ChannelError(f"{log.path} has {what}; give the vehicle that it was flown with")
 
 
 def _is_file_name(name: str) -> bool:
