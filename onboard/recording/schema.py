@@ -149,16 +149,22 @@ def units_from_ros2msg(text: str) -> dict[str, str]:
     return {match["name"]: match["unit"] for match in _parse(text) if match["unit"]}
 
 
+_SIZED = (channels.tick_dtype(1), channels.estimate_dtype(1, 1), channels.row_dtype(1, 1))  # vehicles have others
+
+
 @lru_cache(maxsize=1)
 def _records() -> dict[tuple[str, ...], np.dtype[np.void]]:
     """Records of ``drivers`` and ``onboard.channels`` by the names of their fields, which no two have in common."""
-    every = [value for module in (records, marks, channels) for value in vars(module).values()]
+    every = [*_SIZED, *(value for module in (records, marks, channels) for value in vars(module).values())]
     return {value.names: value for value in every if isinstance(value, np.dtype) and value.names}
 
 
 def is_altered(dtype: np.dtype[np.void]) -> bool:
     """Whether it has the fields of one of our records, and of other kinds or shapes."""
-    return _records().get(dtype.names or (), dtype) != dtype
+    ours = _records().get(dtype.names or (), dtype)
+    if ours not in _SIZED:
+        return dtype != ours
+    return any(dtype[name].base != ours[name].base or dtype[name].ndim != ours[name].ndim for name in ours.names or ())
 
 
 def message_name(channel: str, dtype: np.dtype[np.void]) -> str:

@@ -233,9 +233,8 @@ def _restarts_ns(log: LogReader) -> list[int]:
         ticks = log.read("tick")
     except ChannelError:
         return []
-    if "fresh" not in (ticks.dtype.names or ()) or ticks.dtype["fresh"] != np.uint8:
-        return []  # of an earlier version; or none of ours: steps refuses them
-    return [int(at_ns) for at_ns in ticks["host_ns"][ticks["fresh"] != 0]]
+    anew = ticks["fresh"] != 0 if "fresh" in (ticks.dtype.names or ()) else np.zeros(len(ticks), np.bool_)
+    return [int(at_ns) for at_ns in ticks["host_ns"][anew]]
 
 
 def _published_before(log: LogReader, restarts_ns: Sequence[int], outputs: Iterable[str]) -> deque[dict[str, int]]:
