@@ -179,6 +179,13 @@ def strangers_use_different_dynamics(path: str, source: str) -> list[str]:
     return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if theirs and within(i.name, theirs)]
 
 
+def campaigns_foresee_nothing(path: str, source: str) -> list[str]:
+    """The table before a flight is for who waits for it."""
+    if not path.startswith("onboard/offline/campaign/"):
+        return []
+    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "onboard.offline.foresee")]
+
+
 def only_the_command_line_prints(path: str, source: str) -> list[str]:
     if allowed(path, PRINTERS):
         return []
@@ -277,6 +284,7 @@ RULES: tuple[Rule, ...] = (
     simulator_knows_the_ports_only,
     flight_code_knows_no_simulator,
     strangers_use_different_dynamics,
+    campaigns_foresee_nothing,
     only_the_command_line_prints,
     only_transports_and_runners_read_clocks,
     files_stay_short,
@@ -358,6 +366,11 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "from hil_sim import serve"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "if True:\n    import hil_sim"),
     (strangers_use_different_dynamics, "hil_sim/plants/servo_flight.py", "import pinocchio as pin"),
+    (
+        campaigns_foresee_nothing,
+        "onboard/offline/campaign/flights.py",
+        "def f():\n    from onboard.offline.foresee.kept import kept",
+    ),
     (strangers_use_different_dynamics, "onboard/regressor/rows.py", "from mujoco import MjModel"),
     (only_the_command_line_prints, "onboard/flight/supervise/runner.py", "print('tick')"),
     (only_the_command_line_prints, "hil_sim/serve.py", "def f():\n    print()"),
@@ -410,6 +423,7 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (simulator_knows_the_ports_only, "hil_sim/buses/media.py", "from drivers import ports"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "def hil():\n    from hil_sim import serve"),
     (strangers_use_different_dynamics, "hil_sim/plants/servo_flight.py", "import mujoco"),
+    (campaigns_foresee_nothing, "onboard/offline/planning/planning.py", "from onboard.offline.foresee import foresee"),
     (only_the_command_line_prints, "onboard/cli/looking.py", "print()"),
     (only_the_command_line_prints, "onboard/offline/report.py", "console.print()\nprint_table()"),
     (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),
