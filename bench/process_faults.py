@@ -10,8 +10,8 @@ one after the other, 25 s each on an idle computer; seeds that are in the result
 - with ``--only`` also ``term`` and ``hup``, signals to the supervisor, and ``removed``: the log's directory is.
 
 After a killed supervisor the rings are harvested as by the next start. Promised: no traceback, an end, an exit code of
-0 or 1, every number of every channel in the log once or in a gap record, and every sample that was made accounted for
-(where the devices live to tell). Exit code 1: a promise was broken.
+0 or 1 (1 where rows that came are not in the log), every number of every channel in the log once or in a gap record,
+and every sample that was made accounted for (where the devices live to tell). Exit code 1: a promise was broken.
 """
 
 import argparse
@@ -235,6 +235,7 @@ def is_bad(told: dict[str, Any]) -> bool:
     """A broken promise."""
     is_killed = told.get("who") == "supervisor" and told["kind"] == "kill"
     odd = told["code"] not in (0, 1) and not is_killed
+    odd |= told["code"] == 0 and told["kind"] in ("disk", "removed") and told.get("missing", 0) > 0
     return bool(odd or told["hung"] or told["traceback"] or told.get("jumps") or told.get("unnamed"))
 
 
