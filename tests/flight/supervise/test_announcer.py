@@ -158,3 +158,15 @@ def test_a_mission_that_was_over_before_the_start_is_known(
         devices.publish([Batch(phases.channel, row)])
         end.reached()
     assert end.was_over == over
+
+
+def test_whatever_says_that_rows_are_not_in_the_log_is_kept_for_the_end(
+    vehicle: config.Vehicle, tmp_path: Path
+) -> None:
+    recorder = RingWriter(tmp_path / RECORDER_SAID, records.EVENT, 50)
+    announcer = Announcer(vehicle, tmp_path, 0.0, None)
+    for code in ("log_lost", "disk_error", "rows_lost", "ring_overrun", "log_moved"):
+        recorder.push(event(1, Severity.ERROR, code, "recorder", code).rows)
+    announcer.step(0.1)
+    assert announcer.lost == ["log_lost", "rows_lost", "ring_overrun"]  # heft fly and heft hil end with 1 for these
+    assert len(announcer.troubles) == 5
