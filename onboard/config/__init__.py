@@ -2,7 +2,7 @@
 
 from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
-from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Zero
+from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
 from onboard.config.free_body import Load
 from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.text import laid_over, read, tree_of
@@ -15,6 +15,7 @@ __all__ = [
     "Load",
     "Origin",
     "Phases",
+    "Prior",
     "Recording",
     "Vehicle",
     "Zero",

@@ -179,6 +179,35 @@ class SquareRootRls:
         found, _ = lapack.dtrtrs(self._check_rank(), right, trans=1)
         self._triangle[: self.parameters, self.parameters : -1] = found
 
+    def with_prior(self, mean: FloatArray, covariance: FloatArray) -> "SquareRootRls":
+        """Another one of the same rows with another prior, (p,) and (p, p), in place of this one's.
+
+        Raises:
+            RowError: see :meth:`prior`.
+        """
+        p, made = self.parameters, SquareRootRls(self.parameters, self.considered, self.forgetting)
+        made.prior(mean, covariance)
+        R = self._check_rank()
+        (before, right), (known, other) = self.prior_equations(), made.prior_equations()
+        half, _ = lapack.dtrtrs(R, before, trans=1)
+        share, _ = lapack.dtrtrs(R, half.T, trans=1)  # of the prior in all information, where that is the identity
+        values, V = np.linalg.eigh(0.5 * (share + share.T))
+        rows = np.sqrt(np.clip(1.0 - values, 0.0, 1.0))[:, None] * (V.T @ R)
+        square = np.zeros((self._size, self._size))
+        square[:p, :p] = rows.T @ rows + known
+        square[:p, p:] = R.T @ self._triangle[:p, p:]
+        square[:p, -1] += other - right
+        scale = 1.0 / np.sqrt(np.diag(square)[:p])
+        root = np.linalg.cholesky(square[:p, :p] * np.outer(scale, scale)).T / scale
+        solved, _ = lapack.dtrtrs(np.asfortranarray(root), square[:p, p:], trans=1)
+        made._triangle[:p, :p], made._triangle[:p, p:] = root, solved
+        of_priors = (
+            made._prior_rows[:, -1] @ made._prior_rows[:, -1] - self._prior_rows[:, -1] @ self._prior_rows[:, -1]
+        )
+        left = self._triangle[:, -1] @ self._triangle[:, -1] + of_priors - solved[:, -1] @ solved[:, -1]
+        made._triangle[-1, -1], made.rows = np.sqrt(max(left, 0.0)), self.rows
+        return made
+
     def tried(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> "SquareRootRls":
         """Another one with these rows taken in, (m, p), (m,), (m,); considered parameters do not move them."""
         other = SquareRootRls(self.parameters, self.considered)

@@ -74,10 +74,11 @@ class Findings(NamedTuple):
 
     against: tuple[str, ...] = ()  # they are not to be used
     doubts: tuple[str, ...] = ()  # they are weak
+    widened: tuple[str, ...] = ()  # of what is stated less is taken for granted, and their intervals are as wide
 
     def plus(self, against: Iterable[str] = (), doubts: Iterable[str] = ()) -> "Findings":
         """These and more."""
-        return Findings((*self.against, *against), (*self.doubts, *doubts))
+        return self._replace(against=(*self.against, *against), doubts=(*self.doubts, *doubts))
 
 
 class Estimate(NamedTuple):

@@ -10,7 +10,7 @@ The rules, from worst to best; every applicable reason is listed:
 - *weak*: a requested quantity is not determined (it is named), or not known well enough
   (:mod:`onboard.identification.useful`); one half predicts the other with an error above 50 %; a correction lies three
   sigmas out; the log is too short to hold out a half.
-- *good*: none of these.
+- *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are told with any level.
 
 Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
 rows: above four times the number of rows it is not noise. This alone is not a reason for refusal: friction and gears
@@ -80,7 +80,9 @@ def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None =
     if not reasons and (wide := too_wide(quantity, size)):
         reasons.append(wide)
     reasons += findings.doubts
-    return Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD, quantity.leans)
+    if reasons:
+        return Standing(Level.WEAK, "; ".join(reasons))
+    return Standing(Level.GOOD, "; ".join([*([quantity.leans] if quantity.leans else []), *findings.widened]))
 
 
 class Verdict(NamedTuple):
@@ -121,7 +123,7 @@ def verdict(evidence: Evidence) -> Verdict:
         why = ", ".join(f"{count} {reason}" for reason, count in evidence.refused.items())
         return Verdict(Level.DO_NOT_USE, (f"no row could be used ({why or 'there was none'})",), tuple(evidence.asked))
     if evidence.failure:
-        return Verdict(Level.DO_NOT_USE, (evidence.failure,), tuple(evidence.asked))
+        return Verdict(Level.DO_NOT_USE, (evidence.failure, *evidence.findings.widened), tuple(evidence.asked))
     weak = tuple(name for name, determined in evidence.asked.items() if not determined)
     bad = [*_contradictions(evidence), *(said for said in evidence.findings.against if "of the rows" not in said)]
     of_one = {name: one for name, one in evidence.standings.items() if evidence.asked.get(name)}
@@ -138,9 +140,8 @@ def verdict(evidence: Evidence) -> Verdict:
             bad.append(said)
         elif held_out.worst.relative_error >= WEAKLY_PREDICTED:
             reasons.append(said)
-    if bad:
-        return Verdict(Level.DO_NOT_USE, (*bad, *reasons), weak)
-    return Verdict(Level.WEAK if weak or reasons else Level.GOOD, tuple(reasons), weak)
+    level = Level.DO_NOT_USE if bad else Level.WEAK if weak or reasons else Level.GOOD
+    return Verdict(level, (*bad, *reasons, *evidence.findings.widened), weak)
 
 
 def _contradictions(evidence: Evidence) -> list[str]:

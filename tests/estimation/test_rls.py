@@ -308,3 +308,21 @@ def test_considered_columns_must_come_when_declared(rng):
         SquareRootRls(3, considered=1).update(Y, y, sigma)
     with pytest.raises(RowError):
         SquareRootRls(3).update(Y, y, sigma, np.ones((60, 1)))
+
+
+def test_another_prior_is_as_if_it_had_been_given_at_first(rng):
+    Y, y, sigma, C = rng.normal(size=(30, 4)), rng.normal(size=30), rng.uniform(0.5, 2.0, 30), rng.normal(size=(30, 2))
+    Y[:, 3] = Y[:, 2]  # the rows do not tell these two apart
+    root = rng.normal(size=(4, 4)) * [1e-3, 1.0, 10.0, 1e-2]
+    priors = [(rng.normal(size=4), root.T @ root), (np.ones(4), 1e4 * root.T @ root)]
+    first, wanted = (SquareRootRls(4, 2) for _ in priors)
+    for rls, prior in zip((first, wanted), priors, strict=True):
+        rls.prior(*prior)
+        rls.update(Y, y, sigma, C)
+    made = first.with_prior(*priors[1])
+    for one, other in zip(made.solve(), wanted.solve(), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(made.prior_equations()[0], wanted.prior_equations()[0])
+    made.update(Y, y, sigma, C)
+    wanted.update(Y, y, sigma, C)
+    np.testing.assert_allclose(made.solve().mean, wanted.solve().mean, rtol=1e-6, atol=1e-9)

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles
 from onboard.identification.rows.considered import Considered, Effect
+from onboard.identification.rows.stated import Stated
+from onboard.regressor.rows import RowModel
 
 
 def of_motion(roles: Roles) -> list[Considered]:
@@ -79,3 +81,16 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     drift_N_s = (keys.zero_drift_N_s if isinstance(keys, LoadCellKeys) else None) or 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
     return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+
+
+def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
+    """Which key states the sigma of each standard parameter; all links but the payload's are drawn alike."""
+    payload, found = str(model.vehicle.spec.payload_link), list[Stated]()
+    for column, name in enumerate(model.names):
+        link = model.vehicle.links[column // 10] if column < 10 * len(model.vehicle.links) else ""
+        if name in prior.absolute or not link:
+            found.append(Stated(f"prior.absolute.{name}", payload if link == payload else name.split("_")[0]))
+        else:
+            table = "link" if link in prior.link else "relative"
+            found.append(Stated(f"prior.{table}.{link}", payload if link == payload else f"prior.{table}"))
+    return found

@@ -17,7 +17,7 @@ from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSp
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
-from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
+from onboard.flight.estimate.considered import of_bias, of_cell, of_motion, stated_by
 from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
@@ -318,6 +318,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
+            stated=stated_by(vehicle.file.estimation.prior, row_model),
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error

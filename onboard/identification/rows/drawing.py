@@ -11,7 +11,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
-from onboard.identification.quantities import Leaning, Quantity
+from onboard.identification.quantities import Leaning, Quantity, QuantityEstimate
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.row_blocks import RowBlocks
 
@@ -49,6 +49,37 @@ def leans_on(
     if parts and max(parts)[0] > _OF_SIGMA * sigma:
         said.append(max(parts)[1])
     return f"leans on {', '.join(said)}" if said else ""
+
+
+def answered(
+    quantity: Quantity,
+    numbers: FloatArray,
+    fine: bool,
+    effects: FloatArray,
+    z: float,
+    considered: Sequence[Considered],
+    parameters: FloatArray,
+) -> QuantityEstimate:
+    """A quantity with what it takes from the drawing.
+
+    Args:
+        quantity: that was asked for.
+        numbers: mean, sigma, low, high by rows and calibrations, and posterior over prior sigma, (5,).
+        fine: whether the data determine it.
+        effects: of one sigma of each considered parameter on it, (k,).
+        z: half an interval of a normal, in sigmas.
+        considered: k considered parameters.
+        parameters: base parameters, (p,).
+    """
+    mean, sigma, low, high = numbers[:4].tolist() if fine else [np.nan] * 4
+    note = quantity.note if fine else "not determined by the data so far"
+    drawn = float(np.hypot.reduce([one.weights @ parameters for one in quantity.leanings], initial=0.0))
+    if fine:
+        wide = float(np.hypot(high - mean, z * drawn))
+        sigma, low, high = float(np.hypot(sigma, drawn)), mean - wide, mean + wide
+    leans = leans_on(considered, effects, mean, sigma, quantity.leanings, parameters)
+    told = mean, sigma, low, high, float(numbers[4]), fine, note, drawn
+    return QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else "")
 
 
 def unstated(

@@ -6,6 +6,8 @@ inertia the rows hardly tell, is moved to the most likely one that can exist; ho
 its sigma.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from onboard.dynamics.errors import SignalError
@@ -24,7 +26,7 @@ from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
 MOST_REFUSED = 0.05  # largest share of refused rows; beyond it rows and model contradict each other
-FARTHEST = 5.0  # prior sigmas that a parameter may move; beyond, the rows contradict what was known
+FARTHEST = 5.0  # prior sigmas that a parameter may move where the prior holds; beyond, the rows contradict it
 
 
 class GraspedPayload:
@@ -33,7 +35,6 @@ class GraspedPayload:
     Args:
         model: the rows; their vehicle has a payload link.
         base: their base parameters.
-        prior_covariance: of the base parameters, (p, p).
 
     Attributes:
         names: of the ten answers: ``m_<link>``, ``c_x_<link>`` .., ``I_xx_<link>`` ..
@@ -42,36 +43,37 @@ class GraspedPayload:
         SignalError: no payload link, or rows that can never tell its ten parameters, whatever the motion.
     """
 
-    def __init__(self, model: RowModel, base: BaseParameters, prior_covariance: FloatArray) -> None:
+    def __init__(self, model: RowModel, base: BaseParameters) -> None:
         link, columns = model.vehicle.spec.payload_link, model.vehicle.payload_columns()
         if link is None:
             raise SignalError("the vehicle has no payload link; name one in its specification")
         self.names = tuple(f"{name}_{link}" for name in BODY)
-        self._base, self._prior = base, base.value(model.chi)
         self._w = base.weights(np.eye(len(model.names))[columns])  # (10, p)
-        self._before = np.sqrt(np.einsum("ri,ij,rj->r", self._w, prior_covariance, self._w))  # (10,)
-        self._prior_sigma = np.sqrt(np.diag(prior_covariance))  # (p,)
 
     def weights(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Derivative of the ten quantities by the base parameters, (10, p); NaN without a positive mass."""
         mean = self._w @ jackknife.mean
         return body_jacobian(mean) @ self._w if mean[0] > 0.0 else np.full_like(self._w, np.nan)
 
-    def quantities(self, jackknife: JackknifeEstimate, used: int, refused: int) -> tuple[QuantityEstimate, ...]:
+    def quantities(
+        self, jackknife: JackknifeEstimate, prior_covariance: FloatArray, used: int, refused: int, why: str
+    ) -> tuple[QuantityEstimate, ...]:
         """The ten with two-sided intervals, in the payload link's frame.
 
         Each is supported when the data and not the prior determine it, the inertia only where the centre of mass is,
-        and none of them when rows, or rows and prior, contradict each other.
+        and none of them when rows contradict each other.
 
         Args:
             jackknife: the estimate of the base parameters.
+            prior_covariance: of the base parameters before the rows, (p, p).
             used: rows in it.
             refused: rows that contradicted it.
+            why: none of them is supported; empty if they may be.
         """
         standard = jackknife.combination(self._w)
-        shrinkage = standard.sigma / self._before
+        shrinkage = standard.sigma / np.sqrt(np.einsum("ri,ij,rj->r", self._w, prior_covariance, self._w))
         weak = (shrinkage > SUPPORTED_SHRINKAGE) | (standard.degrees_of_freedom < SUPPORTED_FREEDOM)
-        why = self._refused(used, refused) or self.contradiction(jackknife)
+        why = self._refused(used, refused) or why
         if not why and (weak[0] or standard.low[0] <= 0.0):
             why = "the data do not determine a mass apart from zero; move more, or against gravity"
         if why:
@@ -105,22 +107,20 @@ class GraspedPayload:
             return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
         return ""
 
-    def contradiction(self, jackknife: JackknifeEstimate) -> str:
-        """Reason why rows and prior contradict each other, of all parameters; empty if they do not."""
-        moved = np.abs(jackknife.mean - self._prior) / self._prior_sigma
-        worst = int(moved.argmax())
-        if moved[worst] > FARTHEST:
-            name = self._base.names[worst]
-            return (
-                f"the rows contradict what was known: {name} is {moved[worst]:.0f} prior sigmas off; check sensors and "
-                "prior"
-            )
+
+def contradiction(names: Sequence[str], jackknife: JackknifeEstimate, prior: FloatArray, covariance: FloatArray) -> str:
+    """Reason why rows and a prior that holds, (p,) and (p, p), contradict each other; empty if they do not."""
+    moved = np.abs(jackknife.mean - prior) / np.sqrt(np.diag(covariance))
+    worst = int(moved.argmax())
+    if moved[worst] <= FARTHEST:
         return ""
+    off = f"{names[worst]} is {moved[worst]:.0f} prior sigmas off"
+    return f"the rows contradict what was known: {off}; check sensors and prior"
 
 
-def grasped_payload(model: RowModel, base: BaseParameters, prior_covariance: FloatArray) -> GraspedPayload | None:
+def grasped_payload(model: RowModel, base: BaseParameters) -> GraspedPayload | None:
     """The payload of these rows; None without a payload link or if the rows cannot determine all of it."""
     try:
-        return GraspedPayload(model, base, prior_covariance)
+        return GraspedPayload(model, base)
     except SignalError:
         return None

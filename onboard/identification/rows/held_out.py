@@ -72,7 +72,7 @@ def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> Fl
 
     In units of the prior; a direction whose information is all noise stays at the prior.
     """
-    information, right = identifier.rls.prior_equations()
+    information, right = identifier.taken.rls.prior_equations()
     root = np.linalg.inv(np.linalg.cholesky(information)).T  # prior covariance = root root'
     center = np.linalg.solve(information, right)
     clean = normal - noise

@@ -176,7 +176,7 @@ class Hypotheses:
                 doubts=(*findings[chosen].doubts, f"without {chosen.left_out}, which contradicts the others")
             )
         elif self._contradiction:
-            said = Findings((self._contradiction, *as_told.against), as_told.doubts)
+            said = as_told._replace(against=(self._contradiction, *as_told.against))
         elif sigmas > _DOUBTFUL_APART:
             said = as_told._replace(doubts=(*as_told.doubts, apart))
         if chosen != self._chosen:
@@ -187,7 +187,7 @@ class Hypotheses:
     def _is_clean(self, member: Member, findings: Findings) -> bool:
         """Whether no finding refuses any of its estimates or makes them doubtful."""
         quantities = self._members[member].estimate().quantities
-        return findings == Findings() and all(
+        return not (findings.against or findings.doubts) and all(
             standing(quantity, findings).level is not Level.DO_NOT_USE for quantity in quantities
         )
 

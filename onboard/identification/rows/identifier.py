@@ -27,18 +27,18 @@ from onboard.identification.quantities import (
     Estimate,
     Findings,
     Quantity,
-    QuantityEstimate,
 )
 from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, of_motion
 from onboard.identification.rows.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.drawing import judged_drawing, leans_on, unstated
+from onboard.identification.rows.drawing import answered, judged_drawing, unstated
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
-from onboard.identification.rows.grasped import grasped_payload
+from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.prediction import prediction
-from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.scales import estimated_scales, fill_scales
+from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
 from onboard.identification.rows.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -69,6 +69,9 @@ class Identifier:
             where not given.
         start: warm start; default: the prior.
         whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
+        stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free and
+            scales that are not estimated, it is taken as wide as the rows ask
+            (:mod:`onboard.identification.rows.stated`).
 
     Attributes:
         recursion: of the rows.
@@ -93,6 +96,7 @@ class Identifier:
         instruments_lag_s: float | None = None,
         start: Start | None = None,
         whitening: Whitening | None = None,
+        stated: Sequence[Stated] = (),
     ) -> None:
         rows = [row.name for row in model.rows]
         check(considered, model)
@@ -106,13 +110,8 @@ class Identifier:
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
-        self.prior_root = prior_root
-        self._prior_covariance = base.covariance(prior_root)
-        self._payload = grasped_payload(model, base, self._prior_covariance)
+        self._payload = grasped_payload(model, base)
         self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
-        self._prior_spread = np.sqrt(
-            np.einsum("ri,ij,rj->r", self._weights, self._prior_covariance, self._weights)
-        )  # its sigmas by the prior
         self._instruments: Instruments | None = None
         if instruments_lag_s is None:
             self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
@@ -120,13 +119,14 @@ class Identifier:
             instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
             self.recursion = instrumental
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
-        self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
+        self._as_stated = Taken.of(self.rls, considered, base, prior_root)
+        self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
-        instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
-        self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
+        instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
+        self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
         self._inflation = 1.0
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
@@ -141,6 +141,11 @@ class Identifier:
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
+        self._stated: StatedSigmas | None = None
+        if stated and not free and not self._scales and start is None and memory == FOR_EVER:
+            of = considered, instruments, base, model.chi, self._physical
+            self._stated = StatedSigmas(stated, *of, self._as_stated)
+        self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -282,15 +287,30 @@ class Identifier:
         found: list[tuple[Sequence[str], Sequence[str]]]
         found = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
         found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
-        scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._prior_covariance)
+        scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
         corrections = errors.in_sigmas if (errors := self.fitted_errors) else {}
         found += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
         for bad, doubt in found:
             against += bad
             doubts += doubt
-        if self._payload and not too_large(scales) and (why := self._payload.contradiction(jackknife)):
+        if self._payload and not too_large(scales) and (why := self._contradiction(jackknife)):
             against.append(why)
-        return Findings(tuple(against), tuple(doubts))
+        return Findings(tuple(against), tuple(doubts), self.taken.said)
+
+    def _contradiction(self, jackknife: JackknifeEstimate) -> str:
+        """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""
+        drawn = self.base.value(self.model.chi), self._as_stated.covariance
+        return "" if self._stated else contradiction(self.base.names, jackknife, *drawn)
+
+    @property
+    def taken(self) -> Taken:
+        """What is stated of the parameters and gains, as wide as the rows so far ask."""
+        if self._stated is None or not self.rows_used:
+            return self._as_stated
+        if self._taken is None or self._taken[0] != self.rows_used:
+            mean = self.recursion.block_jackknife(np.zeros(len(self.considered))).mean
+            self._taken = self.rows_used, self._stated.taken(self._as_stated, self.seen, mean, self._inflation**2)
+        return self._taken[1]
 
     def _fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
         """How each instrument's rows stand to the estimate of all, ``mean``; none where that forgets."""
@@ -298,7 +318,7 @@ class Identifier:
             return ()
         if self._fitted is None or self._fitted[0] != self.rows_used:
             mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
-            plain, prior = self.rls.solve().mean, self.rls.prior_equations()[0]
+            plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             fits = instrument_fits(self.seen, mean, plain, drawn, self._physical, prior, self._inflation**2)
             self._fitted = self.rows_used, fits
         return self._fitted[1]
@@ -310,7 +330,7 @@ class Identifier:
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
         steps = [self._weights @ fit.step.suspected for fit in self._fits(jackknife.mean) if fit.step is not None]
-        body, prior = np.where(self._physical, jackknife.mean, 0.0), self.rls.prior_equations()[0]
+        body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
 
@@ -330,10 +350,13 @@ class Identifier:
 
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
-        self._errors.restate(self.rls)
-        sigma = np.array([cause.sigma * (not exact) for cause in self.considered])
+        taken = self.taken
+        self._errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
-        return self.recursion.block_jackknife(sigma if fitted is None else fitted.root, level)
+        sigma = taken.considered * (not exact) if fitted is None else fitted.root
+        if taken.rls is self.rls:
+            return self.recursion.block_jackknife(sigma, level)
+        return JackknifeEstimate(taken.rls, self.blocks, sigma, level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
@@ -361,45 +384,26 @@ class Identifier:
         jackknife = self.block_jackknife(level)
         p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
-        shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / self._prior_spread
+        prior = self.taken.covariance
+        spread = np.sqrt(np.einsum("ri,ij,rj->r", weights, prior, weights))
+        shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
         unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
         half = np.hypot(interval.high - interval.mean, z * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
-        quantities = []
-        for index, quantity in enumerate(self.quantities, start=p):
-            fine = bool(supported[index])
-            mean, sigma, low, high = (float(v[index]) if fine else np.nan for v in (interval.mean, sigmas, lows, highs))
-            note = quantity.note if fine else "not determined by the data so far"
-            drawn = float(np.hypot.reduce([one.weights @ jackknife.mean for one in quantity.leanings], initial=0.0))
-            if fine:
-                wide = float(np.hypot(high - mean, z * drawn))
-                sigma, low, high = float(np.hypot(sigma, drawn)), mean - wide, mean + wide
-            leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
-            told = mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
-            quantities.append(QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else ""))
+        numbers = np.column_stack([interval.mean, sigmas, lows, highs, shrinkage])[p:]
+        quantities = [
+            answered(quantity, own, bool(fine), cause, z, self.considered, jackknife.mean)
+            for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
+        ]
         if self._payload:
-            residual = self.refused[GateReason.RESIDUAL]
-            quantities += self._payload.quantities(jackknife, self.rows_used, residual)
-        return Estimate(
-            self.base.names,
-            jackknife.mean,
-            sigmas[:p],
-            lows[:p],
-            highs[:p],
-            supported[:p],
-            tuple(quantities),
-            self.rows_used,
-            dict(self.refused),
-        )
+            of_rows = self.rows_used, self.refused[GateReason.RESIDUAL], self._contradiction(jackknife)
+            quantities += self._payload.quantities(jackknife, prior, *of_rows)
+        told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
+        return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))
 
 
 def _finite(parts: Sequence[FloatArray]) -> BoolArray:
     """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
     return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
-
-
-def _instrument(row: str) -> str:
-    """Which instrument makes a row: its load cell, its joint, or the base's IMU for all wrenches that are zero."""
-    return "base IMU" if row.startswith("base_") else row

@@ -95,3 +95,8 @@ class RowBlocks:
     def parts(self) -> tuple[tuple[bool, int], ...]:
         """Kinds of rows that there are: held or not, and the instrument's number."""
         return tuple(part for part, blocks in self._blocks.items() if blocks.count)
+
+
+def instrument_of(row: str) -> str:
+    """Which instrument makes a row: its load cell, its joint, or the base's IMU for all wrenches that are zero."""
+    return "base IMU" if row.startswith("base_") else row

@@ -79,7 +79,7 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
         identifier: after its rows.
         nuisance: nuisance base parameters, left out.
     """
-    model, base, root = identifier.model, identifier.base, identifier.prior_root
+    model, base, root = identifier.model, identifier.base, identifier.taken.prior_root
     jackknife, estimate = identifier.block_jackknife(), identifier.estimate()
     told = [
         *(estimate.supported & ~np.isin(base.names, list(nuisance))),

@@ -114,7 +114,7 @@ kind = "recorded_torque"       # N m; of a motor's current in A say gain_N_m_A t
 joint = {json.dumps(name)}
 period_ms = 5                  # yours
 {sigma:31s}# yours: what the model leaves; here 0.3 % of the joint's largest
-scale_sigma = 0.01             # yours: of the sensor, or of the torque constant
+scale_sigma = 0.05             # yours: of a torque constant; motors' data sheets give it to 10 %, here 2 sigma
 still_rad_s = 0.02             # below this rate friction is not known
 """
 

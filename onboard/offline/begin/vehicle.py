@@ -235,7 +235,8 @@ delay_s = 1e-4
 smoothing_ms = 100             # of both sides of every row
 row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
-[estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours
+[estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours; where the rows
+# contradict it, it is taken wider, and heft identify says by how much
 {drawn}
 [estimation.prior.relative]    # of all parameters of a link that is not known
 {json.dumps(wanted.payload_link)} = 1.0

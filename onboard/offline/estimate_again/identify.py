@@ -185,11 +185,11 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         verdict(evidence),
         thrown,
         held,
-        observability=observed_directions(who.rls.observability(), who.base.names),
+        observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         links=links,
         standings=standings(answers, useful),
-        residuals=kept.residuals(who.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
+        residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
 
 

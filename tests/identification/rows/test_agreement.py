@@ -309,7 +309,7 @@ def test_the_cell_whose_scale_jumps_is_left_out_and_the_other_answers(rng, lies)
 def test_two_healthy_cells_both_answer(rng):
     found = Hypotheses(identifier, ("cell_1", "cell_2"))
     assert fly(found, rng) == []
-    assert found.findings() == ((), ())
+    assert found.findings() == Findings()
     assert found.refused[GateReason.LEFT_OUT] == 0
     assert found.rows_used == 2 * 1600
 

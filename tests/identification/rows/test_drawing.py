@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from onboard.identification.quantities import Findings
 from onboard.identification.rows.considered import Considered
 from tests.identification.rows.test_identifier import feed, flight, identifier, part, setup
 
@@ -52,7 +53,7 @@ def test_before_the_release_nothing_is_known_of_the_arm_and_nothing_is_said(rng)
     before = part(signals._replace(measured=0.5 * signals.measured), held)
     feed(who, before, held[held])
     assert who.rows_used > 500
-    assert who.findings() == ((), ())
+    assert who.findings() == Findings()
 
 
 def test_an_answer_names_the_calibrations_it_stands_and_falls_with(rng):

@@ -149,6 +149,6 @@ def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_p
             )
         found.append(identifier.base.value(chi))
     told = [name.startswith(("M", "X", "Y", "Z")) and "payload" not in name for name in identifier.base.names]
-    sigma = np.sqrt(np.diag(identifier.base.covariance(identifier.prior_root)))[told]
+    sigma = np.sqrt(np.diag(identifier.base.covariance(identifier.taken.prior_root)))[told]
     assert sum(told) == 7
     np.testing.assert_allclose(np.std(np.array(found)[:, told], axis=0), sigma, rtol=0.12)

@@ -91,7 +91,7 @@ def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
     )  # of the samples, 200 Hz, of a row's period
     motion = standing(model, len(plan.time_s))
     Y = identifier.model.regressor(plan.q, plan.dq, plan.ddq, motion, plan.held)[:, 0] @ _independent(identifier)
-    information = Y.T @ Y / row_sigma**2 + np.linalg.inv(identifier.base.covariance(identifier.prior_root))
+    information = Y.T @ Y / row_sigma**2 + np.linalg.inv(identifier.base.covariance(identifier.taken.prior_root))
     least = np.sqrt(np.diag(np.linalg.inv(information)))
     ratio = np.array([one.sigma for one in found.parameters]) / least
     np.testing.assert_allclose(ratio, 1.0, atol=0.02)

@@ -1,0 +1,234 @@
+"""How wide what the vehicle file states must be taken so that the rows do not contradict it.
+
+The file states sigmas: of each link in the drawing, of the friction and offset in each torque, of each torque constant.
+Some are wishful, and data that contradict one are then given to something else. So each stated sigma is one guess of
+many of its kind: the errors z of one key, in stated sigmas, are Student's,
+
+    z_k | w_k ~ N(0, s^2 / w_k),    w_k ~ Gamma(nu / 2, nu / 2),
+
+with a scale ``s >= 1`` for all keys of a kind: who is wrong about one torque constant was so about the others, of which
+the rows tell less. Scales and weights are those of the largest likelihood, the errors integrated out, by expectation
+and maximisation (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989; MacKay, Neural Computation 4, 1992):
+
+    E_k = E[z_k' z_k],    w_k = (nu + n_k) / (nu + E_k / s^2),    s^2 = max(1, sum w_k E_k / sum n_k).
+
+A key of which the rows tell nothing has ``E_k = n_k`` and stays as stated. So does every key, until by the odds of the
+policy it is likelier that some are wider: where one statement is wrong, the others are as doubtful.
+
+An arm that is heavier than drawn and gains that are all too large by one factor are the same to most motions. So one
+factor on all gains, beside all else as stated, competes: unless one of the two is likelier by the same odds, the answer
+covers both, and that factor is considered as large as it would have to be. Its sigma is that of the policy.
+
+Errors of gains are estimated beside the parameters here, ``y = exp(e) Y chi`` about the last estimate (a column of
+readings would be of their noise, and shrink the gain); the estimate itself considers them. Noise first: each
+instrument's is as large as what it leaves over, and all information is divided by how much more the scores of blocks
+scatter than it says, since what friction and gears leave is alike for seconds.
+
+The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
+do where scales of cells are estimated by them.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.rls import SquareRootRls
+from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELY_SIZE, ODDS
+from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.regressor.base_parameters import BaseParameters
+
+
+class Stated(NamedTuple):
+    """What a sigma is of."""
+
+    key: str  # of vehicle.toml
+    kind: str  # common to all keys that are stated alike
+
+
+FREEDOM = 4.0
+"""Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
+_COMMON = Stated("", "one factor on all gains")
+_SETTLED = 0.02  # relative change of a width in a step
+_MOST_STEPS, _PASSES = 60, 3  # of expectation and maximisation; about a new estimate
+
+
+class Taken(NamedTuple):
+    """What is taken for granted of what is stated."""
+
+    rls: SquareRootRls  # of the rows so far
+    considered: FloatArray  # (k,) sigmas of the considered errors, or a root of their covariance, (k, k)
+    prior_root: FloatArray  # (P, P) L of the covariance ``L L'`` of the standard parameters
+    covariance: FloatArray  # (p, p) of the base parameters
+    said: tuple[str, ...] = ()  # which are contradicted
+
+    @classmethod
+    def of(
+        cls, rls: SquareRootRls, considered: Sequence[Considered], base: BaseParameters, prior_root: FloatArray
+    ) -> "Taken":
+        """All of it, by a recursion that may not have its rows yet."""
+        return cls(rls, np.array([cause.sigma for cause in considered]), prior_root, base.covariance(prior_root))
+
+
+class StatedSigmas:
+    """The sigmas of one vehicle file.
+
+    Args:
+        columns: of the standard parameters, P.
+        considered: errors; those of an instrument's gain are looked at.
+        instruments: that make the rows.
+        base: the base parameters.
+        chi: standard parameters as drawn, (P,).
+        physical: which base parameters are of bodies, not of an instrument, (p,).
+        stated: what is taken for granted if nothing contradicts it.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Stated],
+        considered: Sequence[Considered],
+        instruments: Sequence[str],
+        base: BaseParameters,
+        chi: FloatArray,
+        physical: BoolArray,
+        stated: Taken,
+    ) -> None:
+        self._gains = [k for k, cause in enumerate(considered) if cause.effect == "scale"]
+        gains = [Stated(considered[k].key, "scale_sigma") for k in self._gains]
+        rows = [instruments.index(considered[k].row) for k in self._gains]
+        half, sigma, centre = base.grouping @ stated.prior_root, stated.considered[self._gains], base.value(chi)
+        p, P, k = *half.shape, len(gains)
+        self._base = base
+        every = [*columns, *gains, _COMMON]
+        self._active = np.flatnonzero(np.concatenate([half.any(axis=0), sigma > 0.0, [True]]))
+        self._L = np.zeros((p + k, P + k + 1))
+        self._L[:p, :P], self._L[p:, P:-1], self._L[p:, -1] = half, np.diag(sigma), LIKELY_SIZE
+        self._L = self._L[:, self._active]
+        self._centre = np.concatenate([centre, np.zeros(k)])
+        self._rows, self._bodies, self._shape = list(rows), np.flatnonzero(physical), (P, k)
+        self.stated = tuple(dict.fromkeys(every[column] for column in self._active))
+        self._key: IndexArray = np.array([self.stated.index(every[column]) for column in self._active], np.intp)
+        kinds = list(dict.fromkeys(one.kind for one in self.stated))
+        self._kind: IndexArray = np.array([kinds.index(one.kind) for one in self.stated], np.intp)
+        self._many = np.bincount(self._key).astype(np.float64)  # errors of each key
+        self._alone = np.array([one == _COMMON for one in self.stated])
+
+    def taken(self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float) -> Taken:
+        """What is taken for granted after the rows.
+
+        Args:
+            stated: what is, if nothing contradicts it.
+            blocks: the rows.
+            mean: the estimate by what is stated, (p,).
+            correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
+        """
+        X = np.concatenate([mean, np.zeros(len(self._rows))])
+        as_it_is = np.where(self._alone, 0.0, 1.0)
+        width = as_it_is
+        for _ in range(_PASSES):
+            A, r = self._told(*self._equations(blocks, X, correlation), X, width)
+            width, z = self._settled(A, r, width, ~self._alone)
+            X = self._centre + self._L @ z
+        one_factor, errors = self._settled(A, r, np.ones_like(width), self._alone)
+        nothing, many, one = (self._evidence(A, r, each) for each in (as_it_is, width, one_factor))
+        least = -np.log(ODDS)
+        if max(many, one) - nothing < least:
+            return stated
+        if one - many > least:
+            width = as_it_is
+        said = self._contradicted(A, r, width, many)
+        P, k = self._shape
+        factors = np.ones(P + k + 1)
+        factors[self._active] = width[self._key]
+        considered, root = stated.considered.copy(), stated.prior_root * factors[:P]
+        considered[self._gains] *= factors[P:-1]
+        if many - one < least:
+            common = LIKELY_SIZE * float(errors[-1])
+            said += (f"all gains may be off by one factor, by {abs(common):.0%}",)
+            along = np.zeros(len(considered))
+            along[self._gains] = common
+            values, V = np.linalg.eigh(np.diag(considered**2) + np.outer(along, along))
+            considered = V * np.sqrt(np.maximum(values, 0.0)) @ V.T
+        covariance = self._base.covariance(root)
+        rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
+        return Taken(rls, considered, root, covariance, said)
+
+    def _equations(self, blocks: RowBlocks, X: FloatArray, correlation: float) -> tuple[FloatArray, FloatArray]:
+        """Information on parameters and gains about ``X``, (p + k, p + k), and each block's scores, (b, p + k)."""
+        p, parts = len(X) - len(self._rows), dict[tuple[bool, int], tuple[FloatArray, FloatArray, FloatArray]]()
+        left, count = np.zeros(len(blocks.instruments)), np.zeros(len(blocks.instruments))
+        for held, number in blocks.parts:
+            N, noise = blocks.of(held, number)
+            J = np.zeros((p, len(X)))
+            np.fill_diagonal(J, 1.0)
+            if number in self._rows:
+                gain = p + self._rows.index(number)
+                J[self._bodies, self._bodies] = np.exp(X[gain])
+                J[self._bodies, gain] = np.exp(X[gain]) * X[self._bodies]
+            v = np.concatenate([J[:, :p] @ X[:p], [-1.0, 0.0]])
+            left[number] += max(float(v @ N.sum(axis=0) @ v), 0.0)
+            count[number] += float(N[:, -1, -1].sum())
+            parts[held, number] = J, N - noise, v[:-1]
+        loud = np.maximum(1.0, correlation * left / np.maximum(count, 1.0))  # of each instrument's noise, variance
+        H, scores = np.zeros((len(X), len(X))), dict[float, FloatArray]()
+        for (held, number), (J, N, v) in parts.items():
+            H += J.T @ N[:, :p, :p].sum(axis=0) @ J / loud[number]
+            own = -(N[:, :p, : p + 1] @ v) @ J / loud[number]  # (b, p + k)
+            for time_s, score in zip(blocks.times_s(held, number).tolist(), own, strict=True):
+                scores[time_s] = scores.get(time_s, 0.0) + score
+        return H, np.array(list(scores.values()))
+
+    def _told(
+        self, H: FloatArray, scores: FloatArray, X: FloatArray, width: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Information on the errors, in stated sigmas, and its right-hand side for errors about zero."""
+        values, V = np.linalg.eigh(self._L.T @ H @ self._L)
+        V = V[:, values > 0.0]  # the others are of regressors that are noise
+        A = V * values[values > 0.0] @ V.T
+        w = width[self._key]
+        C = np.linalg.inv(np.eye(len(A)) + A * np.outer(w, w))
+        each = scores @ self._L @ V @ V.T
+        known = float(np.vdot(C, A * np.outer(w, w)))
+        colour = max(1.0, float(np.vdot(each * w @ C, each * w)) / known) if known > 0.0 else 1.0
+        offset = self._L.T @ (H @ (X - self._centre))
+        return A / colour, (each.sum(axis=0) + V @ (V.T @ offset)) / colour
+
+    def _settled(
+        self, A: FloatArray, r: FloatArray, width: FloatArray, free: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Width of each key, of those that are free to change, and the errors with them, in stated sigmas."""
+        every = np.bincount(self._kind, self._many)
+        square = np.ones(len(every))  # of each kind's scale
+        for _ in range(_MOST_STEPS):
+            w = width[self._key]
+            C = np.linalg.inv(np.eye(len(A)) + A * np.outer(w, w))
+            z = w * (C @ (w * r))
+            E = np.bincount(self._key, z * z + w * w * np.diag(C))
+            weight = (FREEDOM + self._many) / (FREEDOM + E / square[self._kind])
+            square = np.maximum(1.0, np.bincount(self._kind, weight * E) / every)
+            made = np.where(free, np.maximum(1.0, np.sqrt(square[self._kind] / weight)), width)
+            made[self._alone] = np.minimum(made[self._alone], FARTHEST_SIZE)
+            change, width = float(np.abs(np.log(made[free] / width[free])).max()), made
+            if change < _SETTLED:
+                break
+        return width, z
+
+    def _contradicted(self, A: FloatArray, r: FloatArray, width: FloatArray, widest: float) -> tuple[str, ...]:
+        """Words for each kind of which it is likelier that it is so wide than that it is as stated."""
+        said = []
+        for kind in np.unique(self._kind[width > 1.0]):
+            if widest - self._evidence(A, r, np.where(self._kind == kind, 1.0, width)) < -np.log(ODDS):
+                continue
+            mine = np.flatnonzero((self._kind == kind) & (width > 1.0))
+            worst = mine[np.argmax(width[mine])]
+            more = f", and {len(mine) - 1} like it {width[mine].min():.2g} times or more" if len(mine) > 1 else ""
+            said.append(f"the rows contradict {self.stated[worst].key}: taken {width[worst]:.3g} times as wide{more}")
+        return tuple(said)
+
+    def _evidence(self, A: FloatArray, r: FloatArray, width: FloatArray) -> float:
+        w = width[self._key]
+        M = np.eye(len(A)) + A * np.outer(w, w)
+        b = w * r
+        return float(b @ np.linalg.solve(M, b) - np.linalg.slogdet(M)[1]) / 2.0

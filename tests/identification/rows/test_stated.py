@@ -1,0 +1,92 @@
+"""Stated sigmas that the rows contradict are taken wider, each by its kind; what rows do not contradict stays."""
+
+import numpy as np
+import pytest
+
+from onboard.estimation.rls import SquareRootRls
+from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
+from onboard.regressor.base_parameters import BaseParameters
+
+NOISE, SIGMA = 1e-3, 0.01  # of the rows; of both parameters, drawn as one
+COLUMNS = (Stated("prior.link.upper", "prior.link"), Stated("prior.link.lower", "prior.link"))
+CELLS = ("cell_1", "cell_2")
+SCALES = tuple(Considered(f"scale of {cell}", cell, "scale", 0.01, f"{cell} scale_sigma") for cell in CELLS)
+
+
+def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sigma=SIGMA) -> tuple[Taken, Taken]:
+    """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the second parameter."""
+    base = BaseParameters(("a", "b"), np.arange(2), np.eye(2), ("a", "b"))
+    blocks, rls, drawn = RowBlocks(2, 1.0, CELLS), SquareRootRls(2, len(considered)), np.ones(2)
+    stated = Taken.of(rls, considered, base, sigma * np.eye(2))
+    rls.prior(drawn, stated.covariance)
+    times = np.sort(rng.uniform(0.0, 40.0, 1000))
+    for number, gain in enumerate(gains):
+        Y = rng.normal(size=(1000, 2)) * [1.0, told]
+        y = gain * (Y @ truth) + (NOISE * rng.normal(size=1000) if noise is None else noise(times, Y))
+        each = np.full(1000, NOISE)
+        C = np.zeros((1000, len(considered)))
+        if considered:
+            C[:, number] = y
+        rls.update(Y, y, each, C if considered else None)
+        blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None)
+    sigmas = StatedSigmas(COLUMNS, considered, CELLS, base, drawn, np.ones(2, np.bool_), stated)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_errors_of_the_stated_size_leave_all_as_stated(seed):
+    rng = np.random.default_rng(seed)
+    stated, found = taken(rng, 1.0 + SIGMA * rng.normal(size=2), 1.0 + 0.01 * rng.normal(size=2), considered=SCALES)
+    assert found is stated
+
+
+def test_one_of_two_links_that_is_ten_sigmas_off_widens_both_by_students_t(rng):
+    """With four degrees of freedom: ``4 w + 2 = 5``, ``s^2 = 50 w``; the other one has ``w = 5 / 4``."""
+    stated, found = taken(rng, np.array([1.0 + 10.0 * SIGMA, 1.0]))
+    assert np.diag(found.prior_root) / np.diag(stated.prior_root) == pytest.approx([7.07, 5.48], rel=0.03)
+    (said,) = found.said
+    assert said.startswith("the rows contradict prior.link.upper: taken 7.")
+    assert said.endswith("and 1 like it 5.4 times or more")
+    assert found.rls.solve().mean == pytest.approx([1.1, 1.0], abs=5 * NOISE / 40)
+    assert np.array_equal(found.covariance, found.prior_root @ found.prior_root.T)
+
+
+def test_gains_that_contradict_each_other_are_considered_as_wide_as_they_differ(rng):
+    """Two that differ by 10 %, of a body that may weigh anything: what they have in common is not told."""
+    _, found = taken(rng, np.ones(2), (1.05, 0.95), considered=SCALES, sigma=1.0)
+    assert found.considered == pytest.approx(np.full(2, 0.1 / 2**0.5), rel=0.03)
+    assert found.said[0].startswith("the rows contradict cell_")
+    assert "scale_sigma: taken" in found.said[0]
+
+
+def test_what_noise_leaves_contradicts_nothing(rng):
+    """Ten times as much as stated, and such as is alike for a second, which adds up in the scores of a block."""
+    stated, loud = taken(rng, np.ones(2), noise=lambda times, Y: 10.0 * NOISE * rng.normal(size=len(times)), sigma=1e-4)
+    assert loud is stated
+
+    def slow(times, Y):
+        return NOISE * np.einsum("ij,ij->i", Y, rng.normal(size=(41, 2))[times.astype(int)])
+
+    for _ in range(5):
+        stated, slowly = taken(rng, np.ones(2), noise=slow, sigma=5e-5)
+        assert slowly is stated
+
+
+def test_a_key_of_which_no_row_tells_is_widened_with_its_kind_alone(rng):
+    stated, found = taken(rng, np.array([1.3, 1.0]), told=0.0)
+    wide = np.diag(found.prior_root) / np.diag(stated.prior_root)
+    assert wide[1] > 5.0  # who is wrong about the one was so about the other
+    assert taken(rng, np.array([1.0, 9.0]), told=0.0)[1].said == ()
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.02])
+def test_a_body_too_heavy_or_gains_too_large_are_both_covered_unless_one_is_the_likelier(rng, sigma):
+    """All reads 8 % too much: 8 stated sigmas of one factor on the gains; 40, or 4, of each of two links."""
+    _, found = taken(rng, np.ones(2), (1.08, 1.08), considered=SCALES, sigma=sigma)
+    assert found.considered.shape == (2, 2)
+    common = np.sqrt(np.ones(2) @ found.considered @ found.considered.T @ np.ones(2) / 4.0)
+    assert 0.05 < common < 0.15
+    assert found.said[-1].startswith("all gains may be off by one factor")
+    assert any("prior.link" in said for said in found.said) is (sigma == 0.02)
