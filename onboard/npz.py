@@ -3,6 +3,7 @@
 import io
 import lzma
 import struct
+import sys
 import tokenize
 import warnings
 import zipfile
@@ -43,12 +44,21 @@ def arrays_of(path: Path, most_bytes: int) -> dict[str, NDArray[np.generic]]:
             _require_bounded(path, most_bytes)
             loaded = np.load(file, allow_pickle=False)
             if isinstance(loaded, NpzFile):
-                return {name: loaded[name] for name in loaded.files}
+                return {name: _readable(loaded[name], f"{path}: {name}") for name in loaded.files}
         except NpzError:
             raise
         except _BROKEN as error:
             raise NpzError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
     raise NpzError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
+
+
+def _readable(array: NDArray[np.generic], where: str) -> NDArray[np.generic]:
+    """The array; raises NpzError if it holds text with numbers that are no characters."""
+    if array.dtype.kind == "U" and array.dtype.itemsize:
+        codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        if (codes > sys.maxunicode).any():
+            raise NpzError(f"{where} holds text that is none; save it again")
+    return array
 
 
 def _require_bounded(path: Path, most_bytes: int) -> None:

@@ -100,14 +100,16 @@ def read(path: Path) -> Library:
 
 
 def _checked(fields: dict[str, NDArray[Any]], path: Path) -> Library:
-    k, t, j, m, p = (len(fields[name]) for name in ("names", "time_s", "joints", "masses", "unknowns"))
+    k, t, j, m, p = (fields[name].size for name in ("names", "time_s", "joints", "masses", "unknowns"))
     wanted = {"q": (k, t, j), "ticks": (k,), "base_rate": (k, m), "excess": (k, m), "breaks": (k, m), "most": ()}
+    wanted |= {"names": (k,), "time_s": (t,), "joints": (j,), "masses": (m,), "unknowns": (p,)}
     shapes = {name: fields[name].shape == shape for name, shape in wanted.items()}
     shapes["roots"] = fields["roots"].shape[:2] == (k, m) and fields["roots"].shape[3:] == (p,)
-    n = len(fields["cyclic"][0]) if fields["cyclic"].ndim == 4 else 0
+    n = fields["cyclic"].shape[1] if fields["cyclic"].ndim == 4 else 0
     shapes["sigma"] = fields["sigma"].shape[:2] == (k, n - 2) and fields["ticks_hz"].shape == () and n > 3
     wrong = [name for name, fits in shapes.items() if not fits]
     numbers = ("time_s", "q", "masses", "roots", "sigma", "cyclic", "base_rate", "excess")
+    wrong += [name for name in ("names", "joints", "unknowns", "breaks") if fields[name].dtype.kind != "U"]
     wrong += [name for name in numbers if fields[name].dtype.kind != "f" or not np.isfinite(fields[name]).all()]
     if wrong or not (k and m and t > 3) or (fields["ticks"] < 4).any() or (fields["ticks"] > t).any():
         raise ConfigError(

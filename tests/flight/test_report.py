@@ -238,7 +238,7 @@ class TestInABrowser:
             check=True, capture_output=True, text=True, timeout=100,
         )  # fmt: skip
         found = json.loads(re.findall(r"\{.*\}", ran.stdout)[-1])
-        assert found["named"] == 6
+        assert found["named"] == 5
         assert 300 < found["page"] <= 390
         assert 300 < found["long"] <= 390
         assert 300 < found["figures"] <= 390

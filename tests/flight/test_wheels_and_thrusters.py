@@ -86,6 +86,7 @@ def test_derivatives_with_thrust_are_finite_differences() -> None:
     thrust[8:15, 0], thrust[11:, 1] = 0.3, 0.25
     x = np.nan_to_num(predictor.sigma) * rng.normal(size=len(predictor.names)) * 0.1
     x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    x[[name.startswith("delay_s") for name in predictor.names]] = 0.0  # what it does to other derivatives is left out
     cyclic = rng.normal(size=(n, 3, sum("cyclic" in name for name in predictor.names)))
     found = predictor.predict(q, dq, ddq, x, cyclic, thrust)
     plain = predictor.predict(q, dq, ddq, x, cyclic)

@@ -157,6 +157,10 @@ def test_a_library_comes_back_as_it_was_written(library, tmp_path):
         (lambda file: {**file, "roots": file["roots"] * np.nan}, "roots cannot be"),
         (lambda file: {name: part for name, part in file.items() if name != "q"}, "heft plan --segments"),
         (lambda file: {**file, "format": np.array(99)}, "another version"),
+        (lambda file: {**file, "cyclic": file["cyclic"][:0, :0]}, "sigma cannot be"),
+        (lambda file: {**file, "names": np.array("a")}, "names.* cannot be"),
+        (lambda file: {**file, "unknowns": np.arange(len(file["unknowns"]))}, "unknowns cannot be"),
+        (lambda file: {**file, "joints": np.array([2**22], np.uint32).view("U1")}, "joints holds text that is none"),
     ],
 )
 def test_a_damaged_library_is_refused(library, tmp_path, spoil, said):
