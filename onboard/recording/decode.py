@@ -19,7 +19,7 @@ _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all mes
 
 _FEW = 16
 _MOST_ROW_BYTES = 1 << 20  # the longest, of an estimate, has some 20 kB
-_FARTHEST_NS = 365 * 86_400 * 10**9  # between two chunks with rows of a channel
+FARTHEST_NS = 365 * 86_400 * 10**9  # between two chunks with rows of a channel
 _GAP_FIELDS = [(name, "S24" if name == "cause" else GAP[name]) for name in GAP.names or () if name != "counted"]
 _GAP_BEFORE = np.dtype(
     _GAP_FIELDS, align=True
@@ -72,7 +72,7 @@ class Times:
             times = np.ascontiguousarray(records[:, at : at + 8]).view("<i8")[:, 0]
             low, high, last = int(times.min()), int(times.max()), int(times[-1])
             before = self._newest_ns.get(channel.name, low)
-            if max(high, before) - min(low, before) > _FARTHEST_NS:
+            if max(high, before) - min(low, before) > FARTHEST_NS:
                 wrong = wrong or f"channel {channel.name!r}: the time of a row is years from the one before it"
             self._newest_ns[channel.name] = last
         if wrong:

@@ -211,7 +211,7 @@ def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | N
         more = f" and {len(columns) - _MOST_NAMED} more" if len(columns) > _MOST_NAMED else ""
         raise SourceError(f"{path} has no column {name!r}; it has {listed}{more}")
     if values.dtype.kind not in "iuf":
-        told = str(values.flat[0]) if values.strides == (0,) else ""  # of a CSV column: see _numbers
+        told = str(values.flat[0]) if values.size and values.strides == (0,) else ""  # of a CSV column: see _numbers
         wrong = f": {told}" if told else " holds cells that are not numbers; correct them or the mapping"
         raise SourceError(f"{path}: column {name!r}{wrong}")
     if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):

@@ -20,6 +20,7 @@ from onboard.offline.bring_in import foreign, mapping
 from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.foreign import Values
 from onboard.offline.bring_in.mapping import NS_PER, ImuChannel, Mapping, Scalar, ScalarChannel, Time, VectorMapping
+from onboard.recording.decode import FARTHEST_NS
 from onboard.recording.writer import LogWriter
 
 MAPPING_ATTACHMENT = "mapping.toml"
@@ -191,6 +192,8 @@ def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: s
         host_ns = values.astype(np.int64) * per_unit + round(time.offset * per_unit)
     if (back := np.diff(host_ns) <= 0).any():
         raise SourceError(f"{source}: {time.column!r} does not increase after row {_first(back)}; sort the recording")
+    if (far := np.diff(host_ns) > FARTHEST_NS).any():
+        raise SourceError(f"{source}: {time.column!r} jumps by years after row {_first(far)}; correct its unit")
     return host_ns
 
 

@@ -68,6 +68,8 @@ def test_a_pause_in_the_source_is_an_event(tmp_path):
     [
         ({"time_us": np.array([0, 1, 2, 2, 3, 4])}, "'time_us' does not increase after row 3"),
         ({"time_us": np.array([-5, 1, 2, 3, 4, 5])}, "'time_us' is no time from 0 on in row 1"),
+        ({"time_us": np.array([0, 1, 2, 3, 10**14, 10**14 + 1])}, "'time_us' jumps by years after row 4"),
+        ({"time_us": np.zeros(0, "U3")}, "holds cells that are not numbers"),
         ({"time_us": np.array([0, 1, 2, np.nan, 4, 5])}, "'time_us' is no time from 0 on in row 4"),
         ({"time_us": np.zeros((6, 2))}, "'time_us' has shape"),
         ({"gyro_raw": np.zeros((6, 2), np.int16)}, "'gyro_raw' has shape"),
