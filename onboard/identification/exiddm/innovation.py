@@ -87,7 +87,7 @@ class Innovations:
 
         Raises:
             SingularError: no motion follows from the state, or the noise of the measurements is lost in the rounding of
-                what its covariance makes of them.
+                what its covariance makes of them, or the covariance is none any more.
         """
         if not batch.predicted.moderate:
             raise SingularError("the joints' signals are nonsense; no motion follows")
@@ -106,7 +106,10 @@ class Innovations:
         S.flat[:: len(S) + 1] += 1.0
         if not S.diagonal().max() < _LARGEST:  # as with NaN
             raise SingularError("the state says nothing of what is measured; it is to be found anew")
-        L = np.asarray(np.linalg.cholesky(S), np.float64)
+        try:
+            L = np.asarray(np.linalg.cholesky(S), np.float64)
+        except np.linalg.LinAlgError as error:
+            raise SingularError("the state's covariance is none any more; it is to be found anew") from error
         solved = dtrtrs(L.T, known, lower=False, trans=True)[0]
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 

@@ -319,7 +319,8 @@ class RecursiveExiddm(Holding):
             W, e = innovation.W[:used], innovation.e[:used]
             state, covariance = state + W.T @ e, covariance - W.T @ W
             self.ticks_used += int(there[:, own.start].sum())
-        self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
+        self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
+        self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

@@ -108,7 +108,7 @@ class Stepped:
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:
     """What is known of all but the rate so many ticks later, if these tell nothing."""
     (mean, covariance), after_s = (part.copy() for part in known), ticks * predictor.period_s
-    for bias_at, drift_at in predictor.biases:
+    for bias_at, drift_at in [*predictor.biases, *predictor.pushes]:
         mean[bias_at] += after_s * mean[drift_at]
         covariance[bias_at] += after_s * covariance[drift_at]
         covariance[:, bias_at] += after_s * covariance[:, drift_at]

@@ -161,9 +161,7 @@ class WholeFlight:
             np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(kinks))], np.intp)
             for i, (bias_at, drift_at) in enumerate(predictor.biases)
         ]
-        self.of_a_part = np.setdiff1d(
-            np.concatenate([np.arange(self.constants, len(self.names)), *self._of_lines]), []
-        ).astype(np.intp)
+        self.of_a_part = np.unique(np.concatenate([np.arange(self.constants, len(self.names)), *self._of_lines]))
         self.time_s = np.concatenate([one.ticks.time_s for one in self.segments]) if self.segments else np.zeros(0)
         self._use: list[BoolArray] = [  # (n, devices)
             np.stack([np.isfinite(one.ticks.measured[:, own]).all(axis=1) for own in predictor.lines], axis=1)
@@ -171,7 +169,8 @@ class WholeFlight:
         ]
         self._sigma = [one.ticks.sigma for one in self.segments]
         self._left: list[FloatArray] = []  # whitened residuals of each segment, (n, lines), at the last evaluation
-        of_base, lines = np.array([*range(3, PAYLOAD.stop), *predictor.of_bodies], np.intp), sum(predictor.biases, ())
+        of_base = np.array([*range(3, PAYLOAD.stop), *predictor.of_bodies], np.intp)
+        lines = [*sum(predictor.biases, ()), *(drift for _, drift in predictor.pushes)]  # a force is constant here
         self._seen = [  # what the readings of each instrument depend on, but rates and biases
             np.setdiff1d(np.concatenate([of_base, own]), lines).astype(np.intp) for own in predictor.of_each
         ]

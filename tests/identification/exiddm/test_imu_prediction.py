@@ -140,3 +140,16 @@ def test_names_that_do_not_fit_are_refused(payload, imu, links, message):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", payload))
     with pytest.raises(UnknownFrameError, match=message):
         ImuPredictor(vehicle, imu, 0.01, 5, links, CERTAIN)
+
+
+def test_a_disturbance_that_no_motion_tells_stays_as_large_as_stated(held):
+    """Over hundreds of seconds that tell nothing: a drifting random walk would have grown a hundredfold."""
+    given = online(held).predictor.vehicle, "imu_base", 0.01, 5, {}, CERTAIN
+    predictor, ticks = ImuPredictor(*given, disturbance=DisturbancePrior(1.0, 1.0, 60.0)), ticks_of(held)
+    motion = ticks.q[:1].repeat(12, axis=0), *np.zeros((2, *ticks.q[:12].shape))
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    for _ in range(2000):
+        x, P = predictor.carried(predictor.predict(*motion, x), x, x, P)
+    sigma = np.sqrt(np.diag(P))[-12:]
+    np.testing.assert_allclose(sigma[6:], predictor.sigma[-6:], rtol=0.01)  # drifts
+    assert (sigma[:6] < 4.0 * predictor.sigma[-12:-6]).all()

@@ -19,6 +19,7 @@ from tests.identification.exiddm.recorded_flights import BIASES, PRIOR, WIDE, on
 def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
     recursive = online(held)
     recursive.update(ticks_of(held))
+    np.testing.assert_array_equal(recursive.covariance, recursive.covariance.T)  # no rounding adds up over steps
     whole = free_exiddm(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
     found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.chi_covariance))
     a_fifth_of_a_sigma = 0.2
@@ -45,6 +46,19 @@ def test_with_everything_uncertain_the_covariance_stays_positive_and_covers(flow
     error = found.body.mass_kg - 5.0
     assert abs(error) < 3.0 * np.sqrt(found.covariance[0, 0]) < 0.3 * 5.0
     assert recursive.changes == []
+
+
+def test_a_covariance_that_is_none_any_more_is_found_anew(held):
+    """Of a flight of 47 minutes the rounding of P - P' had grown until no innovation had a covariance."""
+    recursive, ticks = online(held), ticks_of(held)
+    middle = len(ticks.time_s) // 2
+    recursive.update(ticks.part(slice(middle)))
+    assert recursive.state is not None
+    recursive.covariance = -1e6 * recursive.covariance
+    recursive.update(ticks.part(slice(middle, None)))
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0]) < 2.0
+    assert np.linalg.eigvalsh(recursive.covariance)[0] > -1e-12
 
 
 def test_how_the_ticks_arrive_does_not_matter_to_a_bit(held):

@@ -213,6 +213,24 @@ class DisturbancePrior(NamedTuple):
         return Block(names, np.concatenate([sigma, TURNING_rad_s * sigma]))
 
 
+def fade(processes: Sequence[tuple[int, float]], after_s: float, state: FloatArray, covariance: FloatArray) -> None:
+    """What first-order Gauss-Markov processes leave of their values after some time, in place.
+
+    Without it a force that biases of accelerometers hide would grow as long as the flight lasts.
+
+    Args:
+        processes: place in the state and correlation time of each, s.
+        after_s: that time.
+        state: (p,).
+        covariance: of it, (p, p).
+    """
+    for at, memory_s in processes:
+        left = np.exp(-after_s / memory_s)
+        state[at] *= left
+        covariance[at] *= left
+        covariance[:, at] *= left
+
+
 class PlacedImu(NamedTuple):
     """An IMU, and where its unknowns stand among all."""
 

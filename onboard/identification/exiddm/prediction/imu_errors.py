@@ -87,9 +87,8 @@ def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
 
 
 def drift_of(name: str) -> str:
-    """The drift of a bias or disturbance, by their names; empty for what is neither."""
-    pairs = *zip(BIASES, DRIFTS, strict=True), ("bias_", "drift_"), ("disturbance_", "disturbance_drift_")
-    for bias, drift in pairs:
+    """The drift of a bias, by their names; empty for what is no bias."""
+    for bias, drift in (*zip(BIASES, DRIFTS, strict=True), ("bias_", "drift_")):
         if name.startswith(bias):
             return drift + name.removeprefix(bias)
     return ""

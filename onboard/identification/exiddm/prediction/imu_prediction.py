@@ -33,6 +33,7 @@ from onboard.identification.exiddm.prediction.further import (
     PlacedPose,
     Thruster,
     blocks_of,
+    fade,
 )
 from onboard.identification.exiddm.prediction.imu_errors import (
     SIZE,
@@ -142,7 +143,7 @@ class ImuPredictor:
         for one in self.further:
             blocks |= blocks_of(one)
         layout = Layout(blocks)
-        self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
+        self._layout, self.names, self.sigma, self._pushed_s = layout, layout.names, layout.sigma, disturbance.memory_s
         of_functions = geometry.cyclic_joints(vehicle) if self._flexible is None else self._flexible.placed(layout)
         self._imus = [
             PlacedImu(
@@ -164,7 +165,7 @@ class ImuPredictor:
             for one in self.further
             if isinstance(one, FurtherImu) and np.isfinite(one.delay_memory_s)
             for at in layout.estimated(f"delay_s {one.name}").tolist()
-        ] + [(at, disturbance.memory_s) for at in layout.estimated("disturbance").tolist()]
+        ] + self._fading
         self.moving: IndexArray = np.array(
             [at for one in self._poses for at in range(one.motion.start, one.motion.stop)], np.intp
         )
@@ -213,11 +214,21 @@ class ImuPredictor:
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
         # but random walks
-        self.changing = np.array([*range(3), *(at for at, _ in self.biases), *self.anew_at], np.intp)
+        self.changing = np.array([*range(3), *(at for at, _ in [*self.biases, *self.pushes]), *self.anew_at], np.intp)
         self.stated = self.sigma.copy()
-        for bias_at, drift_at in self.biases:
+        for bias_at, drift_at in [*self.biases, *self.pushes]:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
         self.stated[self.anew_at] = np.nan
+
+    @property
+    def pushes(self) -> list[tuple[int, int]]:
+        """Places of each component of the disturbance, and of its drift."""
+        constants, drifts = self._layout.estimated("disturbance").reshape(2, -1).tolist()
+        return list(zip(constants, drifts, strict=True))
+
+    @property
+    def _fading(self) -> list[tuple[int, float]]:
+        return [one for at, of in self.pushes for one in ((at, self._pushed_s), (of, DRIFT_MEMORY_s))]
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
         at = self._layout[f"gyro_bias_rad_s {one.name}"].start
@@ -320,11 +331,11 @@ class ImuPredictor:
         carried, transition = state.copy(), (self.changing[:, None] == np.arange(len(state))).astype(np.float64)
         carried[RATE] = base.rate[-2]
         self._into(transition, base.d_rate[-2])
-        for row, (bias_at, drift_at) in enumerate(self.biases, RATE.stop):
+        for row, (bias_at, drift_at) in enumerate([*self.biases, *self.pushes], RATE.stop):
             carried[bias_at] += time_s[-1] * state[drift_at]
             transition[row, drift_at] = time_s[-1]
         for pose, kept, shown_pose in moved:
-            rows = slice(first := RATE.stop + len(self.biases), first + MOTION.stop)
+            rows = slice(first := RATE.stop + len(self.biases) + len(self.pushes), first + MOTION.stop)
             carried[pose.motion] = shown_pose.carried
             transition[rows, kept.errors] = shown_pose.carried_by_own[:, kept.of_errors]
             for here, there in self._of_motion:
@@ -358,6 +369,7 @@ class ImuPredictor:
         carried[c] = predicted.state[c] + F @ (state - start)
         if self._flexible is not None and joint_sigma is not None:
             self._flexible.drive(P, joint_sigma[1:-1], self.period_s)
+        fade(self._fading, len(predicted.values) * self.period_s, carried, P)
         return carried, self.aged(P, len(predicted.values))
 
     def anew(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
