@@ -168,10 +168,10 @@ class ImuPriorKeys(Section):
 
 
 class DisturbanceKeys(Section):
-    """What pushes a free base unknown on board, a drifting random walk: sigma of each component at the start.
+    """What pushes a free base unknown on board: sigmas of first-order Gauss-Markov processes with a drift each.
 
     In the base's axes; zero: nothing does; silent: by the vehicle's mass (``exiddm_priors.disturbance_prior``).
-    ``time_s``: in half of it the variance grows by as much as at the start.
+    ``time_s``: their correlation time.
     """
 
     force_N: NotNegative | None = None  # noqa: N815

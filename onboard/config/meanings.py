@@ -270,7 +270,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "torque_N_m": _M(
             "Of a torque, the same; silent: that force at the heaviest link's radius of gyration.", "as above"
         ),
-        "time_s": _M("In half of it the variance of both grows by as much as at the start.", "it changes faster"),
+        "time_s": _M("Correlation time of both.", "it changes faster"),
     },
     UsefulKeys: {
         "mass": _M("Half of a 95 % interval of a mass, over the mass.", "a controller asks for more, or needs less"),

@@ -16,6 +16,7 @@ Known limit: in a window the drift of a bias is constant, in steps it is a rando
 import numpy as np
 
 from onboard.identification.evidence.bank import Known
+from onboard.identification.exiddm.prediction.further import fade
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.trials import Trial
@@ -112,6 +113,7 @@ def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:
         mean[bias_at] += after_s * mean[drift_at]
         covariance[bias_at] += after_s * covariance[drift_at]
         covariance[:, bias_at] += after_s * covariance[:, drift_at]
+    fade(predictor.fading, after_s, mean, covariance)
     return mean, predictor.aged(covariance, ticks)
 
 

@@ -34,14 +34,15 @@ def recorded(flight, rng, errors=BIASED):
     return tick_signals(*samples[:4], samples[4:], 5, 0.1)
 
 
-def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMETRY):
+def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMETRY, **more):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
     covariance = {
         name: standard_covariance(vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
         for k, name in enumerate(vehicle.links[:-1])
         if name in links
     }
-    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior, geometry)
+    given = signals.period_s, signals.samples, covariance, imu_prior, geometry
+    predictor = ImuPredictor(vehicle, "imu_base", *given, **more)
     return RecursiveExiddm(predictor, WIDE, held)
 
 

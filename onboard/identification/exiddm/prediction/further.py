@@ -203,7 +203,7 @@ class DisturbancePrior(NamedTuple):
 
     force_N: float = 0.0  # noqa: N815 - each component, at the base's origin
     torque_N_m: float = 0.0  # noqa: N815 - each component
-    memory_s: float = np.inf  # of its random walk: in half of it the variance grows by that before the flight
+    memory_s: float = np.inf  # correlation time of both, as first-order Gauss-Markov processes
 
     def block(self) -> Block:
         """Force and moment, and how they change with time, (12,)."""

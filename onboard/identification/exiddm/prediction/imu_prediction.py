@@ -165,7 +165,7 @@ class ImuPredictor:
             for one in self.further
             if isinstance(one, FurtherImu) and np.isfinite(one.delay_memory_s)
             for at in layout.estimated(f"delay_s {one.name}").tolist()
-        ] + self._fading
+        ] + self.fading
         self.moving: IndexArray = np.array(
             [at for one in self._poses for at in range(one.motion.start, one.motion.stop)], np.intp
         )
@@ -213,7 +213,6 @@ class ImuPredictor:
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        # but random walks
         self.changing = np.array([*range(3), *(at for at, _ in [*self.biases, *self.pushes]), *self.anew_at], np.intp)
         self.stated = self.sigma.copy()
         for bias_at, drift_at in [*self.biases, *self.pushes]:
@@ -227,7 +226,8 @@ class ImuPredictor:
         return list(zip(constants, drifts, strict=True))
 
     @property
-    def _fading(self) -> list[tuple[int, float]]:
+    def fading(self) -> list[tuple[int, float]]:
+        """Places of what decays of the disturbance, and the correlation time of each, s: see :func:`.fade`."""
         return [one for at, of in self.pushes for one in ((at, self._pushed_s), (of, DRIFT_MEMORY_s))]
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
@@ -369,7 +369,7 @@ class ImuPredictor:
         carried[c] = predicted.state[c] + F @ (state - start)
         if self._flexible is not None and joint_sigma is not None:
             self._flexible.drive(P, joint_sigma[1:-1], self.period_s)
-        fade(self._fading, len(predicted.values) * self.period_s, carried, P)
+        fade(self.fading, len(predicted.values) * self.period_s, carried, P)
         return carried, self.aged(P, len(predicted.values))
 
     def anew(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -382,7 +382,7 @@ class ImuPredictor:
         return mean, covariance
 
     def aged(self, covariance: FloatArray, ticks: int) -> FloatArray:
-        """The state's covariance, (p, p), after the random walks of so many ticks: of drifts, and of a clock's time."""
+        """The state's covariance, (p, p), after so many ticks' noise of drifts, clocks' times and pushes."""
         aged_s, P = ticks * self.period_s, covariance.copy()
         for at, memory_s in [*((at, DRIFT_MEMORY_s) for _, at in self.biases), *self.wandering]:
             P[at, at] += 2.0 * aged_s / memory_s * self.sigma[at] ** 2
