@@ -8,15 +8,12 @@ About one state the directions stay the same, and such steps tell what the windo
 Jacobians: Huang, Mourikis and Roumeliotis, A First-Estimates Jacobian EKF for Improving SLAM Consistency, 2009; values
 are linear here, too, which costs one prediction instead of two).
 
-What pushes the base is told from all masses by its own size alone: twice the push on twice the masses moves them alike.
-It changes with time, so the steps are always linearised about no push, where that direction is one of the masses only.
-(About the newest push, 250 s of free flight with nothing held told all masses 7 sigmas off, by ticks that tell nothing
-of them.)
-
 What is neglected is of second order, a product of what no motion shows and of what is not yet known: at most 0.015 of a
 sigma of one tick along six flights of that arm. Where the estimate has moved so far that a prediction changes by more
-than a sigma of a tick, as when a motion begins that shows what none before it has, steps are linearised about the
-newest estimate from there on.
+than a sigma of a tick, it is made about the newest estimate, too; where the two differ by more than a tenth of a sigma,
+as when a motion begins that shows what none before it has, steps are linearised about that from there on. No sooner: a
+gyro's axes that were corrected by three sigmas changed predictions by one sigma, all but 0.012 of one linearly. Steps
+linearised anew told all masses of a free-flyer without a cell to 6 %, of which they tell nothing.
 """
 
 import numpy as np
@@ -25,7 +22,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
-_MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is linearised anew
+_MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is made anew
+_BENT = 0.1  # and of what is not linear of that change, beyond which it is linearised anew
 
 
 class Linearised:
@@ -37,7 +35,6 @@ class Linearised:
 
     def __init__(self, predictor: ImuPredictor) -> None:
         self._predictor = predictor
-        self._pushes = np.array(predictor.pushes, np.intp).ravel()
         self._about: FloatArray | None = None  # (p,) of which the constants count
 
     def forget(self) -> None:
@@ -48,29 +45,28 @@ class Linearised:
         """Of a batch, from a state at the first of its b + 2 ticks, (p,).
 
         Returns:
-            The state about which it is linearised, (p,): these constants, what changes as it is now, and no push. And
-            the prediction: its values are those of ``state`` to first order, what it carries is that of the former.
+            The state about which it is linearised, (p,): these constants, and what changes as it is now. And the
+            prediction: its values are those of ``state`` to first order, what it carries is that of the former.
         """
         if self._about is not None:
-            about, found, moved = self._near(ticks, self._about, state)
+            about, changing = self._about.copy(), self._predictor.changing
+            about[changing] = state[changing]
+            found = self._of(ticks, about)
             if found.moderate:
-                sigmas = (moved / ticks.sigma[1:-1])[np.isfinite(ticks.measured[1:-1])]
-                if not sigmas.size or float(sigmas @ sigmas) <= _MOVED**2 * sigmas.size:
-                    return about, found
+                moved = found.jacobian @ (state - about)  # (b, lines)
+                if _within(_MOVED, moved, ticks):
+                    return about, found._replace(values=found.values + moved)
+                anew = self._of(ticks, state)
+                if _within(_BENT, anew.values - found.values - moved, ticks):
+                    return about, found._replace(values=anew.values)
         self._about = state.copy()
-        return self._near(ticks, state, state)[:2]
+        return state, self._of(ticks, state)
 
-    def _near(
-        self, ticks: Ticks, constants: FloatArray, state: FloatArray
-    ) -> tuple[FloatArray, Prediction, FloatArray]:
-        """Linearised about other constants and no push; and what the constants alone have moved, (b, lines)."""
-        about, changing, pushes = constants.copy(), self._predictor.changing, self._pushes
-        about[changing] = state[changing]
-        moved = state - about
-        moved[pushes], about[pushes] = 0.0, 0.0
-        found = self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, about, ticks.cyclic, ticks.thrust)
-        if not found.moderate:
-            return about, found, np.zeros(())
-        by_constants = found.jacobian @ moved
-        values = found.values + by_constants + found.jacobian[:, :, pushes] @ state[pushes]
-        return about, found._replace(values=values), by_constants
+    def _of(self, ticks: Ticks, state: FloatArray) -> Prediction:
+        return self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
+
+
+def _within(limit: float, change: FloatArray, ticks: Ticks) -> bool:
+    """Whether the rms of a change of a batch's values, (b, lines), is below so many sigmas of a tick."""
+    sigmas = (change / ticks.sigma[1:-1])[np.isfinite(ticks.measured[1:-1])]
+    return not sigmas.size or float(sigmas @ sigmas) <= limit**2 * sigmas.size

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -115,6 +116,14 @@ class FurtherCell(NamedTuple):
         return gain * late[:, 0] + bias + drift * time_s, np.column_stack([*of_cell, gain * late[:, 1:]])
 
 
+def cuts_of(
+    vehicle: VehicleModel, further: Sequence["Further"], free: tuple[int, ...], cyclic: Sequence[int]
+) -> list[tuple[FurtherCell, CutWrench]]:
+    """The load cells, each with its cut: see :class:`CutWrench`."""
+    cells = [one for one in further if isinstance(one, FurtherCell)]
+    return [(one, CutWrench(vehicle, one.frame, np.array(one.projection, np.float64), free, cyclic)) for one in cells]
+
+
 class PosePrior(NamedTuple):
     """Prior on a tracker's errors: standard deviations; zero: exact."""
 
@@ -181,6 +190,11 @@ class Thruster(NamedTuple):
     name: str
     wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
     scale_sigma: float  # relative
+
+    @staticmethod
+    def block(thrusters: Sequence["Thruster"]) -> Block:
+        """Scales of some as a block of unknowns."""
+        return Block(tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters]))
 
     @staticmethod
     def of(vehicle: VehicleModel, name: str, frame: str, axis: Sequence[float], scale_sigma: float) -> "Thruster":

@@ -15,7 +15,6 @@ from itertools import accumulate, pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors, Readings
 from onboard.dynamics.spatial import Columns
@@ -33,6 +32,7 @@ from onboard.identification.exiddm.prediction.further import (
     PlacedPose,
     Thruster,
     blocks_of,
+    cuts_of,
     fade,
 )
 from onboard.identification.exiddm.prediction.imu_errors import (
@@ -135,9 +135,7 @@ class ImuPredictor:
             "links": Block(self._links.inertial_names, np.ones(r)),
             **geometry.blocks(vehicle),
             **({} if self._flexible is None else self._flexible.blocks()),
-            "thrusters": Block(
-                tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters])
-            ),
+            "thrusters": Thruster.block(thrusters),
             "disturbance": disturbance.block(),
         }
         for one in self.further:
@@ -151,14 +149,7 @@ class ImuPredictor:
             )
         ]
         self._imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
-        self._cells = [
-            (
-                one,
-                CutWrench(vehicle, one.frame, np.array(one.projection, np.float64), self._links.indices, of_functions),
-            )
-            for one in self.further
-            if isinstance(one, FurtherCell)
-        ]
+        self._cells = cuts_of(vehicle, self.further, self._links.indices, of_functions)
         self._poses = [self._pose(one) for one in self.further if isinstance(one, FurtherPose)]
         self.wandering = [
             (at, one.delay_memory_s)
@@ -273,7 +264,10 @@ class ImuPredictor:
         cyclic: FloatArray | None = None,
         thrust: FloatArray | None = None,
     ) -> Prediction:
-        """From a state at the first of b + 2 ticks.
+        """From a state at the first of b + 2 ticks; linear in what pushes the base, about none.
+
+        What a push does goes with it over all masses, so that twice both move alike. About a push that changes, that
+        direction would change, and what is known of a push at one time would tell all masses at another.
 
         Args:
             q: joint positions at these ticks as read, (b + 2, joints).
@@ -286,6 +280,13 @@ class ImuPredictor:
         Raises:
             SignalError: fewer than four ticks.
         """
+        unpushed, at = state.copy(), self._layout.estimated("disturbance")
+        unpushed[at] = 0.0
+        found = self._unpushed((q, dq, ddq), unpushed, cyclic, thrust)
+        return found.plus(state - unpushed, self.changing) if at.size else found
+
+    def _unpushed(self, joints: tuple[FloatArray, ...], state: FloatArray, *known: FloatArray | None) -> Prediction:
+        (q, dq, ddq), (cyclic, thrust) = joints, known
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
         readings = Readings.of(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))

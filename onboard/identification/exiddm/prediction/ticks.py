@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.regressor.signals import Signals
 
 _IMMODERATE = 1e12  # of a prediction in SI units
@@ -26,6 +26,12 @@ class Prediction(NamedTuple):
         """No motion follows from the state: NaN."""
         shapes = (ticks, lines), (ticks, lines, size), (size,), (changing, size)
         return Prediction(*(np.full(shape, np.nan) for shape in shapes))
+
+    def plus(self, more: FloatArray, changing: IndexArray) -> "Prediction":
+        """From a state that is so much more, (p,), to first order; ``changing``: elements of the transition, (c,)."""
+        state = self.state + more
+        state[changing] = self.state[changing] + self.transition @ more
+        return self._replace(values=self.values + self.jacobian @ more, state=state)
 
     @property
     def moderate(self) -> bool:
