@@ -19,7 +19,7 @@ linearised anew told all masses of a free-flyer without a cell to 6 %, of which 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
 _MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is made anew
@@ -36,10 +36,35 @@ class Linearised:
     def __init__(self, predictor: ImuPredictor) -> None:
         self._predictor = predictor
         self._about: FloatArray | None = None  # (p,) of which the constants count
+        self._known_about: FloatArray | None = None  # (p,) of the batches before
+        self._base = np.zeros(len(predictor.names))  # (p,) by which the logarithm of its masses changes
+        if (base := predictor.vehicle.spec.base_link) in predictor.drawn:
+            (at, half), first = predictor.drawn[base], 10 * predictor.vehicle.links.index(base)
+            drawn = np.linalg.solve(half, predictor.vehicle.chi[first : first + 10])
+            self._base[at] = drawn / (drawn @ drawn)
 
     def forget(self) -> None:
         """The next batch is linearised about its own state, as that of a window just solved."""
+        self._about = self._known_about = None
+
+    def begin_anew(self) -> None:
+        """The next batch is linearised about its own state, and what is known was so about another."""
         self._about = None
+
+    def known(self, covariance: FloatArray) -> FloatArray:
+        """What the batches before have told, (p, p), as it would be about the state of the last prediction.
+
+        They told the payload's parameters over the base's masses, so that a payload found to be larger is one more
+        where the base is heavier.
+        """
+        before, now = self._known_about, self._about
+        self._known_about = now
+        if before is None or now is None or before is now:
+            return covariance
+        factor, change = float(np.exp(self._base @ (now - before))), np.eye(len(now))
+        change[PAYLOAD, PAYLOAD] *= factor
+        change[PAYLOAD] += np.outer(now[PAYLOAD] - factor * before[PAYLOAD], self._base)
+        return np.asarray(change @ covariance @ change.T, np.float64)
 
     def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, Prediction]:
         """Of a batch, from a state at the first of its b + 2 ticks, (p,).

@@ -290,6 +290,7 @@ class RecursiveExiddm(Holding):
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        self.covariance = self._linearised.known(self.covariance)
         batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
         state, covariance = self.state, self.covariance
         there, suspect, used = self.fusion.whole(batch.measured), False, 0
@@ -344,7 +345,7 @@ class RecursiveExiddm(Holding):
         self._snapshots.become(free)
         self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
         self._innovations.may_be_wrong = self.rivals.at
-        self._linearised.forget()
+        self._linearised.begin_anew()
 
     def _compare(self, innovation: Innovation, used: int) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""

@@ -29,11 +29,11 @@ def some_state(predictor):
 
 def all_heavier(predictor, x):
     """The direction in which all masses and inertias grow by one factor, (p,): nothing in a free flight shows it."""
-    along, eye = np.zeros(len(x)), np.eye(len(x))
+    along, eye = np.zeros(len(x)), 1e-4 * np.eye(len(x))
     links = [k for k, name in enumerate(predictor.names) if "_inertial_" in name]
     own = [k for k, link in enumerate(predictor.vehicle.links) if link != "payload"]
     rows = (10 * np.repeat(own, 10) + np.tile(np.arange(10), len(own))).astype(np.intp)
-    basis = np.column_stack([predictor.chi(x + eye[k]) - predictor.chi(x) for k in links])[rows]
+    basis = np.column_stack([(predictor.chi(x + eye[k]) - predictor.chi(x - eye[k])) / 2e-4 for k in links])[rows]
     along[PAYLOAD], along[links] = x[PAYLOAD], np.linalg.solve(basis, predictor.chi(x)[rows])
     return along
 

@@ -13,11 +13,9 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from onboard.dynamics.free_flight import sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors, Readings
-from onboard.dynamics.spatial import Columns
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
@@ -57,6 +55,7 @@ from onboard.identification.exiddm.prediction.parameters import (
     named,
     together,
 )
+from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
 UNDISTURBED = DisturbancePrior()
@@ -124,9 +123,7 @@ class ImuPredictor:
         self.instruments = (name, *(one.name for one in self.further))
         self.imu_frames = imu_frame, *(one.frame for one in self.further if isinstance(one, FurtherImu))
         self._links = UncertainLinks(vehicle, link_covariance)
-        halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self._links.covariances]
-        self._basis = block_diag(*halves) if halves else np.zeros((0, 0))  # of the links, one sigma long each
-        r, bases = len(self._basis), [np.eye(10), *halves]
+        halves, r = self._links.halves, len(self._links.basis)
         self._flexible = FlexibleJoints.of(vehicle, geometry, self._links.indices)
         blocks = {
             "start": Block(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
@@ -173,17 +170,19 @@ class ImuPredictor:
         self.lines = tuple(
             slice(*ends) for ends in pairwise(accumulate((6, *(f.width for f in self.further)), initial=0))
         )
-        self._joint_errors, self._columns = JointErrors(vehicle, of_functions), Columns(self._links.indices, bases)
+        self._joint_errors, self._columns = (
+            JointErrors(vehicle, of_functions),
+            self._links.columns,
+        )
         self._noise = JointNoise(vehicle, self._joint_errors, self._imus, [cut for _, cut in self._cells], self.lines)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
         self.drawn = dict(zip(self._links.drawn, zip(self._in_links.reshape(-1, 10), halves, strict=True), strict=True))
+        self._scaled = Scaled(self._in_links, self._links.whole)
         in_thrusters = layout.estimated("thrusters", "disturbance")
         self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_springs, in_thrusters])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
         moved = self._joint_errors if self._in_joints.size or self._flexible else None
-        self._base = MovingBase(
-            vehicle, layout, self._links, self._basis, self._columns, moved, self._flexible, thrusters
-        )
+        self._base = MovingBase(vehicle, layout, self._links, self._columns, moved, self._flexible, thrusters)
         columns = 13 + r + (0 if moved is None else moved.columns)
         of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on
@@ -264,7 +263,7 @@ class ImuPredictor:
         cyclic: FloatArray | None = None,
         thrust: FloatArray | None = None,
     ) -> Prediction:
-        """From a state at the first of b + 2 ticks; linear in what pushes the base, about none.
+        """From a state at the first of b + 2 ticks, bodies by :mod:`.scaled`, linear in what pushes the base.
 
         What a push does goes with it over all masses, so that twice both move alike. About a push that changes, that
         direction would change, and what is known of a push at one time would tell all masses at another.
@@ -280,10 +279,12 @@ class ImuPredictor:
         Raises:
             SignalError: fewer than four ticks.
         """
-        unpushed, at = state.copy(), self._layout.estimated("disturbance")
-        unpushed[at] = 0.0
-        found = self._unpushed((q, dq, ddq), unpushed, cyclic, thrust)
-        return found.plus(state - unpushed, self.changing) if at.size else found
+        linear, push, at = self._scaled.linear(state), np.zeros_like(state), self._layout.estimated("disturbance")
+        push[at] = state[at]
+        found = self._unpushed((q, dq, ddq), linear - push, cyclic, thrust)
+        for by in (found.jacobian, found.transition):
+            self._scaled.derive(by, state)
+        return found._replace(state=found.state + state - linear).plus(push, self.changing)
 
     def _unpushed(self, joints: tuple[FloatArray, ...], state: FloatArray, *known: FloatArray | None) -> Prediction:
         (q, dq, ddq), (cyclic, thrust) = joints, known
@@ -407,10 +408,11 @@ class ImuPredictor:
         """
         parts = q, dq, ddq, np.zeros_like(q), self._base.functions(2, cyclic)
         readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
-        base, _ = self._base.predict(readings, self._layout.whole(state), 0.0)
+        base, _ = self._base.predict(readings, self._layout.whole(self._scaled.linear(state)), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]
         self._into(transition, base.d_rate[-1])
+        self._scaled.derive(transition[RATE], state)
         turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
         return carried, transition, turned @ turned.T
 
@@ -420,4 +422,4 @@ class ImuPredictor:
 
     def chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
-        return self._links.chi(state[PAYLOAD], self._basis @ state[self._in_links])
+        return self._links.chi(state[PAYLOAD], self._links.basis @ self._scaled.linear(state)[self._in_links])

@@ -23,7 +23,6 @@ class MovingBase:
         vehicle: the model.
         layout: of all unknowns.
         links: the uncertain ones.
-        basis: of their deviations, one sigma long each.
         columns: of payload and links.
         joint_errors: of the joints; None: they are exact.
         flexible: joints that give way, if there are any.
@@ -35,13 +34,12 @@ class MovingBase:
         vehicle: VehicleModel,
         layout: Layout,
         links: UncertainLinks,
-        basis: FloatArray,
         columns: Columns,
         joint_errors: JointErrors | None,
         flexible: FlexibleJoints | None,
         thrusters: Sequence[Thruster],
     ) -> None:
-        self._vehicle, self._layout, self._links, self._basis = vehicle, layout, links, basis
+        self._vehicle, self._layout, self._links = vehicle, layout, links
         self._columns, self._joint_errors, self._flexible = columns, joint_errors, flexible
         self._disturbed = layout.estimated("disturbance").size > 0
         self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
@@ -68,7 +66,7 @@ class MovingBase:
             known = Push(unit[..., :0], np.zeros(0)) if push is None else push
             both = np.concatenate([known.gain, x[at["disturbance"]]])
             push = Push(np.concatenate([known.of_each, unit, time_s * unit], axis=2), both)
-        chi = self._links.chi(x[at["payload"]], self._basis @ x[at["links"]])
+        chi = self._links.chi(x[at["payload"]], self._links.basis @ x[at["links"]])
         if self._joint_errors is None:
             links = chain_motion(vehicle, *readings[:3]).links
             return predict_base_from_rate(links, period_s, chi, rate, self._columns, None, push), None

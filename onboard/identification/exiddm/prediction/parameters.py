@@ -12,9 +12,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.joint_errors import JOINT_ERRORS
+from onboard.dynamics.spatial import Columns
 from onboard.dynamics.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 
@@ -139,6 +141,10 @@ class UncertainLinks:
         indices: of the payload and of these links in ``vehicle.links``.
         drawn: names of these links.
         covariances: (10, 10) each.
+        halves: their Cholesky factors.
+        basis: block-diagonal of these.
+        columns: of derivatives by the payload's parameters and by these factors.
+        whole: each of these links itself, in the axes of its factor, (k, 10).
         names: of the links' parameters.
         inertial_names: of the directions of each covariance's Cholesky factor, one sigma long.
 
@@ -159,6 +165,10 @@ class UncertainLinks:
         self.indices = (vehicle.links.index(payload), *others)
         self.drawn = tuple(vehicle.links[k] for k in others)
         self.covariances = [covariance[name] for name in self.drawn]
+        self.halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self.covariances]
+        self.basis = np.asarray(block_diag(*self.halves), np.float64) if self.halves else np.zeros((0, 0))
+        self.columns = Columns(self.indices, [np.eye(10), *self.halves])
+        self.whole = np.linalg.solve(self.basis, vehicle.chi[self._others]).reshape(-1, 10)
         self.names = tuple(f"{kind}_{vehicle.links[k]}" for k in others for kind in STANDARD)
         self.inertial_names = tuple(f"{vehicle.links[k]}_inertial_{n}" for k in others for n in range(10))
         self.payload_names = tuple(f"{kind}_{payload}" for kind in STANDARD)
