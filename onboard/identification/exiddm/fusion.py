@@ -63,6 +63,7 @@ class Fusion:
         absent: those left out that give no readings.
         trackers: of the base's pose.
         refused: one in use that was refused for several batches in a row; None if none was.
+        running_s: since the first ticks.
     """
 
     def __init__(self, names: Sequence[str], lines: Sequence[slice]) -> None:
@@ -71,6 +72,7 @@ class Fusion:
         self._imus = [k for k, own in enumerate(lines) if own.stop - own.start == lines[0].stop]
         self.trackers = [k for k, own in enumerate(lines) if own.stop - own.start == LINES]
         self.refused: Accusation | None = None
+        self._began_s, self.running_s = np.nan, 0.0
         self._accusing = 0  # batches in a row
         self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
         self.absent: set[int] = set()
@@ -78,6 +80,11 @@ class Fusion:
         self._barred: set[int] = set()  # never used again
         self._gains = [deque[tuple[float, float]](maxlen=max(_GAIN_WINDOWS)) for _ in self.names]
         self._news: list[Change] = []
+
+    def run(self, until_s: float) -> None:
+        """Ticks up to a time are processed."""
+        self._began_s = until_s if np.isnan(self._began_s) else self._began_s
+        self.running_s = until_s - self._began_s
 
     @property
     def imus(self) -> list[int]:

@@ -8,7 +8,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.corrections import Together, together, told
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.exiddm.fusion import Fusion
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import DRIFT_MEMORY_s, ImuPredictor
 
 
 class Told(NamedTuple):
@@ -43,7 +43,7 @@ class HeldAgainst:
 
     def _hold(self, weighed: Weighed) -> Told:
         (state, covariance), suspect = weighed.known(weighed.likeliest), weighed.likeliest.suspect
-        predictor, stated = self._predictor, self._predictor.stated
+        predictor, stated = self._predictor, stated_after(self._predictor, self._fusion.running_s)
         known = np.isfinite(stated) & (stated > 0.0)
         for k in self._fusion.left_out:
             known[predictor.of_each[k]] = False
@@ -56,3 +56,12 @@ class HeldAgainst:
         in_told = state[at] / told(sigma**2, np.diag(P))
         in_all = together(state[at] / sigma, P / np.outer(sigma, sigma))
         return Told(every, state[every] / stated[every], at, in_told, in_all)
+
+
+def stated_after(predictor: ImuPredictor, time_s: float) -> FloatArray:
+    """What is stated of all constants after so long a flight, (p,): a bias drifts by its drift's sigma all the time."""
+    stated = predictor.stated.copy()
+    for bias_at, drift_at in predictor.biases:
+        drifted = max(time_s, DRIFT_MEMORY_s) * predictor.sigma[drift_at]
+        stated[bias_at] = np.hypot(predictor.sigma[bias_at], drifted)
+    return stated

@@ -10,6 +10,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
 from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
@@ -163,11 +164,12 @@ class Innovations:
             batches = fusion.off_scale(k, along, squares, float(predictor.sigma[at]))
             if batches and k not in fusion.left_out:
                 return Accusation(k, 0 if self.misled(state, k) else batches, for_good=True)
+        stated = stated_after(predictor, fusion.running_s)
         for k, each in enumerate([predictor.of_each[0], *predictor.of_further]):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
             own = np.setdiff1d(each, self.may_be_wrong)
-            moved = predictor.stated[own]
+            moved = stated[own]
             if k in self.cells:
                 moved = told(moved**2, covariance[own, own])
             beyond = (np.abs(state[own]) > FARTHEST * moved).any() or self._drives(k, state, covariance)
@@ -195,7 +197,7 @@ class Innovations:
             state: (p,).
             but: an instrument whose own corrections do not count, nor do those of what is left out.
         """
-        stated = self._predictor.stated
+        stated = stated_after(self._predictor, self._fusion.running_s)
         known = np.isfinite(stated) & (stated > 0.0)
         known[self.may_be_wrong] = False
         for k in [*self._fusion.left_out, *([] if but is None else [but])]:

@@ -16,7 +16,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
-from onboard.identification.evidence.bank import Hypothesis, Known, Weighed
+from onboard.identification.evidence.bank import Hypothesis, Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
@@ -146,7 +146,7 @@ class ExiddmIdentifier:
     def _tell_of_capture(self, ticks: Ticks) -> None:
         self._captured.take(ticks)
         if self._answers and self.exiddm.state is not None and self._captured.due:
-            self._captured.tell(Payload(*self._payload(self._weighed)))
+            self._captured.tell(Payload(*self._known_payload()))
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
@@ -167,7 +167,9 @@ class ExiddmIdentifier:
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if self._answers and exiddm.state is not None:
-            mean, P = self._payload(self._weighed)
+            mixture, widening = self._payload(self._weighed)
+            mean, P = mixture.known
+            P *= widening
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -176,7 +178,7 @@ class ExiddmIdentifier:
                 note = str(error)
             else:
                 body, estimated = numbers_of(possible), numbers_of(body_of(mean))
-                spread = np.hypot(np.sqrt(np.einsum("ij,jk,ik->i", D, P, D)), body - estimated)
+                spread = np.hypot(widening**0.5 * mixture.covering(D), body - estimated)
                 shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
                 fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
@@ -209,7 +211,7 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while there is none."""
         out = np.zeros((11, 11))
         if self._answers and self.exiddm.state is not None:
-            mean, P = self._payload(self._weighed)
+            mean, P = self._known_payload()
             R, failed = dpotrf(np.linalg.inv(P))
             if not failed:
                 out[:10, :10], out[:10, 10] = R, R @ mean
@@ -297,10 +299,15 @@ class ExiddmIdentifier:
             return f"{_CONTRADICTED}: check the IMU and the joints"
         return f"{_CONTRADICTED}; the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
-    def _payload(self, weighed: Weighed) -> Known:
-        """Standard parameters, (10,), and their covariance, (10, 10), over all hypotheses that count.
+    def _known_payload(self) -> Known:
+        mixture, widening = self._payload(self._weighed)
+        mean, covariance = mixture.known
+        return mean, np.asarray(widening * covariance, np.float64)
 
-        The covariance is multiplied by the largest that is above one: misfit, strongest line, power below 1.5 Hz, the
+    def _payload(self, weighed: Weighed) -> tuple[Mixture, float]:
+        """Standard parameters, (10,), over all hypotheses that count, and what their covariance is multiplied by.
+
+        That is the largest that is above one: misfit, strongest line, power below 1.5 Hz, the
         square of the most contradicted correction over three of its sigmas, or the like of all of them together.
         """
         line = self.exiddm.lines.strongest
@@ -309,8 +316,7 @@ class ExiddmIdentifier:
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
-        mean, covariance = weighed.mixed(partial(self._payload_if, weighed, self._doubted()))
-        return mean, np.asarray(misfit * covariance, np.float64)
+        return weighed.mixed(partial(self._payload_if, weighed, self._doubted())), misfit
 
     def _payload_if(self, weighed: Weighed, doubted: IndexArray, hypothesis: Hypothesis) -> Known:
         """The same if a hypothesis is true, with scales that are hardly relied on.

@@ -155,6 +155,7 @@ class RecursiveExiddm(Holding):
         self._open(hypotheses, now)
 
     def _ready(self) -> None:
+        self.fusion.run(float(self._pending.time_s[-1]))
         self._begin_window() if self._hypotheses else self._step()
 
     def _wanted(self) -> int:

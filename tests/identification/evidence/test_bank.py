@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from onboard.identification.evidence import bank as bank_module
 from onboard.identification.evidence import policy
-from onboard.identification.evidence.bank import Bank, Hypothesis, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Hypothesis, Mixture, Suspect, Weighed
 
 SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known
 BODY = Suspect("body", np.array([1, 2, 3]), np.array([[0.9, 0.3], [-0.4, 0.0], [2.0, 1.5]]), 1e-2)
@@ -95,9 +95,29 @@ def weighed(*weights: float, size: float = 1.0) -> Weighed:
 
 def test_an_answer_is_the_mixture_over_what_counts() -> None:
     every = weighed(0.5, 0.4995, 0.0005)
-    mean, covariance = every.mixed(every.known)  # the last one does not count
+    mean, covariance = every.mixed(every.known).known  # the last one does not count
     assert mean == pytest.approx(0.5, abs=1e-3)
     assert covariance == pytest.approx(1.25, abs=1e-3)
+
+
+def test_an_unlikely_error_that_is_large_is_in_a_99_9_percent_interval() -> None:
+    """Of two Gaussians of one sigma ten sigmas apart, the second of weight 0.01; and of one alone."""
+    means, covariances = np.array([[0.0], [10.0]]), np.ones((2, 1, 1))
+    mixture = Mixture(np.array([0.99, 0.01]), means, covariances)
+    (mean,), ((variance,),) = mixture.known
+    (sigma,) = mixture.covering(np.eye(1))
+    half = 3.2905 * sigma
+    outside = mixture.weights @ (norm.cdf(mean - half, means[:, 0]) + norm.sf(mean + half, means[:, 0]))
+    assert outside == pytest.approx(1e-3, rel=0.02)
+    assert half == pytest.approx(11.18, abs=0.01)
+    assert 3.2905 * variance**0.5 == pytest.approx(4.64, abs=0.01)
+    (alone,) = Mixture(np.ones(1), means[:1], covariances[:1]).covering(2.0 * np.eye(1))
+    assert alone == pytest.approx(2.0)
+
+
+def test_of_two_that_are_as_likely_no_less_than_the_variance_is_covered() -> None:
+    mixture = Mixture(np.array([0.5, 0.5]), np.array([[-5.0], [5.0]]), np.ones((2, 1, 1)))
+    assert mixture.covering(np.eye(1)) == pytest.approx(26.0**0.5)
 
 
 def test_what_may_be_wrong_is_named_once_all_as_stated_is_no_longer_believed() -> None:

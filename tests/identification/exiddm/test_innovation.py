@@ -18,6 +18,7 @@ class Scales:
     imu_frames = further = ("imu", "imu_2")
     of_each = np.arange(3), np.arange(3, 6)
     of_further = (np.arange(3, 6),)
+    biases = ()
 
 
 @pytest.mark.parametrize(

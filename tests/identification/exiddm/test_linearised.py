@@ -119,3 +119,24 @@ def test_instruments_that_are_not_there_do_not_count(held, predictor, rng):
     there = moved(predictor, x, rng, 0.3)
     ticks.measured[:] = np.nan
     np.testing.assert_array_equal(linearised.predict(ticks, there)[0][PAYLOAD], x[PAYLOAD])
+
+
+def test_what_is_known_stays_that_of_ratios_when_the_payload_is_found_to_be_another(held, predictor, rng):
+    """All masses stay unknown where steps go on about a payload and a base that are found to be 20 % heavier."""
+    ticks, x = ticks_of(held).part(slice(300, 312)), some_state(predictor)
+    linearised, sigma = Linearised(predictor), np.where(np.isnan(predictor.sigma), 10.0, predictor.sigma)
+    _, found = linearised.predict(ticks, x)
+    prior = linearised.known(np.diag(sigma**2))
+    H = found.jacobian.reshape(-1, len(x)) / ticks.sigma[1:-1].reshape(-1, 1)
+    gain = np.linalg.solve(H @ prior @ H.T + np.eye(len(H)), H @ prior)
+    told = prior - prior @ H.T @ gain
+    there = x + 0.2 * all_heavier(predictor, x) * (np.arange(len(x)) > PAYLOAD.stop)
+    there[PAYLOAD] *= 1.3
+    linearised.begin_anew()
+    linearised.predict(ticks, there)
+    now = linearised.known(told)
+    for covariance, state, alike in ((told, x, True), (told, there, False), (now, there, True)):
+        g = 0.1 * all_heavier(predictor, state) / sigma
+        by_data = g @ np.linalg.solve(covariance / np.outer(sigma, sigma), g) - g @ g
+        assert abs(by_data) < 0.01 if alike else by_data > 1.0  # rounding: 1e-5 of what the prior tells along g
+    np.testing.assert_array_equal(linearised.known(now), now)

@@ -37,6 +37,13 @@ SIGMA, SCALE_AT = 0.0025, 13
 CELL = FurtherCell("cell", "wrist", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 5, CellPrior(0.0, 0.0, SIGMA, 0.0))
 
 
+def payload_of(online, weighed):
+    """Mean and covariance of the payload."""
+    mixture, widening = online._payload(weighed)
+    mean, covariance = mixture.known
+    return mean, widening * covariance
+
+
 @pytest.mark.parametrize(
     ("left_out", "kind", "doubted"), [(1, "left_out", True), (1, "absent", False), (2, "left_out", False)]
 )
@@ -73,7 +80,7 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
     wanted, wide = solved(20.0 * SIGMA if doubted else SIGMA)
-    mean, told = online._payload(as_stated(state, covariance))
+    mean, told = payload_of(online, as_stated(state, covariance))
     np.testing.assert_allclose(mean, wanted[PAYLOAD], rtol=1e-9)
     np.testing.assert_allclose(told, wide[PAYLOAD, PAYLOAD], rtol=1e-6, atol=1e-12)
 
@@ -105,6 +112,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     nothing = np.zeros(0, np.intp)
     predictor = SimpleNamespace(
         stated=stated,
+        sigma=stated,
         of_each=[nothing, nothing, np.array([13])],
         wandering=[],
         biases=[],
@@ -119,18 +127,18 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
     np.testing.assert_allclose(
-        online._payload(as_stated(state.copy(), covariance))[1], 4.0 * covariance[PAYLOAD, PAYLOAD]
+        payload_of(online, as_stated(state.copy(), covariance))[1], 4.0 * covariance[PAYLOAD, PAYLOAD]
     )
     predictor.wandering = [(13, 30.0)]
-    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(payload_of(online, as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     predictor.wandering, predictor.biases = [], [(12, 13)]
-    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(payload_of(online, as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     predictor.biases = []
     fusion.leave_out(2)
-    np.testing.assert_allclose(online._payload(as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(payload_of(online, as_stated(state.copy(), covariance))[1], covariance[PAYLOAD, PAYLOAD])
     quiet.slow.by_sensor = lambda _: {"gyro": 6.5, "accelerometer": 2.0}
     np.testing.assert_allclose(
-        online._payload(as_stated(state.copy(), covariance))[1], 6.5 * covariance[PAYLOAD, PAYLOAD]
+        payload_of(online, as_stated(state.copy(), covariance))[1], 6.5 * covariance[PAYLOAD, PAYLOAD]
     )
 
 
