@@ -23,7 +23,8 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, Imu
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
 _MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is made anew
-_BENT = 0.1  # and of what is not linear of that change, beyond which it is linearised anew
+_LINEAR = 0.02  # unless what was found then not to be linear of that change, as its square grows, is below this
+_BENT = 0.1  # and beyond which it is linearised anew
 
 
 class Linearised:
@@ -36,6 +37,7 @@ class Linearised:
     def __init__(self, predictor: ImuPredictor) -> None:
         self._predictor = predictor
         self._about: FloatArray | None = None  # (p,) of which the constants count
+        self._bent = np.inf  # what is not linear of a change, over its square
         self._known_about: FloatArray | None = None  # (p,) of the batches before
         self._base = np.zeros(len(predictor.names))  # (p,) by which the logarithm of its masses changes
         if (base := predictor.vehicle.spec.base_link) in predictor.drawn:
@@ -79,19 +81,22 @@ class Linearised:
             found = self._of(ticks, about)
             if found.moderate:
                 moved = found.jacobian @ (state - about)  # (b, lines)
-                if _within(_MOVED, moved, ticks):
+                far = _rms(moved, ticks)
+                if far <= _MOVED or self._bent * far**2 <= _LINEAR:
                     return about, found._replace(values=found.values + moved)
                 anew = self._of(ticks, state)
-                if _within(_BENT, anew.values - found.values - moved, ticks):
+                bent = _rms(anew.values - found.values - moved, ticks)
+                if bent <= _BENT:
+                    self._bent = bent / far**2
                     return about, found._replace(values=anew.values)
-        self._about = state.copy()
+        self._about, self._bent = state.copy(), np.inf
         return state, self._of(ticks, state)
 
     def _of(self, ticks: Ticks, state: FloatArray) -> Prediction:
         return self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
 
 
-def _within(limit: float, change: FloatArray, ticks: Ticks) -> bool:
-    """Whether the rms of a change of a batch's values, (b, lines), is below so many sigmas of a tick."""
+def _rms(change: FloatArray, ticks: Ticks) -> float:
+    """Of a change of a batch's values, (b, lines), in sigmas of a tick."""
     sigmas = (change / ticks.sigma[1:-1])[np.isfinite(ticks.measured[1:-1])]
-    return not sigmas.size or float(sigmas @ sigmas) <= limit**2 * sigmas.size
+    return float(np.sqrt(sigmas @ sigmas / max(sigmas.size, 1)))

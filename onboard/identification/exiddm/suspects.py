@@ -15,7 +15,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
-from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL, LIKELY_DELAY_s
+from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL, ODDS_OF_PART, LIKELY_DELAY_s
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
@@ -84,9 +84,9 @@ def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
     base = vehicle.spec.base_link
     arm = [name for name in at if name != base]
     for name in arm:
-        yield Suspect(name, at[name], factor[name], ODDS)
+        yield Suspect(name, at[name], factor[name], ODDS_OF_PART)
     if len(arm) > 1:
-        yield Suspect("the arm", _joined(at, arm), _joined(factor, arm), ODDS)
+        yield Suspect("the arm", _joined(at, arm), _joined(factor, arm), ODDS_OF_PART)
     if base not in at:
         return
     both, mass = factor[base], of_mass[base]
@@ -112,7 +112,7 @@ def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
         for what, size in sizes.items():
             name = f"{what}_{joint.name}"
             if name in predictor.names and predictor.stated[at := predictor.names.index(name)] > 0.0:
-                yield Suspect(name, np.array([at]), np.full((1, 1), size), ODDS / len(sizes))
+                yield Suspect(name, np.array([at]), np.full((1, 1), size), ODDS_OF_PART / len(sizes))
 
 
 def _cells(predictor: ImuPredictor) -> Iterator[Suspect]:

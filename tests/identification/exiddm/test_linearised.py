@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from onboard.identification.exiddm import linearised as module
 from onboard.identification.exiddm.linearised import Linearised
 from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
@@ -140,3 +141,20 @@ def test_what_is_known_stays_that_of_ratios_when_the_payload_is_found_to_be_anot
         by_data = g @ np.linalg.solve(covariance / np.outer(sigma, sigma), g) - g @ g
         assert abs(by_data) < 0.01 if alike else by_data > 1.0  # rounding: 1e-5 of what the prior tells along g
     np.testing.assert_array_equal(linearised.known(now), now)
+
+
+def test_what_was_found_to_be_linear_is_not_predicted_twice_until_it_may_not_be(held, predictor, rng, monkeypatch):
+    """Of a change of 2 sigmas of which 0.01 is not linear, 0.019 is expected not to be at 2.75 sigmas."""
+    ticks, x = ticks_of(held).part(slice(300, 312)), some_state(predictor)
+    step = moved(predictor, x, rng, 0.5) - x
+    step[predictor.changing] = 0.0
+    step *= np.sqrt(0.01 / not_linear(predictor, ticks, x, x + 0.1 * step)) * 0.1
+    calls, predict = [], predictor.predict
+    monkeypatch.setattr(predictor, "predict", lambda *given: (calls.append(1), predict(*given))[1])
+    monkeypatch.setattr(module, "_MOVED", 0.0)
+    linearised = Linearised(predictor)
+    linearised.predict(ticks, x)
+    for by, predictions in ((1.0, 2), (1.0, 1), (1.37, 1), (1.45, 2)):
+        calls.clear()
+        linearised.predict(ticks, x + by * step)
+        assert len(calls) == predictions

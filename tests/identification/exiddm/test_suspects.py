@@ -37,6 +37,7 @@ def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None
     np.testing.assert_allclose(found[ALL_MASSES][0][0], 0.1, rtol=1e-4)
     assert found[ALL_MASSES][0][1] == 3e-3
     np.testing.assert_allclose(found["the arm"][0][0], [[0.0, 0.0], *[[0.1, 0.1]] * 5], rtol=1e-4, atol=1e-9)
+    assert {one[0][1] for name, one in found.items() if name not in ("base", ALL_MASSES)} == {2e-3}
     both, mass, inertia, each = (one[0][0] for one in found["base"])
     np.testing.assert_allclose(both, [0.1, 0.1], rtol=1e-4)
     np.testing.assert_allclose(each, both)
@@ -55,7 +56,7 @@ def test_an_encoder_is_wrong_in_zero_scale_or_delay(predictor: ImuPredictor) -> 
     for name, size in names.items():
         assert every[name].along.item() == pytest.approx(size)
         assert predictor.names[every[name].at[0]] == name
-        assert every[name].odds == pytest.approx(1e-2 / 3.0)
+        assert every[name].odds == pytest.approx(2e-3 / 3.0)
 
 
 def test_one_cell_and_all_masses_are_alike(predictor: ImuPredictor) -> None:

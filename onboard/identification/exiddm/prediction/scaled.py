@@ -17,6 +17,7 @@ which for small z is z.
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.prediction.parameters import together
 
 
 class Scaled:
@@ -28,7 +29,8 @@ class Scaled:
     """
 
     def __init__(self, at: IndexArray, drawn: FloatArray) -> None:
-        self._at, self._drawn = at, drawn
+        self._at, self._drawn = together(at), drawn
+        self._of_body = np.repeat(np.eye(len(drawn)), drawn.shape[1], axis=0)  # (10 k, k)
         squares = np.sum(drawn**2, axis=1)[:, None]
         self._factor = np.divide(drawn, squares, out=np.zeros_like(drawn), where=squares > 0.0)  # t of z
 
@@ -42,9 +44,9 @@ class Scaled:
     def derive(self, by: FloatArray, state: FloatArray) -> None:
         """Make derivatives by s, (..., p), those by z, in place."""
         t, r = self._parts(state)
-        own = by[..., self._at].reshape(*by.shape[:-1], *r.shape)
-        by_factor = np.sum(own * r, axis=-1, keepdims=True)
-        by[..., self._at] = (np.exp(t) * (own + by_factor * self._factor)).reshape(*by.shape[:-1], -1)
+        own = by[..., self._at]
+        more = (own @ (r.ravel()[:, None] * self._of_body)) @ (self._factor.ravel()[:, None] * self._of_body).T
+        by[..., self._at] = (own + more) * np.repeat(np.exp(t), r.shape[1])
 
     def _parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         z = state[self._at].reshape(self._drawn.shape)
