@@ -1,8 +1,8 @@
 """What may not be as stated of a free-flyer: the drawing of base and links, its joints, the scales of its load cells.
 
-Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, or
-each of its ten parameters by itself; of a link, both by one factor. One factor over all links is another arm, one over
-base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder.
+Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, the
+centre of mass, or each of its ten parameters by itself; of a link, both by one factor. One factor over all links is
+another arm, one over base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -90,7 +90,9 @@ def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
     if base not in at:
         return
     both, mass = factor[base], of_mass[base]
-    ways = both, mass, both - mass, np.hstack([both, _EACH * np.eye(10)])
+    first = 10 * vehicle.links.index(base)
+    centre = LIKELY_SIZE * np.linalg.solve(predictor.drawn[base][1], _of_centre(vehicle.chi[first : first + 10]))
+    ways = both, mass, both - mass, centre, np.hstack([both, _EACH * np.eye(10)])
     yield from (Suspect(base, at[base], way, ODDS / len(ways)) for way in ways)
     if arm:
         yield Suspect(ALL_MASSES, _joined(at, at), _joined(factor, at), ODDS_OF_ALL)
@@ -104,6 +106,14 @@ def _of_mass(chi: FloatArray) -> FloatArray:
     """Change of a body's standard parameters, (10,), with its mass, for a mass twice as large and the same inertia."""
     mass, centre, inertia = body_of(chi)
     return standard_of(RigidBody(2.0 * mass, centre, inertia)) - chi
+
+
+def _of_centre(chi: FloatArray) -> FloatArray:
+    """Change of a body's standard parameters with its centre of mass, (10, 3), for the rms distance of its mass."""
+    mass, centre, inertia = body_of(chi)
+    size, few = np.sqrt(0.5 * np.trace(inertia) / mass), 1e-6
+    moved = [standard_of(RigidBody(mass, centre + few * size * axis, inertia)) for axis in np.eye(3)]
+    return (np.array(moved).T - chi[:, None]) / few
 
 
 def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from onboard import config
+from onboard.dynamics.payload import body_of
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.suspects import ALL_MASSES, Rivals, suspects_of
@@ -38,7 +39,8 @@ def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None
     assert found[ALL_MASSES][0][1] == 3e-3
     np.testing.assert_allclose(found["the arm"][0][0], [[0.0, 0.0], *[[0.1, 0.1]] * 5], rtol=1e-4, atol=1e-9)
     assert {one[0][1] for name, one in found.items() if name not in ("base", ALL_MASSES)} == {2e-3}
-    both, mass, inertia, each = (one[0][0] for one in found["base"])
+    both, mass, inertia, centre, each = (one[0][0] for one in found["base"])
+    assert centre[0] == pytest.approx(0.0, abs=1e-12)  # its mass is as drawn
     np.testing.assert_allclose(both, [0.1, 0.1], rtol=1e-4)
     np.testing.assert_allclose(each, both)
     assert mass[0] == pytest.approx(0.1, rel=1e-3)
@@ -85,3 +87,17 @@ def test_a_filter_is_freed_once_and_taken_back_where_it_is_weighed(predictor: Im
     assert rivals.freeing(*free((x, P))) is None
     np.testing.assert_allclose(rivals.weighed(*free((x, P))).stated[1], P, atol=1e-9)
     assert rivals.weighed(*free((x, P))).names == ("base",)
+
+
+def test_a_base_s_centre_of_mass_is_off_by_a_tenth_of_the_rms_distance_of_its_mass(predictor: ImuPredictor) -> None:
+    base = [one for one in suspects_of(predictor) if one.name == "base"][3]
+    first = 10 * predictor.vehicle.links.index("base")
+    drawn = body_of(predictor.vehicle.chi[first : first + 10])
+    off = 0.1 * np.sqrt(0.5 * np.trace(drawn.inertia_kg_m2) / drawn.mass_kg)
+    for axis in range(3):
+        state = np.zeros(len(predictor.names))
+        state[base.at] = _FEW * base.along[:, axis]
+        body = body_of(predictor.chi(state)[first : first + 10])
+        moved = (body.centre_of_mass_m - drawn.centre_of_mass_m) / _FEW
+        np.testing.assert_allclose(moved, off * np.eye(3)[axis], atol=1e-3 * off)
+        np.testing.assert_allclose(body.inertia_kg_m2, drawn.inertia_kg_m2, atol=1e-9)
