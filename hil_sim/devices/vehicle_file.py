@@ -59,7 +59,7 @@ def scenario_of(name: str | Path, over: Over | None = None, campaign: str | None
             f"nothing simulates {str(name)!r}: by name fly {flies}; others by the path of their vehicle.toml, if their "
             "devices are on buses and not columns of a recording"
         )
-    own = {} if over is None else _tables_of(over)
+    own = {} if over is None else _without_vehicle(over)
     return load(name, {key: value for key, value in own.items() if key != "scenario"}, _texts(over))
 
 
@@ -105,11 +105,16 @@ def _tables_of(over: Over) -> Table:
     return dict(over) if isinstance(over, Mapping) else _read(Path(over))
 
 
-def _laid_over(table: Table, over: Over) -> Table:
-    """A scenario file's tables over those so far, and below them those of the test bed that it is based on."""
+def _without_vehicle(over: Over) -> Table:
     own = _tables_of(over)
     if "vehicle" in own:
         raise ScenarioError(f"{over}: [vehicle] is the vehicle file's; take it out of the scenario")
+    return own
+
+
+def _laid_over(table: Table, over: Over) -> Table:
+    """A scenario file's tables over those so far, and below them those of the test bed that it is based on."""
+    own = _without_vehicle(over)
     header = own.pop("scenario", {})
     below = bed.find(str(header.get("based_on")))
     if below is not None:

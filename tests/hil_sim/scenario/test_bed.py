@@ -118,3 +118,11 @@ def test_hil_flies_beds_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hil", "dymaflex_air_bearing"]) == 2
     said = capsys.readouterr().err
     assert all(name in said for name in (*bed.names(), "rocksat", "columns of a recording"))
+
+
+def test_a_packaged_scenario_that_was_copied_whole_does_not_bring_its_drawing_along(tmp_path: Path) -> None:
+    """``heft hil rocksat --scenario COPY.toml`` had said that rocksat.urdf is no XML."""
+    over = tmp_path / "copy.toml"
+    over.write_text((Path(bed.__file__).with_name("packaged") / "rocksat.toml").read_text())
+    with pytest.raises(ScenarioError, match=r"copy\.toml: \[vehicle\] is the vehicle file's; take it out"):
+        scenario_of("rocksat", over)
