@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.blocks import TimeBlocks
 from onboard.estimation.errors import RowError
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.rls import Solution, SquareRootRls
 
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
 _TINY = float(np.finfo(np.float64).tiny)
@@ -168,23 +168,10 @@ class JackknifeEstimate:
         noise_sigma: float = 0.2,
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)
-        plain = rls.solve()
         self.level, self.floored = level, True
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
-        R = rls.information_root
-        T = np.linalg.inv(R)  # (p, p)
-        noise, V = np.linalg.eigh(T.T @ blocks.noise @ T)
-        T, R = T @ V, V.T @ R
-        prior_information, prior_right = rls.prior_equations()
-        A0 = T.T @ prior_information @ T
-        signal = noise < _MOST_NOISE
-        noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
-        # Information without the noise; the prior's alone where nothing else remains.
-        keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), _TINY))
-        shared = T.T @ blocks.noise_moment
-        x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
+        self.mean, plain, T, R, noise, x, keep, signal, A0, shared = _corrected(rls, blocks)
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
-        self.mean: FloatArray = T @ x
         causes = R @ plain.sensitivity  # (p, k)
         causes = (causes * sigma if sigma.ndim == 1 else causes @ sigma).T
         causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
@@ -263,6 +250,41 @@ class JackknifeEstimate:
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
         half = np.sqrt(t**2 * variance + z**2 * common)
         return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half)
+
+
+class _Corrected(NamedTuple):
+    """An estimate corrected for regressor noise, and what its intervals are made of."""
+
+    mean: FloatArray  # (p,)
+    plain: Solution
+    T: FloatArray  # (p, p): chi = T x
+    R: FloatArray  # (p, p): x = R chi
+    noise: FloatArray  # (p,)
+    x: FloatArray  # (p,)
+    keep: FloatArray  # (p,) information without the noise; the prior's alone where nothing else remains
+    signal: BoolArray  # (p,) where something else does
+    prior: FloatArray  # (p, p) information
+    shared: FloatArray  # (p,) noise that both sides share
+
+
+def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
+    plain, R = rls.solve(), rls.information_root
+    T = np.linalg.inv(R)
+    noise, V = np.linalg.eigh(T.T @ blocks.noise @ T)
+    T, R = T @ V, V.T @ R
+    prior_information, prior_right = rls.prior_equations()
+    A0 = T.T @ prior_information @ T
+    signal = noise < _MOST_NOISE
+    noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
+    keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), _TINY))
+    shared = T.T @ blocks.noise_moment
+    x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
+    return _Corrected(T @ x, plain, T, R, noise, x, keep, signal, A0, shared)
+
+
+def corrected_mean(rls: SquareRootRls, blocks: BlockScores) -> FloatArray:
+    """The mean of :class:`JackknifeEstimate`, (p,), without its intervals."""
+    return _corrected(rls, blocks).mean
 
 
 def _half(matrix: FloatArray) -> FloatArray:

@@ -159,10 +159,6 @@ class RecursiveInstrumental(RecursiveLeastSquares):
         information, right = self.rls.prior_equations()
         return _solved(sums[:, p : 2 * p] + information, sums[:, -1] + right)
 
-    def least_squares(self) -> FloatArray:
-        """Least squares estimate corrected for known regressor noise, (p,); used to predict motion."""
-        return super().block_jackknife(np.zeros(self.rls.considered)).mean
-
     def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
         """The estimate with its block-jackknife covariance."""
         found = InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import BlockScores, JackknifeEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate, corrected_mean
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.window import WindowRls
@@ -152,6 +152,10 @@ class RecursiveLeastSquares:
         self.rls.update(rows, shared, np.ones(len(rows)), none)
         self.blocks.expect_noise()
         self._without_noise = True
+
+    def least_squares(self) -> FloatArray:
+        """Least squares estimate corrected for known regressor noise, (p,): the mean that intervals are about."""
+        return corrected_mean(self.rls, self.blocks)
 
     def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> JackknifeEstimate:
         """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""

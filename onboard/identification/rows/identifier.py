@@ -308,7 +308,7 @@ class Identifier:
         if self._stated is None or not self.rows_used:
             return self._as_stated
         if self._taken is None or self._taken[0] != self.rows_used:
-            mean = self.recursion.block_jackknife(np.zeros(len(self.considered))).mean
+            mean = self.recursion.least_squares()
             self._taken = self.rows_used, self._stated.taken(self._as_stated, self.seen, mean, self._inflation**2)
         return self._taken[1]
 

@@ -72,6 +72,25 @@ class Taken(NamedTuple):
         return cls(rls, np.array([cause.sigma for cause in considered]), prior_root, base.covariance(prior_root))
 
 
+class _Part(NamedTuple):
+    """Rows of one instrument, with the payload or without."""
+
+    instrument: int
+    whole: FloatArray  # (p + 2, p + 2) normal equations with the noise of their regressor
+    rows: float  # their number
+    equations: FloatArray  # (b, p, p + 1) of each block without that noise: information, and its right-hand side
+    information: FloatArray  # (p, p) sum of these
+    times_s: list[float]  # when each block begins, (b,)
+
+
+def _part(blocks: RowBlocks, held: bool, number: int) -> _Part:
+    N, noise = blocks.of(held, number)
+    own = N - noise
+    rows, p = float(N[:, -1, -1].sum()), N.shape[1] - 2
+    of_parameters = own[:, :p, :p].sum(axis=0)
+    return _Part(number, N.sum(axis=0), rows, own[:, :p, : p + 1], of_parameters, blocks.times_s(held, number).tolist())
+
+
 class StatedSigmas:
     """The sigmas of one vehicle file.
 
@@ -127,8 +146,9 @@ class StatedSigmas:
         X = np.concatenate([mean, np.zeros(len(self._rows))])
         as_it_is = np.where(self._alone, 0.0, 1.0)
         width = as_it_is
+        parts = [_part(blocks, held, number) for held, number in blocks.parts]
         for _ in range(_PASSES):
-            A, r = self._told(*self._equations(blocks, X, correlation), X, width)
+            A, r = self._told(*self._equations(parts, X, correlation), X, width)
             width, z = self._settled(A, r, width, ~self._alone)
             X = self._centre + self._L @ z
         one_factor, errors = self._settled(A, r, np.ones_like(width), self._alone)
@@ -155,28 +175,27 @@ class StatedSigmas:
         rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
         return Taken(rls, considered, root, covariance, said)
 
-    def _equations(self, blocks: RowBlocks, X: FloatArray, correlation: float) -> tuple[FloatArray, FloatArray]:
+    def _equations(self, blocks: Sequence["_Part"], X: FloatArray, correlation: float) -> tuple[FloatArray, FloatArray]:
         """Information on parameters and gains about ``X``, (p + k, p + k), and each block's scores, (b, p + k)."""
-        p, parts = len(X) - len(self._rows), dict[tuple[bool, int], tuple[FloatArray, FloatArray, FloatArray]]()
-        left, count = np.zeros(len(blocks.instruments)), np.zeros(len(blocks.instruments))
-        for held, number in blocks.parts:
-            N, noise = blocks.of(held, number)
+        p, parts = len(X) - len(self._rows), list[tuple[_Part, FloatArray, FloatArray]]()
+        left, count = dict[int, float](), dict[int, float]()
+        for part in blocks:
             J = np.zeros((p, len(X)))
             np.fill_diagonal(J, 1.0)
-            if number in self._rows:
-                gain = p + self._rows.index(number)
+            if part.instrument in self._rows:
+                gain = p + self._rows.index(part.instrument)
                 J[self._bodies, self._bodies] = np.exp(X[gain])
                 J[self._bodies, gain] = np.exp(X[gain]) * X[self._bodies]
             v = np.concatenate([J[:, :p] @ X[:p], [-1.0, 0.0]])
-            left[number] += max(float(v @ N.sum(axis=0) @ v), 0.0)
-            count[number] += float(N[:, -1, -1].sum())
-            parts[held, number] = J, N - noise, v[:-1]
-        loud = np.maximum(1.0, correlation * left / np.maximum(count, 1.0))  # of each instrument's noise, variance
+            left[part.instrument] = left.get(part.instrument, 0.0) + max(float(v @ part.whole @ v), 0.0)
+            count[part.instrument] = count.get(part.instrument, 0.0) + part.rows
+            parts.append((part, J, v[:-1]))
+        loud = {k: max(1.0, correlation * left[k] / max(count[k], 1.0)) for k in left}  # of the noise, variance
         H, scores = np.zeros((len(X), len(X))), dict[float, FloatArray]()
-        for (held, number), (J, N, v) in parts.items():
-            H += J.T @ N[:, :p, :p].sum(axis=0) @ J / loud[number]
-            own = -(N[:, :p, : p + 1] @ v) @ J / loud[number]  # (b, p + k)
-            for time_s, score in zip(blocks.times_s(held, number).tolist(), own, strict=True):
+        for part, J, v in parts:
+            H += J.T @ part.information @ J / loud[part.instrument]
+            own = -(part.equations @ v) @ J / loud[part.instrument]  # (b, p + k)
+            for time_s, score in zip(part.times_s, own, strict=True):
                 scores[time_s] = scores.get(time_s, 0.0) + score
         return H, np.array(list(scores.values()))
 
@@ -185,12 +204,13 @@ class StatedSigmas:
     ) -> tuple[FloatArray, FloatArray]:
         """Information on the errors, in stated sigmas, and its right-hand side for errors about zero."""
         values, V = np.linalg.eigh(self._L.T @ H @ self._L)
-        V = V[:, values > 0.0]  # the others are of regressors that are noise
-        A = V * values[values > 0.0] @ V.T
+        V, values = V[:, values > 0.0], values[values > 0.0]  # the others are of regressors that are noise
+        A = V * values @ V.T
         w = width[self._key]
-        C = np.linalg.inv(np.eye(len(A)) + A * np.outer(w, w))
+        wide = A * np.outer(w, w)
+        C = np.linalg.inv(np.eye(len(A)) + wide)
         each = scores @ self._L @ V @ V.T
-        known = float(np.vdot(C, A * np.outer(w, w)))
+        known = float(np.vdot(C, wide))
         colour = max(1.0, float(np.vdot(each * w @ C, each * w)) / known) if known > 0.0 else 1.0
         offset = self._L.T @ (H @ (X - self._centre))
         return A / colour, (each.sum(axis=0) + V @ (V.T @ offset)) / colour
@@ -199,11 +219,11 @@ class StatedSigmas:
         self, A: FloatArray, r: FloatArray, width: FloatArray, free: BoolArray
     ) -> tuple[FloatArray, FloatArray]:
         """Width of each key, of those that are free to change, and the errors with them, in stated sigmas."""
-        every = np.bincount(self._kind, self._many)
+        every, one = np.bincount(self._kind, self._many), np.eye(len(A))
         square = np.ones(len(every))  # of each kind's scale
         for _ in range(_MOST_STEPS):
             w = width[self._key]
-            C = np.linalg.inv(np.eye(len(A)) + A * np.outer(w, w))
+            C = np.linalg.inv(one + A * (w[:, None] * w))
             z = w * (C @ (w * r))
             E = np.bincount(self._key, z * z + w * w * np.diag(C))
             weight = (FREEDOM + self._many) / (FREEDOM + E / square[self._kind])
