@@ -1,6 +1,7 @@
 #!/bin/sh
-# The test suite, from nothing. Without arguments all of it, as .ci/run does: on all cores, a file a process at a time; then
-# the tests that run against the wall clock, one a core, for they mostly wait; then one closing line of both.
+# The test suite, from nothing. Without arguments all of it, as .ci/run does: on all cores, a file a process at a time, and
+# beside them, before them in line for a core, the tests that run against the wall clock, for those mostly wait; then what
+# the latter said, and one closing line of both.
 # Arguments go to one pytest, which runs in the checkout's root: sh deploy/test.sh tests/drivers -k ring
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
@@ -9,21 +10,26 @@ heft_env test
 cd "$root"
 [ $# -eq 0 ] || exec "$heft_venv/bin/python" -m pytest "$@"
 
-said=$(mktemp -d)
-trap 'rm -rf "$said"' EXIT
+said=$(mktemp -d) beside=
+trap 'rm -rf "$said"; [ -z "$beside" ] || kill "$beside"' EXIT
+trap 'exit 130' INT TERM
 code=0 began=$(date +%s)
-longest=2400    # seconds: a part that hangs beyond each test's own limit is ended, and has failed
-part() {    # name, and arguments of pytest; its last line is kept
-    name=$1
-    shift
-    printf '\n-- %s\n' "$name"
-    { timeout --kill-after=60 "$longest" "$heft_venv/bin/python" -m pytest "$@" || echo $? >"$said/code"; } | tee "$said/$name"
-    tail -n 1 "$said/$name" >>"$said/last"
-    [ ! -f "$said/code" ] || code=$(cat "$said/code")
+tests() {    # a part; one that hangs beyond each test's own limit is ended, and has failed
+    timeout --kill-after=60 2400 "$@"
 }
-part 'all cores' -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder
+python=$heft_venv/bin/python
 timed=$(grep -rl --include='test_*.py' realtime tests | sort)    # only these are collected: a quarter of the time
-part 'real time' -m realtime --numprocesses auto --dist worksteal $timed
+tests "$python" -m pytest -m realtime --numprocesses auto --dist worksteal $timed >"$said/realtime" &
+beside=$!
+printf '\n-- all cores, and beside them in real time\n'
+{ tests nice -n 10 "$python" -m pytest -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder ||
+    echo $? >"$said/code"; } | tee "$said/cores"
+wait "$beside" || echo $? >"$said/code"
+beside=
+printf '\n-- real time\n'
+cat "$said/realtime"
+tail -qn 1 "$said/cores" "$said/realtime" >"$said/last"
+[ ! -f "$said/code" ] || code=$(cat "$said/code")
 
 # Counts of both, in pytest's own words: 1 failed, 4731 passed, 2 skipped in 655.20s
 awk '

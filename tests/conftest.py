@@ -5,6 +5,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: results do not hang on the core count
 
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -15,6 +16,9 @@ SEED = 20190812  # the day RockSat-X 2019 flew
 DATASETS_BESIDE_THE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "datasets"
 
 gc.disable()  # while tests are collected nothing dies, and looking for it is a quarter of the time
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # of a shell's background, and what a test starts inherits it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")

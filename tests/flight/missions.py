@@ -13,20 +13,21 @@ from onboard.offline.views import mission_table as table
 from onboard.recording.reader import LogReader
 
 _SWEEP = {
-    "phase": 3,
+    "phase": 4,
     "action": "strokes",
     "amplitude": {"joint_1": 0.2007},
-    "stroke_s": 1.2,
+    "stroke_s": 0.6,
     "strokes": 6,
-    "pause_s": 0.1,
-    "transfer_s": 0.9,
+    "pause_s": 0.05,
+    "transfer_s": 0.6,
 }
-SWEPT = [  # of RockSat: 27 s in which all three masses are found
-    {"phase": 0, "action": "hold", "duration_s": 5.0},
+SHORT = [  # of RockSat: 16 s in which all three masses are found
+    {"phase": 0, "action": "hold", "duration_s": 4.0},
     _SWEEP,
+    {"phase": 0, "action": "hold", "duration_s": 0.5},
     {"phase": 5, "action": "hold", "duration_s": 1.5},
     _SWEEP,
-    {"phase": 9, "action": "hold", "duration_s": 1.0},
+    {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 
 

@@ -15,11 +15,11 @@ import pytest
 from onboard import cli, config
 from onboard.offline.export import FORMATS
 from onboard.recording.reader import LogReader
-from tests.flight.missions import SWEPT, inline
+from tests.flight.missions import SHORT, inline
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 
-FLOWN_S = 25.0  # less than that is no mission
+FLOWN_S = 14.0  # less than that is no mission
 
 
 def readings(log: Path, into: Path) -> list[list[str]]:
@@ -30,7 +30,7 @@ def readings(log: Path, into: Path) -> list[list[str]]:
         ["dump", str(log), "--to", "csv", str(into / "aligned-csv"), "--aligned", "100"],
         ["dump", str(log), "--to", "npz", str(into / "aligned-npz"), "--aligned", "100"],
         ["dump", str(log), "--to", "csv", str(into / "raw"), "--raw"],
-        ["dump", str(log), "--to", "csv", str(into / "phase"), "--phase", "3"],
+        ["dump", str(log), "--to", "csv", str(into / "phase"), "--phase", "4"],
         ["dump", str(log), "--to", "csv", "-", "--channel", "imu_base"],
         ["info", str(log), "--json", str(into / "info.json")],
         ["report", str(log), "-o", str(into / "report.html")],
@@ -73,7 +73,7 @@ def _failed(arguments: Sequence[str]) -> str:
 def short(tmp_path: Path) -> Path:
     """A scenario of two sweeps."""
     path = tmp_path / "short.toml"
-    path.write_text(f"sequence = [{', '.join(map(inline, SWEPT))}]\n")
+    path.write_text(f"sequence = [{', '.join(map(inline, SHORT))}]\n")
     return path
 
 

@@ -5,46 +5,18 @@ from pathlib import Path
 import pytest
 
 from hil_sim.scenario.load import load
-from tests.flight.missions import Result, fly
-
-SHORT = {
-    "sequence": [
-        {"phase": 0, "action": "hold", "duration_s": 4.0},
-        {
-            "phase": 4,
-            "action": "strokes",
-            "amplitude": {"joint_1": 0.2007},
-            "stroke_s": 0.6,
-            "strokes": 6,
-            "pause_s": 0.05,
-            "transfer_s": 0.6,
-        },
-        {"phase": 0, "action": "hold", "duration_s": 0.5},
-        {"phase": 5, "action": "hold", "duration_s": 1.5},
-        {
-            "phase": 4,
-            "action": "strokes",
-            "amplitude": {"joint_1": 0.2007},
-            "stroke_s": 0.6,
-            "strokes": 6,
-            "pause_s": 0.05,
-            "transfer_s": 0.6,
-        },
-        {"phase": 9, "action": "hold", "duration_s": 0.5},
-    ],
-}
+from tests.flight.missions import SHORT, Result, fly
 
 
 def fly_with(path: Path, *faults: dict[str, object], seed: int = 3) -> Result:
-    return fly(path, seed, load("rocksat", {**SHORT, "fault": list(faults)}))
+    return fly(path, seed, load("rocksat", {"sequence": SHORT, "fault": list(faults)}))
 
 
-def test_the_short_mission_is_identified_when_nothing_is_wrong(tmp_path: Path) -> None:
-    good = fly_with(tmp_path / "good.mcap")
-    assert good.table["identified"]
-    assert good.table["accounted"]
-    assert good.table["events"] == []
-    assert abs(good.mass("m_tip_mass")["our_error_percent"]) < 5.0
+def test_the_short_mission_is_identified_when_nothing_is_wrong(short_mission: Result) -> None:
+    assert short_mission.table["identified"]
+    assert short_mission.table["accounted"]
+    assert short_mission.table["events"] == []
+    assert abs(short_mission.mass("m_tip_mass")["our_error_percent"]) < 5.0
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from onboard import cli
 from onboard.recording.reader import LogReader
 from onboard.recording.space import refusal
-from tests.flight.missions import SWEPT, inline
+from tests.flight.missions import SHORT, inline
 
 LIMIT = 300_000  # bytes of a file
 
@@ -20,7 +20,7 @@ LIMIT = 300_000  # bytes of a file
 @pytest.mark.timeout(300)
 def test_the_answer_of_a_flight_whose_log_may_not_grow_is_printed(tmp_path: Path) -> None:
     log, short, result = tmp_path / "flown.mcap", tmp_path / "short.toml", tmp_path / "flown.json"
-    short.write_text(f"sequence = [{', '.join(map(inline, SWEPT))}]\n")
+    short.write_text(f"sequence = [{', '.join(map(inline, SHORT))}]\n")
     command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(short), "--log", str(log)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--json", str(result)], stdout=pipe, stderr=pipe, text=True) as flight:

@@ -113,23 +113,23 @@ def test_info_tells_clocks_delays_and_answers(
 
 
 def test_what_reads_a_log_answers_in_json_alone_on_stdout(
-    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short_mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, joined = str(mission.path), str(tmp_path / "joined.mcap")
+    log, joined = str(short_mission.path), str(tmp_path / "joined.mcap")
     found = {}
     for command in (["replay", log], ["recover", log, "-o", joined], ["info", joined]):
         assert cli.main([*command, "--json", "-"]) == cli.OK, command
         found[command[0]] = json.loads(capsys.readouterr().out)
     assert found["replay"]["identical"] is True
-    assert found["recover"]["rows"]["imu_base"] == len(mission.log.read("imu_base"))
-    assert found["info"]["answers"]["m_tip_mass"]["value"] == mission.mass("m_tip_mass")["value"]
+    assert found["recover"]["rows"]["imu_base"] == len(short_mission.log.read("imu_base"))
+    assert found["info"]["answers"]["m_tip_mass"]["value"] == short_mission.mass("m_tip_mass")["value"]
 
 
 def test_the_same_settings_make_the_same_answers_and_others_are_shown(
-    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short_mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings, told = tmp_path / "other.toml", tmp_path / "told.json"
-    arguments = ["replay", str(mission.path), "--with", str(settings), "--json", str(told)]
+    arguments = ["replay", str(short_mission.path), "--with", str(settings), "--json", str(told)]
     settings.write_text("[estimation]\nsmoothing_ms = 250\n")
     assert cli.main(arguments) == cli.OK
     same = json.loads(told.read_text())
@@ -158,11 +158,11 @@ def test_the_same_settings_make_the_same_answers_and_others_are_shown(
     ],
 )
 def test_settings_that_do_not_fit_are_told_under_their_own_name(
-    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+    short_mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
 ) -> None:
     settings = tmp_path / "other.toml"
     settings.write_text(text)
-    assert cli.main(["replay", str(mission.path), "--with", str(settings)]) == cli.BAD_INPUT
+    assert cli.main(["replay", str(short_mission.path), "--with", str(settings)]) == cli.BAD_INPUT
     error = capsys.readouterr().err
     assert said in error
     assert "other.toml" in error

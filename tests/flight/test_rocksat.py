@@ -17,10 +17,10 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.estimate_again import replay as replay_module
 from onboard.offline.estimate_again.replay import replay
 from onboard.offline.views import mission_table as table
-from tests.flight.missions import SWEPT, Result, fly
+from tests.flight.missions import SHORT, Result, fly
 from tests.hil_sim.built import AS_DRAWN
 
-HEAVY = {"sequence": SWEPT, "as_built": AS_DRAWN | {"tip_mass": AS_DRAWN["tip_mass"] | {"mass_factor": 1.2}}}
+HEAVY = {"sequence": SHORT, "as_built": AS_DRAWN | {"tip_mass": AS_DRAWN["tip_mass"] | {"mass_factor": 1.2}}}
 
 
 def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:
@@ -114,7 +114,7 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return fly(tmp_path_factory.mktemp("heavy") / "heavy.mcap", **HEAVY)
 
 
-def test_replay_notices_another_vehicle(heavy: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_notices_another_vehicle(short_mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     laid_out = replay_module.vehicle_of
 
     def other(log: object, directory: Path) -> object:
@@ -124,7 +124,7 @@ def test_replay_notices_another_vehicle(heavy: Result, tmp_path: Path, monkeypat
         return replay_module.config.parse(text, vehicle.path)
 
     monkeypatch.setattr(replay_module, "vehicle_of", other)
-    found = replay(heavy.path)
+    found = replay(short_mission.path)
     assert not found.identical
     assert "differs from row" in found.summary
 

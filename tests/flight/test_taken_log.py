@@ -12,16 +12,16 @@ import pytest
 
 from onboard import cli
 from onboard.recording.reader import LogReader
-from tests.flight.missions import SWEPT, inline
+from tests.flight.missions import SHORT, inline
 
 pytestmark = pytest.mark.usefixtures("own_rings")
-SHORT = f"sequence = [{', '.join(map(inline, SWEPT))}]\n"
+OVER = f"sequence = [{', '.join(map(inline, SHORT))}]\n"
 
 
 def rehearse(place: Path, *options: str, take: Callable[[Path], object]) -> tuple[int, str, str, Path]:
     """``heft hil rocksat`` whose log ``take`` is called with in flight: exit code, what was printed, the log named."""
     log, short = place / "flights" / "flown.mcap", place / "short.toml"
-    short.write_text(SHORT)
+    short.write_text(OVER)
     command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(short), "--log", str(log)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, *options], stdout=pipe, stderr=pipe, text=True) as flight:
