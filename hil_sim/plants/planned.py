@@ -17,6 +17,7 @@ from hil_sim.plants import urdf_drawing
 from hil_sim.plants.body import Body
 from hil_sim.plants.carrier import carried
 from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.urdf_model import rotation
 from hil_sim.scenario.tables import Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import PayloadTable, VehicleScenario
 
@@ -178,9 +179,7 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
     centre = np.array([0.0, 0.0, 0.5 * size[2]])
     if table.centre_of_mass_mm is not None:
         centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - 0.1 s of every start
-
-    turn = Rotation.from_euler("xyz", table.roll_pitch_yaw_deg or (0.0, 0.0, 0.0), degrees=True).as_matrix()
+    turn = rotation(np.radians(table.roll_pitch_yaw_deg or (0.0, 0.0, 0.0)))
     body = Body.box(mass, size.tolist(), centre.tolist()).turned(turn)
     return body, table.size_mm is None and table.centre_of_mass_mm is None
 
@@ -197,7 +196,7 @@ def _readings(scenario: VehicleScenario, time_s: FloatArray, seed: int) -> BaseR
     rigid = scenario.model_copy(update={"vibration": None})  # too fast for the grid, and nothing that is planned
     path = carried(rigid, float(time_s[1] - time_s[0]), len(time_s), np.random.default_rng(seed))
     felt = path.acceleration[:, :3] - np.asarray(scenario.physics.gravity_m_s2)
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - 0.1 s of every start
-
-    turned = Rotation.from_quat(np.roll(path.pose[:, 3:], -1, axis=1)).inv().apply(felt)
+    real, vector = path.pose[:, 3:4], path.pose[:, 4:]  # unit quaternion of the base's axes
+    across = np.cross(felt, vector)
+    turned = felt + 2.0 * (real * across + np.cross(across, vector))
     return BaseReadings(path.velocity[:, 3:], path.acceleration[:, 3:], np.asarray(turned, np.float64))

@@ -30,7 +30,7 @@ def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> For
     if vehicle.file.estimation.method == "exiddm":
         return foresee_free(vehicle, plan)
     most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next
-    return _over([foresee_rows(vehicle, one, coarse=coarse) for one in plan.by_base()[:most]])
+    return _over(foresee_rows(vehicle, plan.by_base()[:most], coarse=coarse))
 
 
 def _over(found: list[Foreseen]) -> Foreseen:

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dtrtrs
 
 from onboard import config
 from onboard.dynamics.inertia import RigidBody
@@ -138,7 +139,8 @@ def _fly(
         for at in range(0, len(whitened), _PART_TICKS):
             H = whitened[at : at + _PART_TICKS].reshape(-1, len(state))
             HP = H @ covariance
-            covariance = covariance - HP.T @ np.linalg.solve(HP @ H.T + np.eye(len(HP)), HP)
+            W = dtrtrs(np.linalg.cholesky(HP @ H.T + np.eye(len(HP))).T, HP, lower=False, trans=True)[0]
+            covariance = covariance - W.T @ W
         state, covariance = predictor.carried(now, state, state, 0.5 * (covariance + covariance.T))
     rate[0] = rate[min(1, len(rate) - 1)]
     return state, covariance, rate

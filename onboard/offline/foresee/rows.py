@@ -9,6 +9,8 @@ stand for the many that fit between them: their noise is white, smaller by that 
 samples add.
 """
 
+import copy
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -48,29 +50,41 @@ _MOST_TICKS = 20_000  # whose rows are made at a time: 0.2 GB
 _FINE = 20  # steps in a kernel's width, of which coarse ticks stand for as many as fit
 
 
-def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
+def foresee_rows(vehicle: config.Vehicle, plans: Sequence[Plan], *, coarse: bool = False) -> list[Foreseen]:
     """Expected intervals of base parameters and quantities of a vehicle whose method is rows.
 
     Args:
         vehicle: its file.
-        plan: the motion, at the estimator's ticks; of a prescribed base the first of its motions.
+        plans: motions at the same ticks, those of the estimator; of a prescribed base the first of its motions.
         coarse: at fewer, each for as many.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
         SignalError: a motion with which the rows cannot be made.
     """
-    identifier, model = build_identifier(vehicle)
-    row_model = identifier.model
-    chi = row_model.chi.copy()
+    fresh, model = build_identifier(vehicle)
+    period_s = float(plans[0].time_s[1] - plans[0].time_s[0])
+    few = plans[0].few(vehicle) if fresh.whitening is None else slice(None)
+    noise = StatedNoise(vehicle, fresh, period_s * (few.step or 1), coarse=coarse)
+    # the model does not change: it is shared
+    each = [copy.deepcopy(fresh, {id(fresh.model): fresh.model}) for _ in plans[1:]]
+    return [_foresee(vehicle, plan, few, who, model, noise) for plan, who in zip(plans, [fresh, *each], strict=True)]
+
+
+def _foresee(
+    vehicle: config.Vehicle,
+    plan: Plan,
+    few: slice,
+    identifier: Identifier,
+    model: VehicleModel,
+    noise: "StatedNoise",
+) -> Foreseen:
+    """Of one motion, at some of its ticks, by an identifier that has no rows yet."""
+    chi = identifier.model.chi.copy()
     if plan.payload is not None:
         chi[model.payload_columns()] = standard_of(plan.payload)
-    motion, period_s = _base_motion(model, plan, chi), float(plan.time_s[1] - plan.time_s[0])
-    if identifier.whitening is None:
-        few = plan.few(vehicle)
-        plan, motion = plan.part(few), BaseMotion(*(signal[few] for signal in motion))
-        period_s *= few.step
-    noise = StatedNoise(vehicle, identifier, period_s, coarse=coarse)
+    motion = BaseMotion(*(signal[few] for signal in _base_motion(model, plan, chi)))
+    plan = plan.part(few)
     excluded = reasons(~plan.used(vehicle), GateReason.PHASE)
     edges = np.linspace(0, len(excluded), 1 + -(-len(excluded) // _MOST_TICKS)).astype(np.intp)
     for first, last in pairwise(edges.tolist()):
@@ -93,7 +107,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
     ]
     used = excluded == 0
     words = axes_words(model, plan, motion.rate_rad_s, used & plan.held)
-    return Foreseen(tuple(quantities), tuple(parameters), plan.payload, float(used.sum() * period_s), words)
+    return Foreseen(tuple(quantities), tuple(parameters), plan.payload, float(used.sum() * noise.period_s), words)
 
 
 def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion:
@@ -125,10 +139,13 @@ class StatedNoise:
         identifier: of its rows.
         period_s: of the ticks.
         coarse: filtered rows of a tick stand for as many as fit between it and the next.
+
+    Attributes:
+        period_s: as given.
     """
 
     def __init__(self, vehicle: config.Vehicle, identifier: Identifier, period_s: float, *, coarse: bool) -> None:
-        self._vehicle, self._identifier, self._period_s = vehicle, identifier, period_s
+        self._vehicle, self._identifier, self.period_s = vehicle, identifier, period_s
         self._coarse, self._filtered = coarse, identifier.whitening is not None
         roles, of_vehicle = roles_of(vehicle), identifier.model.vehicle
         self._joints = JointNoise(vehicle, of_vehicle)
@@ -161,7 +178,7 @@ class StatedNoise:
         noise = SignalNoise(q, dq, ddq, of_motion[0], of_motion[1], of_motion[2], self._inflation, own)
         return Signals(
             *(plan.time_s, plan.q, plan.dq, plan.ddq, motion),
-            *(true, sigma * self._inflation, np.gradient(true, self._period_s, axis=0)),
+            *(true, sigma * self._inflation, np.gradient(true, self.period_s, axis=0)),
             *(noise, flowing, refused if refused.any() else None),
         )
 

@@ -50,12 +50,14 @@ def test_a_base_that_does_not_sway_is_computed_once(base: str, over: str, count:
 def test_a_long_motion_is_taken_in_parts_and_by_fewer_sways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, whole = plan(tmp_path, "prescribed")
     n, one = len(whole.time_s), whole.by_base()[0]
-    at_once = [parameter.sigma for parameter in rows.foresee_rows(vehicle, one).parameters]
+    [found] = rows.foresee_rows(vehicle, [one])
+    at_once = [parameter.sigma for parameter in found.parameters]
     monkeypatch.setattr(rows, "_MOST_TICKS", n // 3)
     taken = []
     made = StatedNoise.signals
     monkeypatch.setattr(StatedNoise, "signals", lambda *given: taken.append(len(given[1].q)) or made(*given))
-    parts = [parameter.sigma for parameter in rows.foresee_rows(vehicle, one).parameters]
+    [found] = rows.foresee_rows(vehicle, [one])
+    parts = [parameter.sigma for parameter in found.parameters]
     assert sum(taken) == n
     assert max(taken) <= n // 3
     np.testing.assert_allclose(parts, at_once, rtol=1e-3)  # rates of readings at the edges of parts are one-sided
