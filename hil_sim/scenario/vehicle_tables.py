@@ -313,16 +313,16 @@ class VehicleScenario(Scenario):
     """A whole mission of a vehicle of one's own."""
 
     vehicle: VehicleTable
-    physics: WorldPhysics = WorldPhysics()
+    physics: WorldPhysics = Field(default_factory=WorldPhysics.model_construct)
     as_built: dict[str, Tolerance] = Field(default_factory=dict)
-    release: LetGo = LetGo()
+    release: LetGo = Field(default_factory=LetGo.model_construct)
     payload: PayloadTable | None = None
     capture: CaptureWindow | None = None
     ejection: EjectionTable | None = None
-    motion: Motion = Motion()
-    base_motion: BaseSway = BaseSway()
-    friction: JointFriction = JointFriction()
-    table: TableTop = TableTop()
+    motion: Motion = Field(default_factory=Motion.model_construct)
+    base_motion: BaseSway = Field(default_factory=BaseSway.model_construct)
+    friction: JointFriction = Field(default_factory=JointFriction.model_construct)
+    table: TableTop = Field(default_factory=TableTop.model_construct)
     flexibility: Flexibility | None = None
     backlash: BacklashTable | None = None
     slosh: SloshTable | None = None

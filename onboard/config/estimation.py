@@ -260,14 +260,16 @@ class Estimation(Section):
     zero_force_sigma_m_s2: Positive | None = None
     phases: Phases | None = None
     zero: Zero | None = None
-    gates: Gates = Gates()
-    memory: MemoryKeys = MemoryKeys()
-    prior: Prior = Prior()
+    gates: Gates = Field(default_factory=Gates.model_construct)
+    memory: MemoryKeys = Field(default_factory=MemoryKeys.model_construct)
+    prior: Prior = Field(default_factory=Prior.model_construct)
     masses: Masses | None = None
     motor: dict[str, MotorKeys] = Field(default_factory=dict)
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
-    exiddm: ExiddmKeys = ExiddmKeys()
-    disturbance: DisturbanceKeys = DisturbanceKeys()
-    useful: UsefulKeys = UsefulKeys()
-    imu_prior: ImuPriorKeys = Field(default=ImuPriorKeys(), validation_alias=AliasChoices("imu_prior", "doubt"))
+    exiddm: ExiddmKeys = Field(default_factory=ExiddmKeys.model_construct)
+    disturbance: DisturbanceKeys = Field(default_factory=DisturbanceKeys.model_construct)
+    useful: UsefulKeys = Field(default_factory=UsefulKeys.model_construct)
+    imu_prior: ImuPriorKeys = Field(
+        default_factory=ImuPriorKeys.model_construct, validation_alias=AliasChoices("imu_prior", "doubt")
+    )

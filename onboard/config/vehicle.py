@@ -108,12 +108,12 @@ class VehicleFile(Section):
     bus: dict[str, BusSection] = Field(default_factory=dict)
     device: dict[str, AnyDevice]
     link: dict[str, LinkSection] = Field(default_factory=dict)
-    estimation: Estimation = Estimation()
+    estimation: Estimation = Field(default_factory=Estimation.model_construct)
     free_body: FreeBody | None = None
     planar: Planar | None = None
     parabola: Parabola | None = None
-    recording: Recording = Recording()
-    realtime: Realtime = Realtime()
+    recording: Recording = Field(default_factory=Recording.model_construct)
+    realtime: Realtime = Field(default_factory=Realtime.model_construct)
     drive: Drive | None = None
     mission: MissionKeys | None = None
 
