@@ -161,35 +161,45 @@ class SmoothingWindow:
     ) -> None:
         times = np.asarray(times_s, np.float64)
         at = np.atleast_1d(np.asarray(at_s, np.float64))
-        if times.ndim != 1 or at.ndim != 1 or not np.isfinite(times).all() or not np.isfinite(at).all():
+        spacing = times[1:] - times[:-1] if times.ndim == 1 else times
+        increases = not spacing.size or spacing.min() > 0.0  # False where one is NaN
+        ends = times.size == 0 or (math.isfinite(times.flat[0]) and math.isfinite(times.flat[-1]))
+        if times.ndim != 1 or at.ndim != 1 or not (ends and increases and np.isfinite(at).all()):
+            if times.ndim == 1 == at.ndim and np.isfinite(times).all() and np.isfinite(at).all():
+                raise RowError("sample times must increase strictly; sort them and drop duplicates first")
             raise RowError("sample times and ticks must be finite vectors; drop samples without a time first")
         if not 0.0 < width_s < np.inf:
             raise RowError(f"the smoothing width is {width_s} s; give a positive one")
-        spacing = times[1:] - times[:-1]
-        if spacing.size and spacing.min() <= 0.0:
-            raise RowError("sample times must increase strictly; sort them and drop duplicates first")
         gap = width_s / 5.0 if max_gap_s is None else max_gap_s
         self.width_s = width_s
         self.kernel = kernel
         self.samples = times.size
-        low = np.searchsorted(times, at - 0.5 * width_s, side="right")
-        high = np.searchsorted(times, at + 0.5 * width_s, side="left")
-        self.valid: BoolArray = (high - low) * kernel.reach >= _MIN_SAMPLES  # (n,)
-        length = int((high - low).max(initial=1))
+        begin, end = at - 0.5 * width_s, at + 0.5 * width_s
+        low, high = times.searchsorted(begin, side="right"), times.searchsorted(end, side="left")
+        count = high - low
+        self.valid: BoolArray = count * kernel.reach >= _MIN_SAMPLES  # (n,)
+        length = int(count.max(initial=1))
         index = low[:, None] + np.arange(max(length, 1))  # (n, l)
-        inside = index < high[:, None]
-        self._index = np.minimum(index, max(times.size - 1, 0))
+        whole = bool(count.min(initial=length) == length)  # every window has as many
+        inside = None if whole else index < high[:, None]
+        self._index = index if whole else np.minimum(index, max(times.size - 1, 0))
         if not self.valid.any():  # it changes below
             return
         t = times[self._index]
         cell = np.empty_like(times)
         cell[1:-1] = 0.5 * (times[2:] - times[:-2])
         cell[0], cell[-1] = spacing[0], spacing[-1]
-        self._u = np.where(inside, (t - at[:, None]) / width_s, 0.0)  # (n, l)
-        self._cell = np.where(inside, cell[self._index] / width_s, 0.0)  # (n, l) quadrature weights
-        last = t[np.arange(at.size), np.maximum(high - low, 1) - 1]
-        within = np.where(inside[:, 1:], t[:, 1:] - t[:, :-1], 0.0).max(axis=1, initial=0.0)
-        edges = np.maximum(t[:, 0] - (at - 0.5 * width_s), at + 0.5 * width_s - last)
+        self._u = (t - at[:, None]) / width_s  # (n, l)
+        self._cell = cell[self._index] / width_s  # (n, l) quadrature weights
+        steps = t[:, 1:] - t[:, :-1]
+        if inside is None:
+            last = t[:, -1]
+        else:
+            self._u, self._cell = np.where(inside, self._u, 0.0), np.where(inside, self._cell, 0.0)
+            last = t[np.arange(at.size), np.maximum(count, 1) - 1]
+            steps = np.where(inside[:, 1:], steps, 0.0)
+        within = steps.max(axis=1, initial=0.0)
+        edges = np.maximum(t[:, 0] - begin, end - last)
         self.valid &= np.maximum(within, edges) <= gap * (1.0 + 1e-9)
 
     def weights(self, derivative: int = 0) -> FloatArray:
@@ -271,6 +281,11 @@ class SmoothingWindow:
         Raises:
             RowError: a wrong length, or a value that is not finite.
         """
+        smoothed, gains = self.stacked(values, orders)
+        return [Smoothed(smoothed[k], self.valid, gains[k]) for k in range(len(orders))]
+
+    def stacked(self, values: ArrayLike, orders: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Values, (o, n, c), and noise gains, (o, n), of :meth:`derivatives`, which has the arguments."""
         columns = np.asarray(values, np.float64)
         columns = columns[:, None] if columns.ndim == 1 else columns
         if columns.shape[0] != self.samples:
@@ -278,14 +293,14 @@ class SmoothingWindow:
         if not np.isfinite(columns).all():
             raise RowError("values must be finite; drop invalid samples first, the hole counts as a gap")
         if not self._some:
-            nothing = np.full((self.valid.size, columns.shape[1]), np.nan)
-            return [Smoothed(nothing, self.valid, np.full(self.valid.size, np.nan)) for _ in orders]
+            n = len(orders), self.valid.size
+            return np.full((*n, columns.shape[1]), np.nan), np.full(n, np.nan)
         weights = self._of_orders(orders)
         values_at = weights @ columns[self._index]  # (n, o, c)
         gains = np.sqrt((weights * weights).sum(axis=2))
         if not self._whole:
             values_at[~self.valid] = gains[~self.valid] = np.nan
-        return [Smoothed(values_at[:, k], self.valid, gains[:, k]) for k in range(len(orders))]
+        return values_at.swapaxes(0, 1), gains.T
 
 
 def smooth(

@@ -39,9 +39,9 @@ print(json.dumps([len(said), sorted(sys.modules)]))
 @pytest.mark.parametrize(
     ("command", "code", "without", "most", "validators"),
     [
-        ("hil dymaflex --faults", 0, _HEAVY, 1220, 16),
-        ("hil rocksat --faults", 0, _HEAVY, 1220, 14),
-        ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 980, 2),
+        ("hil dymaflex --faults", 0, _HEAVY, 1220, 12),
+        ("hil rocksat --faults", 0, _HEAVY, 1220, 12),
+        ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 980, 1),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1020, 2),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 620, 2),
     ],

@@ -68,6 +68,7 @@ class SignalSmoother:
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
         }
+        self._noises: dict[tuple[str, ...], tuple[FloatArray, list[tuple[float, slice | NDArray[np.bool_]]]]] = {}
         self._reach_ns = round(1.5e9 * self.width_s)
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
@@ -199,26 +200,22 @@ class SignalSmoother:
         self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
     ) -> dict[str, ChannelAtTicks]:
         """Channels sampled together, with the same delays."""
-        first, one = next(iter(group.items()))
+        one = next(iter(group.values()))
         at_s = (at_ns - at_ns[0]) * 1e-9
         alone = len(group) == 1
         values = one.values if alone else np.hstack([recent.values for recent in group.values()])
-        noise = np.hstack([self._signals[name].noise for name in group])
-        delays_s = np.array(self._signals[first].delays_s * len(group))
+        noise, delays = self._noise_of(tuple(group))
         out = np.full((derivatives + 1, len(at_ns), len(noise)), np.nan)
         sigma = np.full_like(out, np.nan)
         gaps = np.zeros(len(at_ns), np.int64)
-        for delay_s in dict.fromkeys(delays_s.tolist()):
-            mine = delays_s == delay_s
+        for delay_s, where in delays:
             window = SmoothingWindow(
                 one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel
             )
-            every = bool(mine.all())
-            where, columns = (slice(None), values) if every else (mine, values[:, mine])
-            for order, smoothed in enumerate(window.derivatives(columns, range(derivatives + 1))):
-                out[order][:, where] = smoothed.values
-                sigma[order][:, where] = smoothed.noise_gain[:, None] * noise[where]
-            gaps |= reasons(~window.valid, GateReason.GAP)
+            smoothed, gain = window.stacked(values[:, where], range(derivatives + 1))
+            out[..., where], sigma[..., where] = smoothed, gain[..., None] * noise[where]
+            if not window.valid.all():
+                gaps |= reasons(~window.valid, GateReason.GAP)
         of_samples = sigma * sigma
         # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
         change, of_change = np.empty_like(out), np.empty_like(sigma)
@@ -239,6 +236,14 @@ class SignalSmoother:
             signal = tuple(out[:, :, part]), tuple(sigma[:, :, part])
             found[name] = ChannelAtTicks(*signal, refused, cyclic.get(name), tuple(of_samples[:, :, part]))
         return found
+
+    def _noise_of(self, names: tuple[str, ...]) -> tuple[FloatArray, list[tuple[float, slice | NDArray[np.bool_]]]]:
+        """Noise of the columns of channels with the same delays, and which columns have each delay."""
+        if names not in self._noises:
+            delays_s = np.array(self._signals[names[0]].delays_s * len(names))
+            which = [(delay_s, _contiguous(delays_s == delay_s)) for delay_s in dict.fromkeys(delays_s.tolist())]
+            self._noises[names] = np.hstack([self._signals[name].noise for name in names]), which
+        return self._noises[names]
 
     def _ripple(self, group: Mapping[str, "_Recent"], rate: FloatArray, sigma: FloatArray) -> None:
         """Add what the kernel passes of the encoders' cyclic errors to the noise.
