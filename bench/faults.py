@@ -42,7 +42,7 @@ from onboard.flight.acquire.acquisition import Acquisition
 from onboard.flight.acquire.devices import open_devices
 from onboard.flight.acquire.expected import expected
 from onboard.flight.acquire.publisher import Publisher
-from onboard.flight.simulated import RECORDING_STEPS, VirtualClock, step_ns
+from onboard.flight.simulated import RECORDING_NS, VirtualClock, step_ns
 from onboard.flight.store import rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
@@ -201,7 +201,7 @@ def _fly_drivers(vehicle: config.Vehicle, world: hil.World, urls: Mapping[str, s
             step, clock.now_ns = step + 1, min(clock.now_ns + pause_ns, world.end_ns)
             world.advance(clock.now_ns)
             acquisition.step(clock.now_ns)
-            if step % RECORDING_STEPS == 0:
+            if step % max(1, RECORDING_NS // pause_ns) == 0:
                 recorder.step(clock.now_ns)
         acquisition.stop(clock.now_ns)
         recorder.close(clock.now_ns)

@@ -3,6 +3,7 @@
 import copy
 import math
 import mmap
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
+solved_unchecked: Final[Callable[[FloatArray, FloatArray], FloatArray]] = _umath_linalg.solve1  # singular: invalid
 _LEAST: Final = 1 << 20  # bytes given back at a time
 
 
@@ -31,7 +33,7 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
         FloatingPointError: the matrix, (n, n), is singular.
     """
     with np.errstate(invalid="raise"):
-        return np.asarray(_umath_linalg.solve1(matrix, right), np.float64)
+        return solved_unchecked(matrix, right)
 
 
 class Track:

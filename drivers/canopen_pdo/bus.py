@@ -7,7 +7,7 @@ from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
 from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
 from drivers.canopen_pdo.drive_master import DriveMaster
-from drivers.canopen_pdo.event_channel import QUIET_NS, EventChannel
+from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
@@ -31,6 +31,7 @@ STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), 
 GATHER_S = 0.02  # of frames at once while no node waits for an answer
 PLAYING_S = 0.005  # longest wait for a frame while drives are driven
 REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
+LONGEST_REST_NS = 100_000_000  # a tenth of the heartbeats' limit, and a fifth of the time between two checks
 DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
@@ -159,10 +160,10 @@ class CanopenBus:
         return self._handed_over()
 
     def rests_until(self, now_ns: int) -> int:
-        """See ``drivers.device.Rests``. At most as long as the value of an event channel waits to be read back."""
+        """See ``drivers.device.Rests``. An event that comes meanwhile is read back so much later at most."""
         busy = self.player is not None or self._sync_missed or self._sync.tick is None
         busy = busy or self._port.period_ns > 0 or self._sync.silence(now_ns) > OVERDUE
-        return now_ns if busy else min([now_ns + QUIET_NS, *(node.rests_until(now_ns) for node in self._nodes)])
+        return now_ns if busy else min([now_ns + LONGEST_REST_NS, *(node.rests_until(now_ns) for node in self._nodes)])
 
     def _note_standstill(self, from_ns: int, to_ns: int) -> None:
         if to_ns - from_ns > STOOD_NS:

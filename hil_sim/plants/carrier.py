@@ -16,7 +16,7 @@ from hil_sim.plants.base_sway import BasePath, Sway, attitudes
 from hil_sim.plants.motion import Gusts, Shaking, coning, dynamic_pressure, rate_before, wind_direction
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
-CHUNK = 1920  # rows, whole blocks of the filters (64) and of attitudes (96)
+CHUNK = 3840  # rows, whole blocks of the filters (64) and of attitudes (96)
 _NOTHING = np.zeros(0), np.zeros((0, 3))
 
 

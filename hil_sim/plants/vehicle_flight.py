@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import mujoco
 import numpy as np
 
-from hil_sim.arrays import FloatArray, solved
+from hil_sim.arrays import FloatArray, solved, solved_unchecked
 from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
@@ -89,6 +89,8 @@ class VehicleFlight:
         self._step_s, self._path, self._pucks = step_s, path, pucks
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
+        self._state = self._parts(self.data.qpos, self._np) + self._parts(self.data.qvel, self._nb)
+        self._accelerations, self._wrench = self._parts(self.data.qacc, self._nb), self.data.qfrc_inverse[: self._nb]
         self._free = path is None and self._nb > 0
         self._soft = SoftParts(np.zeros(0), 0.0, None) if soft is None else soft
         self._integrated = self._free or soft is not None
@@ -96,6 +98,8 @@ class VehicleFlight:
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
         self._cabin, self._jets, self._wheels = cabin, jets, wheels
+        pushed = len(pucks) > 0 or cabin is not None or wheels is not None or (jets is not None and jets.any)
+        self._alone = self._free and not pushed and len(self._soft.state) == 0  # but for a contact
         self._spin = np.zeros(0) if wheels is None else wheels.start_rad_s
         if cabin is not None:
             self._pose, self._velocity = cabin.start()
@@ -114,12 +118,13 @@ class VehicleFlight:
         half: FloatArray = 0.5 * self._step_s * np.arange(2 * self.count, 2 * (self.count + rows) + 1, dtype=np.float64)
         q, dq, ddq = self._motion.at(half)
         out = Rows(np.empty((rows, self.model.nsensordata)), *(np.empty((rows, q.shape[1])) for _ in range(3)))
-        for k in range(rows):
-            stage = 2 * k
-            self._show(k, out, q[stage], dq[stage], ddq[stage])
-            if self._integrated:
-                self._step(q[stage : stage + 3], dq[stage : stage + 3], ddq[stage : stage + 3])
-            self.count += 1
+        told = list(zip(q, dq, ddq, strict=True))
+        with np.errstate(invalid="raise"):
+            for k in range(rows):
+                self._show(k, out, *told[2 * k])
+                if self._integrated:
+                    self._step(told[2 * k : 2 * k + 3])
+                self.count += 1
         return out
 
     def show(self) -> Rows:
@@ -186,6 +191,11 @@ class VehicleFlight:
         velocity = comes.velocity_m_s + np.cross(comes.rate_rad_s, c)
         return np.concatenate([velocity, R.T @ rate + comes.rate_rad_s])
 
+    @staticmethod
+    def _parts(whole: FloatArray, base: int) -> tuple[FloatArray, FloatArray]:
+        """Of an array of MuJoCo's, what is the base's and what the joints'; they see what changes in it."""
+        return whole[:base], whole[base:]
+
     @property
     def _holder(self) -> int:
         assert self._link is not None
@@ -225,9 +235,8 @@ class VehicleFlight:
         return rates
 
     def _place(self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray) -> None:
-        data = self.data
-        data.qpos[: self._np], data.qpos[self._np :] = pose, q
-        data.qvel[: self._nb], data.qvel[self._nb :] = velocity, dq
+        base, joints, velocities, rates = self._state
+        base[:], joints[:], velocities[:], rates[:] = pose, q, velocity, dq
 
     def _refresh(self) -> None:
         """Everything that depends on pose and velocity anew, after the base's velocity or a body has changed."""
@@ -247,6 +256,13 @@ class VehicleFlight:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Of the base at a half step, (b,), of springs, wheels, contact; leaves the joints' accelerations in place."""
         data, nb, cabin = self.data, self._nb, self._cabin
+        if self._alone and self.contact is None:
+            self._place(pose, velocity, q, dq)
+            own, others = self._accelerations
+            own[:], others[:] = 0.0, ddq
+            mujoco.mj_inverse(self.model, data)
+            self._push[:] = 0.0
+            return solved_unchecked(self._base_inertia()[:, :nb], -self._wrench), soft, self._spin, touched
         bends = self._soft.joints > 0
         bend, bending = self._soft.bend(soft) if bends else (0.0, 0.0)
         self._place(pose, velocity, q + bend, dq + bending)
@@ -358,8 +374,8 @@ class VehicleFlight:
         mujoco.mj_fullM(self.model, self.data, self._inertia)
         return self._inertia[: self._nb]
 
-    def _step(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
-        """One Runge-Kutta step; joints at its start, middle and end."""
+    def _step(self, told: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> None:
+        """One Runge-Kutta step; joints at its start, middle and end: angles, rates, accelerations."""
         h, v, y = self._step_s, self._velocity, self._soft.state
         rates: list[FloatArray] = [v]
         forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
@@ -367,9 +383,10 @@ class VehicleFlight:
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
-            rate = dq[stage] if self._wheels is None else self._turned(dq[stage], self._spin + part * h * spin[-1])
+            q, dq, ddq = told[stage]
+            rate = dq if self._wheels is None else self._turned(dq, self._spin + part * h * spin[-1])
             springs = y + part * h * soft[-1] if len(y) else y, z + part * h * touched[-1] if len(z) else z
-            found = self._accelerate(pose, velocity, *springs, q[stage], rate, ddq[stage], 2 * self.count + stage)
+            found = self._accelerate(pose, velocity, *springs, q, rate, ddq, 2 * self.count + stage)
             for stages, one in zip((forces, soft, spin, touched), found, strict=True):
                 stages.append(one)
             rates.append(velocity)
@@ -388,12 +405,11 @@ class VehicleFlight:
             return np.asarray(self._pose + step_s * velocity, np.float64)
         pose: FloatArray = self._pose.copy()
         pose[:3] += step_s * velocity[:3]
-        attitude = pose[3:].copy()
-        mujoco.mju_quatIntegrate(attitude, velocity[3:], step_s)
-        pose[3:] = attitude
+        mujoco.mju_quatIntegrate(pose[3:], velocity[3:], step_s)
         return pose
 
 
 def _mean(rates: Sequence[FloatArray]) -> FloatArray:
     """Of the four stages of a Runge-Kutta step."""
-    return np.asarray((rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0, np.float64)
+    first, second, third, fourth = rates
+    return (first + 2.0 * second + 2.0 * third + fourth) / 6.0

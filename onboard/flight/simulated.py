@@ -10,7 +10,7 @@ from onboard.flight.estimate.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
 
 STEP_NS = 5_000_000  # at most
-RECORDING_STEPS = 20  # the recorder runs every so many
+RECORDING_NS = 500_000_000  # between two steps of the recorder; rings hold many times as much
 COLLECTED_EVERY = 20_000  # objects made more than given back: a flight makes hardly any cycles
 
 
@@ -72,13 +72,16 @@ def fly(
         answered: called after each step of the estimation; returns another ``end_ns``, None to keep it.
     """
     acquisition.start(clock.now_ns)
+    recorder.step(clock.now_ns)  # the log begins now
     pause_ns = step_ns(device.period_ns for device in acquisition.devices)
-    estimation_steps = max(1, round(estimation.period_ns / pause_ns))
+    estimation_steps, recording_steps = (
+        max(1, round(period / pause_ns)) for period in (estimation.period_ns, RECORDING_NS)
+    )
     start_ns, step = clock.now_ns, 0
 
     def handed_over(step: int) -> int:
         """The first step from ``step`` on that hands over."""
-        return min(-(-step // every) * every for every in (estimation_steps, RECORDING_STEPS))
+        return min(-(-step // every) * every for every in (estimation_steps, recording_steps))
 
     def step_at(time_ns: int) -> int:
         """The first step at a time or after it."""
@@ -91,7 +94,7 @@ def fly(
     while clock.now_ns < end_ns:
         step = min(max(step + 1, step_at(acquisition.idle_until())), handed_over(step + 1))
         clock.now_ns = min(start_ns + step * pause_ns, end_ns)
-        estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
+        estimates, records = step % estimation_steps == 0, step % recording_steps == 0
         advance_world(clock.now_ns)
         acquisition.step(clock.now_ns, hand_over=estimates or records, handed_over_at=handed_over_at)
         if estimates:
