@@ -28,7 +28,7 @@ STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are 
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
-GATHER_S = 0.02  # of frames at once while no node waits for an answer
+GATHER_S = 0.05  # of frames at once while no node waits for an answer
 PLAYING_S = 0.005  # longest wait for a frame while drives are driven
 REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
 LONGEST_REST_NS = 100_000_000  # a tenth of the heartbeats' limit, and a fifth of the time between two checks
@@ -131,7 +131,7 @@ class CanopenBus:
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
         """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame.
 
-        Where it may wait and no node is asked anything, the frames of 20 ms are taken at once: a pump costs much more
+        Where it may wait and no node is asked anything, the frames of 50 ms are taken at once: a pump costs much more
         than a frame.
         """
         self._port.now_ns = now_ns
