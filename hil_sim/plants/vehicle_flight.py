@@ -28,6 +28,7 @@ from hil_sim.plants.pucks import Puck, drag_wrench
 from hil_sim.plants.soft_parts import SoftParts, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
+Told = tuple[FloatArray, FloatArray, FloatArray]  # of the joints, (j,) each: angle, rate and acceleration
 _LATER = int(mujoco.mjtStage.mjSTAGE_VEL)  # stages of inverse dynamics that are done already
 
 
@@ -89,8 +90,9 @@ class VehicleFlight:
         self._step_s, self._path, self._pucks = step_s, path, pucks
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
-        self._state = self._parts(self.data.qpos, self._np) + self._parts(self.data.qvel, self._nb)
-        self._accelerations, self._wrench = self._parts(self.data.qacc, self._nb), self.data.qfrc_inverse[: self._nb]
+        position, velocities, accelerations = self.data.qpos, self.data.qvel, self.data.qacc
+        self._state = position[: self._np], position[self._np :], velocities[: self._nb], velocities[self._nb :]
+        self._accelerations, self._wrench = accelerations, self.data.qfrc_inverse[: self._nb]
         self._free = path is None and self._nb > 0
         self._soft = SoftParts(np.zeros(0), 0.0, None) if soft is None else soft
         self._integrated = self._free or soft is not None
@@ -191,11 +193,6 @@ class VehicleFlight:
         velocity = comes.velocity_m_s + np.cross(comes.rate_rad_s, c)
         return np.concatenate([velocity, R.T @ rate + comes.rate_rad_s])
 
-    @staticmethod
-    def _parts(whole: FloatArray, base: int) -> tuple[FloatArray, FloatArray]:
-        """Of an array of MuJoCo's, what is the base's and what the joints'; they see what changes in it."""
-        return whole[:base], whole[base:]
-
     @property
     def _holder(self) -> int:
         assert self._link is not None
@@ -219,7 +216,7 @@ class VehicleFlight:
         else:
             dq = self._turned(dq, self._spin)
             now = self._pose, self._velocity, self._soft.state, self._touched
-            found = self._accelerate(*now, q, dq, ddq, 2 * self.count)
+            found = self._accelerate(*now, (q, dq, ddq), 2 * self.count)
             data.qacc[:nb], self._soft_rates, self._spin_rates, self._touched_rates = found
             mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
             data.xfrc_applied[:] = 0.0
@@ -244,22 +241,13 @@ class VehicleFlight:
         mujoco.mj_forward(self.model, self.data)
 
     def _accelerate(
-        self,
-        pose: FloatArray,
-        velocity: FloatArray,
-        soft: FloatArray,
-        touched: FloatArray,
-        q: FloatArray,
-        dq: FloatArray,
-        ddq: FloatArray,
-        stage: int,
+        self, pose: FloatArray, velocity: FloatArray, soft: FloatArray, touched: FloatArray, told: Told, stage: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Of the base at a half step, (b,), of springs, wheels, contact; leaves the joints' accelerations in place."""
-        data, nb, cabin = self.data, self._nb, self._cabin
+        data, nb, cabin, (q, dq, ddq) = self.data, self._nb, self._cabin, told
         if self._alone and self.contact is None:
             self._place(pose, velocity, q, dq)
-            own, others = self._accelerations
-            own[:], others[:] = 0.0, ddq
+            self._accelerations[:nb], self._accelerations[nb:] = 0.0, ddq
             mujoco.mj_inverse(self.model, data)
             self._push[:] = 0.0
             return solved_unchecked(self._base_inertia()[:, :nb], -self._wrench), soft, self._spin, touched
@@ -374,7 +362,7 @@ class VehicleFlight:
         mujoco.mj_fullM(self.model, self.data, self._inertia)
         return self._inertia[: self._nb]
 
-    def _step(self, told: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> None:
+    def _step(self, told: Sequence[Told]) -> None:
         """One Runge-Kutta step; joints at its start, middle and end: angles, rates, accelerations."""
         h, v, y = self._step_s, self._velocity, self._soft.state
         rates: list[FloatArray] = [v]
@@ -386,7 +374,7 @@ class VehicleFlight:
             q, dq, ddq = told[stage]
             rate = dq if self._wheels is None else self._turned(dq, self._spin + part * h * spin[-1])
             springs = y + part * h * soft[-1] if len(y) else y, z + part * h * touched[-1] if len(z) else z
-            found = self._accelerate(pose, velocity, *springs, q, rate, ddq, 2 * self.count + stage)
+            found = self._accelerate(pose, velocity, *springs, (q, rate, ddq), 2 * self.count + stage)
             for stages, one in zip((forces, soft, spin, touched), found, strict=True):
                 stages.append(one)
             rates.append(velocity)
