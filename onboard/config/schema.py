@@ -1,6 +1,7 @@
 """vehicle.toml as JSON Schema, for editors that complete keys and show what they mean."""
 
 import json
+from functools import cache
 from typing import Any
 
 from pydantic import AliasChoices
@@ -12,6 +13,7 @@ FILE = "vehicle.schema.json"
 FIRST_LINE = f"#:schema ./{FILE}"  # of a vehicle.toml beside it
 
 
+@cache
 def as_text() -> str:
     """The schema, as the file beside a vehicle.toml holds it."""
     return json.dumps(json_schema(), indent=1) + "\n"

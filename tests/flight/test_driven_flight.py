@@ -104,7 +104,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
 
 def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
-    mission, log = world(vehicle, None, 8, 10.0, ["trip:joint_1:6:"]), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 8, 6.0, ["trip:joint_1:4:"]), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         armed = config.load(vehicle).model_copy(update={"arm": True})
         hil.fly_simulated(armed, mission, urls, log)

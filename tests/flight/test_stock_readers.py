@@ -18,17 +18,17 @@ from tests.flight.missions import Result
 LAYOUT = Path(__file__).resolve().parents[2] / "docs" / "lichtblick_rocksat.json"
 
 
-def test_every_channel_of_a_flight_decodes_to_the_same_numbers(mission: Result) -> None:
-    log = mission.log
+def test_every_channel_of_a_flight_decodes_to_the_same_numbers(short_mission: Result) -> None:
+    log = short_mission.log
     channels = log.channels
     seen = {name: {field: [] for field in dtype.names or ()} for name, dtype in channels.items()}
-    with mission.path.open("rb") as file:
+    with short_mission.path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
             assert message.log_time == decoded.host_ns
             for field, values in seen[channel.topic].items():
                 values.append(getattr(decoded, field))
-    assert sum(len(next(iter(fields.values()))) for fields in seen.values()) > 100_000
+    assert sum(len(next(iter(fields.values()))) for fields in seen.values()) > 25_000
     for name, dtype in channels.items():
         rows = log.read(name)
         for field, values in seen[name].items():
@@ -40,26 +40,26 @@ def test_every_channel_of_a_flight_decodes_to_the_same_numbers(mission: Result) 
                 assert np.array_equal(ours, theirs, equal_nan=ours.dtype.kind == "f"), f"{name}.{field}"
 
 
-def test_rosbags_decodes_every_channel(mission: Result) -> None:
+def test_rosbags_decodes_every_channel(short_mission: Result) -> None:
     """It refuses a message with more than three bytes behind its last field."""
     store = get_typestore(Stores.EMPTY)
     seen: dict[str, list[int]] = {}
-    with mission.path.open("rb") as file:
+    with short_mission.path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
             assert schema is not None
             if schema.name not in store.fielddefs:
                 store.register(get_types_from_msg(schema.data.decode(), schema.name))
             seen.setdefault(channel.topic, []).append(store.deserialize_cdr(message.data, schema.name).sequence)
-    log = mission.log
+    log = short_mission.log
     with_rows = [name for name in log.channels if len(log.read(name))]
     assert len(with_rows) > 10
     for name in with_rows:
         assert seen[name] == log.read(name)["sequence"].tolist(), name
 
 
-def test_standard_messages_say_what_the_flight_measured(mission: Result, tmp_path: Path) -> None:
+def test_standard_messages_say_what_the_flight_measured(short_mission: Result, tmp_path: Path) -> None:
     """Read by rosbags with its own definitions of the messages; transforms against Pinocchio's kinematics."""
-    assert cli.main(["dump", str(mission.path), "--to", "mcap", str(tmp_path)]) == cli.OK
+    assert cli.main(["dump", str(short_mission.path), "--to", "mcap", str(tmp_path)]) == cli.OK
     store = get_typestore(Stores.ROS2_HUMBLE)
     said: dict[str, list[Any]] = {}
     with (tmp_path / "standard.mcap").open("rb") as file:
@@ -69,18 +69,18 @@ def test_standard_messages_say_what_the_flight_measured(mission: Result, tmp_pat
             if hasattr(decoded, "header"):
                 assert decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec == message.log_time
             said.setdefault(channel.topic, []).append(decoded)
-    log = heft.open(mission.path)
+    log = heft.open(short_mission.path)
     imu = log["imu_base"].to_numpy()
     assert {one.header.frame_id for one in said["/imu/imu_base"]} == {"imu_base"}
     measured = np.array([one.angular_velocity.z for one in said["/imu/imu_base"]])
     assert np.array_equal(measured, imu["gyro_imu_base_z"][imu["status"] == 0])
     angles = [dict(zip(one.name, one.position, strict=True)) for one in said["/joint_states"]]
-    assert len(angles) == len(said["/tf"]) > 2500
+    assert len(angles) == len(said["/tf"]) > 600
     even = log.resample(50.0, ["joint_1"]).columns["joint_1.value"]
     assert np.array_equal([one.get("joint_1", np.nan) for one in angles], even, equal_nan=True)
     [description] = said["/robot_description"]
     model = pinocchio.buildModelFromXML(description.data)
-    for number in range(500, 2500, 400):
+    for number in range(100, 600, 100):
         frames = {}
         for one in said["/tf"][number].transforms:
             q, p = one.transform.rotation, one.transform.translation
@@ -102,8 +102,8 @@ def plotted() -> list[str]:
     return [path["value"] for panel in configs.values() for path in panel.get("paths", [])]
 
 
-def test_the_lichtblick_layout_plots_what_a_flight_records(mission: Result) -> None:
-    channels = mission.log.channels
+def test_the_lichtblick_layout_plots_what_a_flight_records(short_mission: Result) -> None:
+    channels = short_mission.log.channels
     paths = plotted()
     assert len(paths) > 10
     for path in paths:

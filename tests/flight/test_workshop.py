@@ -31,7 +31,8 @@ CELLS = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz
 
 def flown(directory: Path, **over: Any) -> Result:
     """The tool's mission, shorter than the packaged one."""
-    return fly(directory / "bench.mcap", vehicle="workshop", sequence=SHORT, payload=payload(TOOL), **over)
+    over = {"sequence": SHORT} | over
+    return fly(directory / "bench.mcap", vehicle="workshop", payload=payload(TOOL), **over)
 
 
 def identified(run: Result, directory: Path) -> tuple[int, dict[str, Any]]:
@@ -67,7 +68,9 @@ def test_a_tool_is_weighed_on_board_and_from_the_log(tmp_path: Path, capsys: pyt
 def test_a_cell_that_reads_three_times_too_much_weighs_nothing(tmp_path: Path) -> None:
     """The gripper was weighed: it cannot be three times as heavy."""
     wrong = [{"kind": "wrong", "device": name, "value": 2.0, "start_s": 0.0} for name in CELLS]
-    run = flown(tmp_path, fault=wrong)
+    first, empty, held, last = SHORT
+    shorter = [first, empty | {"duration_s": 4.0}, held | {"duration_s": 5.0}, last]
+    run = flown(tmp_path, fault=wrong, sequence=shorter)
     code, told = identified(run, tmp_path)
     assert code == cli.FAILED
     assert told["verdict"]["level"] == "do not use"
