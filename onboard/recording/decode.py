@@ -69,8 +69,8 @@ class Times:
         for channel, records in runs:
             assert channel.dtype.fields is not None
             at = BODY_AT + channel.dtype.fields["host_ns"][1]
-            times = np.ascontiguousarray(records[:, at : at + 8]).view("<i8")[:, 0]
-            low, high, last = int(times.min()), int(times.max()), int(times[-1])
+            times = np.frombuffer(records[:, at : at + 8].tobytes(), "<i8").tolist()
+            low, high, last = min(times), max(times), times[-1]
             before = self._newest_ns.get(channel.name, low)
             if max(high, before) - min(low, before) > FARTHEST_NS:
                 wrong = wrong or f"channel {channel.name!r}: the time of a row is years from the one before it"

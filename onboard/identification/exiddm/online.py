@@ -98,6 +98,7 @@ class ExiddmIdentifier:
         self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion)
         self._attached: bool | None = None
         self._told = 0
+        self._mixed: tuple[Weighed, Mixture, float] | None = None  # the last answer, and what it is of
         self._ended = True  # or what the flight's end left to be solved was given up
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
@@ -124,6 +125,7 @@ class ExiddmIdentifier:
             self._attached = held
             self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
+        self._mixed = None
         self._tell_of_capture(ticks)
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
@@ -132,13 +134,13 @@ class ExiddmIdentifier:
 
     def work(self) -> None:
         """Solves a window as far as the bound goes; see ``Defers``."""
-        glitches = self.exiddm.glitches
+        glitches, self._mixed = self.exiddm.glitches, None
         self.exiddm.work()
         self._count(glitches)
 
     def finish(self) -> None:
         """Solves what is under way, and processes the ticks that wait for it, as far as :func:`last_work` goes."""
-        glitches = self.exiddm.glitches
+        glitches, self._mixed = self.exiddm.glitches, None
         self._ended = self.exiddm.finish(last_work(len(self.exiddm.predictor.vehicle.joints)))
         self._count(glitches)
         self._tell_of_capture(self.exiddm.predictor.no_ticks)
@@ -310,13 +312,16 @@ class ExiddmIdentifier:
         That is the largest that is above one: misfit, strongest line, power below 1.5 Hz, the
         square of the most contradicted correction over three of its sigmas, or the like of all of them together.
         """
+        if self._mixed is not None and self._mixed[0] is weighed:
+            return self._mixed[1:]
         line = self.exiddm.lines.strongest
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
-        return weighed.mixed(partial(self._payload_if, weighed, self._doubted())), misfit
+        self._mixed = weighed, weighed.mixed(partial(self._payload_if, weighed, self._doubted())), misfit
+        return self._mixed[1:]
 
     def _payload_if(self, weighed: Weighed, doubted: IndexArray, hypothesis: Hypothesis) -> Known:
         """The same if a hypothesis is true, with scales that are hardly relied on.
