@@ -6,8 +6,10 @@ While ``install_can`` is in force, ``can.Bus(interface="virtual")`` makes a ``Pu
 import contextlib
 import errno
 import queue
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import repeat
+from typing import Any, Final, cast
 
 import can
 from can.interfaces import BACKENDS
@@ -16,6 +18,7 @@ from can.interfaces.virtual import VirtualBus
 from drivers.ports import CanFrame
 from hil_sim.devices.canopen.sync_train import WireFrame
 
+_frame_of: Final = cast(Callable[[tuple[Any, ...]], CanFrame], partial(tuple.__new__, CanFrame))  # faster than it
 _away: set[str] = set()  # channels whose adapter is pulled out
 
 
@@ -46,7 +49,7 @@ class PulledBus(VirtualBus):
         waiting = self.queue.queue
         if self._filters is not None or not all(type(one) is WireFrame for one in waiting):
             return None
-        frames = [CanFrame(*one) for one in waiting]
+        frames = list(map(_frame_of, zip(*zip(*waiting, strict=True), repeat(False), strict=False))) if waiting else []
         waiting.clear()
         return frames
 

@@ -16,7 +16,7 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 
 from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, is_process_data
-from hil_sim.devices.canopen.sync_train import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame, wire_frames
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
@@ -313,7 +313,7 @@ class CanBus:
         late_ns[0] = max(int(late_ns[0]), self._last_stamp_ns + 1)
         stamps_ns = (np.maximum.accumulate(late_ns - places) + places).tolist()  # each later than the one before
         self._last_stamp_ns = stamps_ns[-1]
-        return list(map(WireFrame, stamps_ns, identifiers, data))
+        return wire_frames(stamps_ns, identifiers, data)
 
 
 class EdgeLink(Protocol):

@@ -7,9 +7,10 @@ ends a train where it stands, and the wire goes on frame by frame; so both ways 
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import chain, repeat
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -59,6 +60,14 @@ class WireFrame(NamedTuple):
     end_ns: int
     identifier: int
     data: bytes
+
+
+_frame_of: Final = cast(Callable[[tuple[int, int, bytes]], WireFrame], partial(tuple.__new__, WireFrame))
+
+
+def wire_frames(ends_ns: Iterable[int], identifiers: Iterable[int], data: Iterable[bytes]) -> list[WireFrame]:
+    """Frames of columns that may be longer than the shortest; half the time that their own class takes."""
+    return list(map(_frame_of, zip(ends_ns, identifiers, data, strict=False)))
 
 
 class Train(NamedTuple):
@@ -182,7 +191,7 @@ class SyncTrains:
         times_ns = np.array(ends_ns, np.int64)
         begin_ns = times_ns + max(self._gap_ns, ANSWER_NS)
         last_ns = times_ns
-        columns = [list(map(WireFrame, ends_ns, repeat(SYNC), [data for _, data in syncs]))]
+        columns = [wire_frames(ends_ns, repeat(SYNC), [data for _, data in syncs])]
         begins: list[list[int]] = []
         for tpdo, _ in senders:
             contents = tpdo.samples(times_ns)
@@ -190,7 +199,7 @@ class SyncTrains:
             last_ns = begin_ns + np.rint(frames_bits(identifier, contents) * self._bit_ns).astype(np.int64)
             whole = contents.tobytes()
             pieces = [whole[at : at + size] for at in range(0, len(whole), size)]
-            columns.append(list(map(WireFrame, last_ns.tolist(), repeat(identifier), pieces)))
+            columns.append(wire_frames(last_ns.tolist(), repeat(identifier), pieces))
             begins.append(begin_ns.tolist())
             begin_ns = last_ns + self._gap_ns
         self._frames = list(chain.from_iterable(zip(*columns, strict=True)))

@@ -90,8 +90,12 @@ class SerialTwin:
 
     def _at(self, name: str, due_ns: int, action: Callable[[int], None]) -> None:
         """Set (or move) the timer ``name``."""
+        before = self._timers.get(name)
         self._timers[name] = (due_ns, action)
-        self._refresh()
+        if due_ns <= self._due_ns:
+            self._due_ns = due_ns
+        elif before is not None and before[0] == self._due_ns:
+            self._refresh()
 
     def _stop(self, name: str) -> None:
         if self._timers.pop(name, None) is not None:
