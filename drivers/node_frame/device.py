@@ -26,9 +26,6 @@ from drivers.unwrap import unwrapped
 MOST_HELD = 4096  # data frames held until the first descriptor
 LONGEST_FRAME_NS = 60e9  # longest interval between two frames accepted from the node's clock
 LONGEST_GAP_NS = 1 << 62
-LONGEST_REST_NS = 100_000_000
-HELD_BYTES, AROUND = 2048, 8  # half of what a port holds; bytes of a frame besides its payload
-MARKED = 32  # pulses: from then on the times of its frames hang on no arrival
 NODE_NOT_VALID, NODE_SATURATED = 1, 2  # bits of the node's status byte; the others are node-specific
 _SEQUENCE_AT = slice(4, 8)
 
@@ -87,13 +84,6 @@ class NodeFrame(SerialDevice):
         """See ``SerialDevice``."""
         dtypes: dict[str, np.dtype[Any]] = dict.fromkeys(self._names, SCALAR)
         return dtypes | {f"{self.name}_mark": MARK}
-
-    def rests_until(self, now_ns: int) -> int:
-        """See ``drivers.device.Rests``: frames wait in the port, where marks and not arrivals tell their time."""
-        if self._known is None or self._broken or not (self._running and self._link.is_open and self._marks > MARKED):
-            return now_ns
-        held = HELD_BYTES // (self._known.dtype.itemsize + AROUND)
-        return now_ns + min(LONGEST_REST_NS, int(held * self._frame_ns))
 
     def _opened(self, now_ns: int) -> None:
         self._frames.clear()

@@ -252,26 +252,3 @@ def test_it_works_on_a_pty():
     pty.close()
     assert whole(batches, "rig_force")["value_raw"].tolist() == [3 * n - 1000 for n in range(100)]
     assert codes(batches) == ["described", "stopped"]
-
-
-def test_a_node_that_marks_pulses_rests_and_loses_nothing(clock):
-    flight = Flight(clock)
-    flight.start()
-    flight.descend()
-    assert flight.device.rests_until(clock()) == clock(), "by arrivals alone each poll counts"
-    for _ in range(33):
-        flight.node.edge(flight.tick())
-        flight.fly(20)
-    rests_ns = []
-    for _ in range(20):
-        rests_ns.append(flight.device.rests_until(clock()) - clock())
-        for _ in range(rests_ns[-1] // MS):
-            clock.advance(MS)
-            flight.port.say(flight.frame())
-        assert flight.port.in_waiting <= 2048
-        flight.pump(0)
-    assert min(rests_ns) > 50 * MS
-    flight.stop()
-    assert flight.device.rests_until(clock()) == clock()
-    assert len(flight.rows()) == 33 * 20 + sum(rests_ns) // MS
-    assert len(of(flight.batches, "gap")) == 0
