@@ -13,24 +13,27 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
+
 from onboard import config
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.rows.free_body import PrincipalMoments
 from onboard.offline.bring_in import importer
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.throws import LoadSummary
+from onboard.offline.estimate_again.identify import Identification, identify
 
 ROW_PERIOD_US = 5000
 MAPPING = Path(importer.__file__).parent / "mappings" / "tudelft.toml"
 
 
-def identify_at(source: Path, offset_us: float, smoothing: str, width_ms: float) -> list[LoadSummary]:
-    """The summaries of all loads, with the recorder's clock moved by ``offset_us``."""
+def identify_at(source: Path, offset_us: float, smoothing: str, width_ms: float) -> Identification:
+    """All loads, with the recorder's clock moved by ``offset_us``."""
     text = MAPPING.read_text(encoding="utf-8").replace('unit = "us"', f'unit = "us"\noffset = {offset_us}', 1)
     with tempfile.TemporaryDirectory() as directory:
         mapping = Path(directory) / "moved.toml"
         mapping.write_text(text, encoding="utf-8")
         logs = importer.import_recordings(mapping, source, Path(directory))
         vehicle = config.load(_smoothed_by(smoothing, width_ms, Path(directory)))
-        return identify(vehicle, [log.path for log in logs]).summaries
+        return identify(vehicle, [log.path for log in logs])
 
 
 def _smoothed_by(smoothing: str, width_ms: float, directory: Path) -> Path:
@@ -45,6 +48,10 @@ def _smoothed_by(smoothing: str, width_ms: float, directory: Path) -> Path:
     return directory / "vehicle.toml"
 
 
+def _half(moments: PrincipalMoments) -> FloatArray:
+    return np.asarray((moments.high - moments.low) / (2.0 * moments.moments), np.float64)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -53,14 +60,23 @@ def main() -> None:
     parser.add_argument("--smoothing", choices=("spline", "filter", "smoother"), default="spline")
     parser.add_argument("--width-ms", type=float, default=100.0, help="of the kernel (default 100)")
     arguments = parser.parse_args()
-    print(f"{'offset':>9}  {'load':12}{'throws':>7}{'mean':>8}{'bar':>7}{'worst':>8}{'bar':>7}{'covered':>9}")
+    print(f"{'':39}{'error, norm':>15}{'half width, median':>22}{'error / sigma':>15}")
+    heads = f"{'covered':>9}{'mean':>8}{'worst':>7}{'alone':>11}{'together':>11}{'rms':>15}"
+    print(f"{'offset':>9}  {'load':12}{'throws':>7}{heads}")
     for index in range(arguments.offsets):
         offset_us = index * ROW_PERIOD_US / arguments.offsets
-        for one in identify_at(arguments.source, offset_us, arguments.smoothing, arguments.width_ms):
-            bars = [f"{bar:.1f}%" for bar in one.load.bars_percent or ()] or ["", ""]
+        found = identify_at(arguments.source, offset_us, arguments.smoothing, arguments.width_ms)
+        for one in found.summaries:
+            mine = [log.throw.principal for log in found.logs if log.throw and log.throw.load.name == one.load.name]
+            told = [moments for moments in mine if moments is not None]
+            truth = np.sort(np.array(one.load.truth_kg_m2))
+            rms = np.sqrt(np.mean([((moments.moments - truth) / moments.sigma) ** 2 for moments in told]))
+            pooled = one.together.principal if one.together else None
+            together = f"{np.median(_half(pooled)):.1%}" if pooled else ""
             print(
-                f"{offset_us * 1e-3:6.2f} ms  {one.load.name:12}{one.answered:7d}{one.mean_percent:7.2f}%{bars[0]:>7}"
-                f"{one.worst_percent:7.2f}%{bars[1]:>7}{one.covered_percent:8.0f}%"
+                f"{offset_us * 1e-3:6.2f} ms  {one.load.name:12}{one.answered:7d}{one.covered_percent:8.0f}%"
+                f"{one.mean_percent:7.2f}%{one.worst_percent:6.2f}%{np.median([_half(each) for each in told]):11.1%}"
+                f"{together:>11}{rms:15.2f}"
             )
 
 

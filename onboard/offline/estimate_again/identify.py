@@ -4,8 +4,8 @@ For any vehicle these are the last quantities with their intervals, as in the on
 (``[free_body]`` in the vehicle file) the load is computed from them, with a summary of loads of known truth.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.parabolic_log import identify_parabolas
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.residuals import keep_rows
-from onboard.offline.estimate_again.throws import Calibration, LoadSummary
+from onboard.offline.estimate_again.throws import Calibration, LoadSummary, Throw
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
 
@@ -50,6 +50,7 @@ class Identification:
     vehicle: config.Vehicle
     logs: tuple[Identified, ...]
     calibration: Calibration | None
+    together: Mapping[str, Throw] = field(default_factory=dict)  # by load: all its throws in one estimate
     predicted: tuple[tuple[Path, HeldOutFit], ...] = ()  # other logs, from the first of these
 
     @property
@@ -70,7 +71,7 @@ class Identification:
     @property
     def summaries(self) -> list[LoadSummary]:
         """Summary by load, for loads with known truth."""
-        return throws.summaries([log.throw for log in self.logs if log.throw is not None])
+        return throws.summaries([log.throw for log in self.logs if log.throw is not None], self.together)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -118,20 +119,22 @@ def identify(
         check_channels(vehicle, reader)
         check_times(vehicle, reader)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
-    calibration: dict[str, Identifier] = {}
-    found = []
+    pools, found = dict[str, Identifier](), []
     by_rows = vehicle.file.estimation.method != EXIDDM
     by_likelihood = likelihood_of(vehicle)
     for reader, load in zip(readers, loads, strict=True):
         found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
-        if load is not None and load.role != "load":
-            again = Estimator(vehicle, calibration.get(load.role), at_the_end=True)
-            calibration[load.role] = again.identifier
+        if load is not None:
+            again = Estimator(vehicle, pools.get(load.name), at_the_end=True)
+            pools[load.name] = again.identifier
             for _ in feed(again, reader):
                 pass
         if progress:
             progress(len(found))
-    return Identification(vehicle, tuple(found), throws.calibrate(vehicle, calibration))
+    loaded = {load.name: load for load in loads if load is not None}
+    calibration = throws.calibrate(vehicle, {loaded[name].role: pool for name, pool in pools.items()})
+    together = {name: throws.throw(vehicle, load, pools[name]) for name, load in loaded.items()}
+    return Identification(vehicle, tuple(found), calibration, together)
 
 
 def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReader], Identified]:
@@ -153,12 +156,12 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
     if last is None:
         nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
-        none = throws.throw(vehicle, load, who, None) if load else None
+        none = throws.throw(vehicle, load, who) if load else None
         return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
     held = held_out(who.seen, who)
     estimate = who.estimate()
     answers = _answers(last, who)
-    thrown = throws.throw(vehicle, load, who, estimate) if load else None
+    thrown = throws.throw(vehicle, load, who) if load else None
     names = _asked_names(vehicle, who)
     if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from onboard.identification.rows.free_body import PrincipalMoments
 from onboard.identification.verdict import Level, Verdict
 from onboard.offline.calibrate.result import digits
 from onboard.offline.estimate_again import runs_view
@@ -26,7 +27,8 @@ def render(found: Identification) -> RenderableType:
         return Group(*(part for log in found.logs for part in _one(log)), *_predicted(found))
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
-        parts.append(_throws([log for log in found.logs if log.throw and log.throw.load.name == name]))
+        mine = [log for log in found.logs if log.throw and log.throw.load.name == name]
+        parts.append(_throws(mine, found.together[name].principal))
     if found.summaries:
         parts.append(_summary(found.summaries))
     parts += [Text.assemble(f"{log.log.stem}: ", _verdict(log.verdict)) for log in found.logs if not _good(log)]
@@ -124,8 +126,13 @@ def _within(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
     return ", ".join(f"{value:.{n}f} ± {wide:.{n}f}" for value, wide, n in zip(values, half, places, strict=True))
 
 
-def _throws(logs: Sequence[Identified]) -> Table:
-    """One load's throws."""
+def _moments(principal: PrincipalMoments) -> list[str]:
+    rows = zip(principal.moments, principal.high, strict=True)
+    return [f"{PER_KG_MM2 * value:.1f} ± {PER_KG_MM2 * (high - value):.1f}" for value, high in rows]
+
+
+def _throws(logs: Sequence[Identified], together: PrincipalMoments | None) -> Table:
+    """One load's throws, and all of them in one estimate."""
     stems = [log.log.stem for log in logs]
     heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # common prefix, already in the title
     shared = len(heads.pop()) if len(heads) == 1 else 0
@@ -137,13 +144,12 @@ def _throws(logs: Sequence[Identified]) -> Table:
         if log.throw is None or principal is None:
             table.add_row(stem[shared:], "—", "not determined", "—")
             continue
-        shown = [
-            f"{PER_KG_MM2 * value:.1f} ± {PER_KG_MM2 * (high - value):.1f}"
-            for value, high in zip(principal.moments, principal.high, strict=True)
-        ]
         error = "" if log.throw.error_percent is None else f"{log.throw.error_percent:.2f}"
         held_out = "" if log.held_out is None else f"{100 * log.held_out.worst.relative_error:.1f}"
-        table.add_row(stem[shared:], *shown, error, held_out)
+        table.add_row(stem[shared:], *_moments(principal), error, held_out)
+    if together is not None and len(logs) > 1:
+        table.add_section()
+        table.add_row("all together", *_moments(together), "", "")
     if load.truth_kg_m2:
         table.add_section()
         table.add_row("truth", *(f"{PER_KG_MM2 * value:.1f}" for value in sorted(load.truth_kg_m2)))

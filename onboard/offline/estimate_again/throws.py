@@ -17,7 +17,7 @@ import tomli_w
 
 from onboard import config
 from onboard.dynamics.inertia import RigidBody, elements, symmetric
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.rows.free_body import (
     FREE_BODY,
     KnownBody,
@@ -94,6 +94,7 @@ class LoadSummary(NamedTuple):
     mean_percent: float
     worst_percent: float
     covered_percent: float  # of the true moments that lie in their intervals
+    together: Throw | None = None  # all throws in one estimate, the errors of the instruments common to them
 
     @property
     def within_bars(self) -> bool | None:
@@ -107,7 +108,8 @@ class LoadSummary(NamedTuple):
         """Plain values."""
         return {
             "load": self.load.name,
-            **{field: plain(getattr(self, field)) for field in self._fields[1:]},
+            **{field: plain(getattr(self, field)) for field in self._fields[1:-1]},
+            "together": None if self.together is None else self.together.as_json(),
             "bars_percent": self.load.bars_percent,
             "within_bars": self.within_bars,
         }
@@ -177,19 +179,19 @@ def carrier_of(vehicle: config.Vehicle) -> KnownBody | None:
     return KnownBody(body, np.array([*carrier.centre_of_mass_sigma_m, *carrier.inertia_sigma_kg_m2]))
 
 
-def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier, estimate: Estimate | None) -> Throw:
-    """What a log says of its load.
+def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) -> Throw:
+    """What one log, or all logs of a load, say of it.
 
     Args:
         vehicle: its carrier is subtracted, unless the carrier is the load.
         load: what flew.
-        identifier: after the log.
-        estimate: its last; None where no row could be used.
+        identifier: after the logs.
     """
     section = vehicle.file.free_body
     assert section is not None
     # Few independent blocks of time give a wide but valid interval; the prior alone is not an estimate.
-    told = {q.name for q in estimate.quantities if q.shrinkage <= SUPPORTED_SHRINKAGE} if estimate else set()
+    estimated = identifier.estimate().quantities if identifier.rows_used else ()
+    told = {q.name for q in estimated if q.shrinkage <= SUPPORTED_SHRINKAGE}
     if not set(FREE_BODY) <= told:
         return Throw(load, None, None)
     carrier = None if load.role == "carrier" else carrier_of(vehicle)
@@ -199,8 +201,8 @@ def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier, es
     return Throw(load, *found, whole_estimate(vehicle.file.vehicle.base_link, whole, section.rotor_sigma))
 
 
-def summaries(throws: Sequence[Throw]) -> list[LoadSummary]:
-    """One for each load whose truth is known, in the order of the throws."""
+def summaries(throws: Sequence[Throw], together: Mapping[str, Throw]) -> list[LoadSummary]:
+    """One for each load whose truth is known, in the order of the throws; ``together``: by load, of all its throws."""
     made = []
     for load in dict.fromkeys(throw.load.name for throw in throws if throw.load.truth_kg_m2 is not None):
         mine = [throw for throw in throws if throw.load.name == load]
@@ -208,7 +210,7 @@ def summaries(throws: Sequence[Throw]) -> list[LoadSummary]:
         inside = [throw.covered for throw in mine if throw.covered is not None]
         worst, mean = (max(errors), float(np.mean(errors))) if errors else (np.nan, np.nan)
         covered = 100.0 * sum(inside) / (3 * len(inside)) if inside else np.nan
-        made.append(LoadSummary(mine[0].load, len(mine), len(errors), mean, worst, covered))
+        made.append(LoadSummary(mine[0].load, len(mine), len(errors), mean, worst, covered, together.get(load)))
     return made
 
 

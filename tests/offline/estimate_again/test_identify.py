@@ -257,6 +257,10 @@ def test_real_throws_are_within_the_bars(logs: list[Path], record_property) -> N
         assert summary.mean_percent <= 1.6
         assert summary.worst_percent <= 4.0
         assert summary.within_bars
+        assert summary.together is not None
+        assert (pooled := summary.together.principal) is not None
+        assert np.median((pooled.high - pooled.moments) / pooled.moments) <= 0.06
+        assert summary.together.covered == 3
     inside = sum(log.throw.covered or 0 for log in found.logs if log.throw)
     assert inside >= 0.93 * 3 * (5 + 11 + 12)
     assert render(found)
