@@ -15,7 +15,7 @@ import pytest
 from onboard import cli, config
 from onboard.offline.export import FORMATS
 from onboard.recording.reader import LogReader
-from tests.flight.missions import SHORT, inline
+from tests.flight.missions import SHORT_REAL, inline
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 
@@ -73,7 +73,7 @@ def _failed(arguments: Sequence[str]) -> str:
 def short(tmp_path: Path) -> Path:
     """A scenario of two sweeps."""
     path = tmp_path / "short.toml"
-    path.write_text(f"sequence = [{', '.join(map(inline, SHORT))}]\n")
+    path.write_text(f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n")
     return path
 
 

@@ -12,10 +12,10 @@ import pytest
 
 from onboard import cli
 from onboard.recording.reader import LogReader
-from tests.flight.missions import SHORT, inline
+from tests.flight.missions import SHORT_REAL, inline
 
 pytestmark = pytest.mark.usefixtures("own_rings")
-OVER = f"sequence = [{', '.join(map(inline, SHORT))}]\n"
+OVER = f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n"
 
 
 def rehearse(place: Path, *options: str, take: Callable[[Path], object]) -> tuple[int, str, str, Path]:
