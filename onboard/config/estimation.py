@@ -147,6 +147,7 @@ class ImuPriorKeys(Section):
     """Prior on errors of the base IMU and of its place in the drawing: standard deviations per axis; zero: exact.
 
     Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
+    Silent cross-axis keys are as the scale, which the same calibration tells: ``cross_axis``.
     """
 
     gyro_bias_rad_s: NotNegative = 0.0
@@ -155,16 +156,25 @@ class ImuPriorKeys(Section):
     gyro_misalignment_rad: NotNegative = Field(
         default=0.003, validation_alias=AliasChoices("gyro_misalignment_rad", "gyro_turn_rad")
     )
-    gyro_cross_axis: NotNegative = 0.0
+    gyro_cross_axis: NotNegative | None = None
     accelerometer_bias_m_s2: NotNegative = 0.0
     accelerometer_drift_m_s3: NotNegative = 0.0
     accelerometer_scale: NotNegative = 0.0
     accelerometer_misalignment_rad: NotNegative = Field(
         default=0.003, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
     )
-    accelerometer_cross_axis: NotNegative = 0.0
+    accelerometer_cross_axis: NotNegative | None = None
     delay_s: NotNegative = 0.0
     position_m: NotNegative = 0.003
+
+    @property
+    def cross_axis(self) -> tuple[float, float]:
+        """Of gyro and accelerometer."""
+        gyro, accelerometer = self.gyro_cross_axis, self.accelerometer_cross_axis
+        return (
+            self.gyro_scale if gyro is None else gyro,
+            self.accelerometer_scale if accelerometer is None else accelerometer,
+        )
 
 
 class DisturbanceKeys(Section):

@@ -286,14 +286,16 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "gyro_drift_rad_s2": _M("Its drift.", "the IMU warms up in flight"),
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
-        "gyro_cross_axis": _M("Share of one axis that another shows, each of six.", "it is not calibrated: data sheet"),
+        "gyro_cross_axis": _M(
+            "Share of one axis that another shows, each of six; silent: as its scale.", "the data sheet states it"
+        ),
         "accelerometer_bias_m_s2": _M(
             "Bias of the accelerometer at the start.", "from the data sheet, or a calibration"
         ),
         "accelerometer_drift_m_s3": _M("Its drift.", "the IMU warms up in flight"),
         "accelerometer_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "accelerometer_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
-        "accelerometer_cross_axis": _M("As of the gyro.", "it is not calibrated: data sheet"),
+        "accelerometer_cross_axis": _M("As of the gyro.", "the data sheet states it"),
         "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
         "position_m": _M("Of each coordinate of its place in the drawing.", "the mounting was measured"),
     },

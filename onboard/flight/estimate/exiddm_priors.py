@@ -40,7 +40,7 @@ def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
     """The prior on errors of an IMU, as the vehicle file states it."""
     keys = vehicle.file.estimation.imu_prior
     prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
-    return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
+    return prior.with_cross_axis(*keys.cross_axis)
 
 
 def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:

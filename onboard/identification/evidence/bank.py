@@ -71,7 +71,13 @@ class Weighed(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether something is likelier wrong than all as stated, and of a size that the suspects have."""
-        return self.every[0].weight < LIKELIER and self.likeliest.size < FARTHEST_SIZE
+        return self.every[0].weight < LIKELIER and not self.too_far
+
+    @property
+    def too_far(self) -> str:
+        """What is likeliest wrong, where it is of a size that no suspect has; else empty."""
+        one = self.likeliest
+        return one.suspect.name if one.suspect is not None and one.size >= FARTHEST_SIZE else ""
 
     @property
     def counting(self) -> tuple[Hypothesis, ...]:
@@ -144,6 +150,7 @@ class Bank:
 
     Attributes:
         at: places of all suspects' constants in the state.
+        spanned: those of which every error, in whatever direction, is one of a suspect.
     """
 
     def __init__(self, suspects: Sequence[Suspect], sigma: FloatArray) -> None:
@@ -156,9 +163,18 @@ class Bank:
         for one, own in zip(suspects, self._columns, strict=True):
             every[one.at, own] = one.along
         self.at: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
+        whole = (one.at for one in suspects if np.linalg.matrix_rank(one.along) == len(one.at))
+        self.spanned: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *whole]))
         self._of_all = every[self.at] / sigma[self.at, None] ** 2
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
-        for fixed in (self.at, self._alike, self._log_odds, self._of_all, self._inner):  # a checkpoint names it
+        for fixed in (
+            self.at,
+            self.spanned,
+            self._alike,
+            self._log_odds,
+            self._of_all,
+            self._inner,
+        ):  # a checkpoint names it
             fixed.setflags(write=False)
         for one in suspects:
             one.at.setflags(write=False)

@@ -4,8 +4,8 @@ Numbers of the other modules of this package carry no limit; the limits are here
 """
 
 LIKELY_SIZE = 0.1
-"""One sigma of a scale that is wrong, of a zero in rad, or of a body: propellant used, a part exchanged, a cell
-knocked. The classes of wrong files that answers are judged by go from 1 to 20 %."""
+"""One sigma of a scale that is wrong, of a zero or a housing in rad, or of a body: propellant used, a part exchanged, a
+cell knocked. The classes of wrong files that answers are judged by go from 1 to 20 %."""
 LIKELY_DELAY_s = 0.01
 """One sigma of a delay that is wrong: one step of the slower control loops that read encoders, 100 Hz."""
 FARTHEST_SIZE = 3.0

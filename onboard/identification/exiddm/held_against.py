@@ -1,4 +1,7 @@
-"""A filter's corrections held against what is stated of them, once for each state of the filter."""
+"""A filter's corrections held against what is stated of them, once for each state of the filter.
+
+One by one, but for constants that the bank of hypotheses weighs in every direction; all together.
+"""
 
 from typing import NamedTuple
 
@@ -14,11 +17,11 @@ from onboard.identification.exiddm.prediction.imu_prediction import DRIFT_MEMORY
 class Told(NamedTuple):
     """Corrections of what is in use, in two measures."""
 
-    known: IndexArray  # places in the state of those with a stated sigma
+    known: IndexArray  # places in the state of those with a stated sigma, of which each is held
     in_stated: FloatArray  # their sizes in these
-    steady: IndexArray  # places of those that do not change during the flight
+    steady: IndexArray  # places of those of them that do not change during the flight
     in_told: FloatArray  # their sizes in sigmas of what the data tell of each
-    at_once: Together  # all of these
+    at_once: Together  # all that do not change, the weighed ones too
 
 
 class HeldAgainst:
@@ -27,10 +30,11 @@ class HeldAgainst:
     Args:
         predictor: states it.
         fusion: what is in use.
+        weighed: places in the state of what is not to be held against anything one by one.
     """
 
-    def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
-        self._predictor, self._fusion = predictor, fusion
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
+        self._predictor, self._fusion, self._weighed = predictor, fusion, weighed
         self._of: tuple[Weighed, list[int]] | None = None
         self._told: Told | None = None
 
@@ -51,11 +55,13 @@ class HeldAgainst:
             known[suspect.at] = False
         steady = known.copy()
         steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
-        every, at = np.flatnonzero(known), np.flatnonzero(steady)
+        at = np.flatnonzero(steady)
         sigma, P = stated[at], covariance[np.ix_(at, at)]
-        in_told = state[at] / told(sigma**2, np.diag(P))
         in_all = together(state[at] / sigma, P / np.outer(sigma, sigma))
-        return Told(every, state[every] / stated[every], at, in_told, in_all)
+        known[self._weighed] = steady[self._weighed] = False
+        every, each = np.flatnonzero(known), np.flatnonzero(steady)
+        in_told = state[each] / told(stated[each] ** 2, covariance[each, each])
+        return Told(every, state[every] / stated[every], each, in_told, in_all)
 
 
 def stated_after(predictor: ImuPredictor, time_s: float) -> FloatArray:

@@ -8,7 +8,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
-from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
+from onboard.identification.corrections import DOUBTFUL, FARTHEST
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
@@ -16,7 +16,6 @@ from onboard.identification.exiddm.prediction.further import OF_FRICTION, Furthe
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction
 
-_SCALES = ("gyro_scale", "accelerometer_scale")
 _LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
@@ -50,14 +49,15 @@ class Innovations:
     Args:
         predictor: of its instruments.
         fusion: which of them it uses.
+        weighed: places in the state of constants whose errors are weighed as a whole (:mod:`.suspects`).
 
     Attributes:
         cells: load cells with a scale that is estimated, by their number among the instruments.
         may_be_wrong: places in the state of constants that the filter takes for far less certain than stated.
     """
 
-    def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
-        self._fusion, self._predictor, self._lines = fusion, predictor, predictor.lines
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
+        self._fusion, self._predictor, self._lines, self._weighed = fusion, predictor, predictor.lines, weighed
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
@@ -67,14 +67,6 @@ class Innovations:
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
             for k, one in further
             if isinstance(one, FurtherCell) and one.friction is not None
-        }
-        self._common = {  # scales of an IMU's axes, of gyro and accelerometer
-            k: [
-                np.array(at)
-                for kind in _SCALES
-                if (at := [at for at in predictor.of_each[k] if predictor.names[at].startswith(kind)])
-            ]
-            for k in range(len(predictor.imu_frames))
         }
 
     def of(self, batch: Batch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
@@ -138,19 +130,16 @@ class Innovations:
         return innovation, used
 
     def contradicting(
-        self, innovation: Innovation, used: int, state: FloatArray, covariance: FloatArray
+        self, innovation: Innovation, used: int, state: FloatArray, covariance: FloatArray, too_far: str
     ) -> Accusation | None:
         """An instrument in use that contradicts the others.
-
-        What the data tell (:mod:`onboard.identification.corrections`) of the scale of a cell is what the other
-        instruments make of it, long before it is many of its stated sigmas; of an IMU too, of the mean of its axes,
-        which a reference voltage changes alike.
 
         Args:
             innovation: of a batch.
             used: its lines that were, which come first.
             state: (p,) after it.
             covariance: of that.
+            too_far: instrument that is farther off than it can be, if any is.
         """
         fusion, predictor = self._fusion, self._predictor
         if (refused := fusion.refused) is not None:
@@ -168,12 +157,9 @@ class Innovations:
         for k, each in enumerate([predictor.of_each[0], *predictor.of_further]):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
-            own = np.setdiff1d(each, self.may_be_wrong)
-            moved = stated[own]
-            if k in self.cells:
-                moved = told(moved**2, covariance[own, own])
-            beyond = (np.abs(state[own]) > FARTHEST * moved).any() or self._drives(k, state, covariance)
-            if beyond or self._off_together(k, state, covariance):
+            own = np.setdiff1d(each, self._weighed)
+            beyond = (np.abs(state[own]) > FARTHEST * stated[own]).any() or self._drives(k, state, covariance)
+            if beyond or fusion.names[k] == too_far:
                 return Accusation(k, 0, for_good=True)
         return None
 
@@ -181,14 +167,6 @@ class Innovations:
         """Whether the friction or the rotor's inertia of a joint's torque is negative by more than chance."""
         at = self._friction.get(torque)
         return at is not None and bool((state[at] < -FARTHEST * np.sqrt(covariance[at, at])).any())
-
-    def _off_together(self, imu: int, state: FloatArray, covariance: FloatArray) -> bool:
-        """Whether the mean scale of the axes of an IMU's gyro or accelerometer is corrected by more than chance."""
-        for at in self._common.get(imu, ()):
-            moved = told(np.sum(self._predictor.sigma[at] ** 2), covariance[at[:, None], at].sum())
-            if abs(float(state[at].sum())) > FARTHEST * moved:
-                return True
-        return False
 
     def misled(self, state: FloatArray, but: int | None = None) -> bool:
         """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.

@@ -95,7 +95,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
-        self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion)
+        self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion, exiddm.rivals.spanned)
         self._attached: bool | None = None
         self._told = 0
         self._mixed: tuple[Weighed, Mixture, float] | None = None  # the last answer, and what it is of

@@ -95,10 +95,13 @@ class RecursiveExiddm(Holding):
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
-        self._linearised, self.rivals, self._initial = (
+        self._snapshots, self._linearised, self.rivals = (
+            Snapshots(predictor.period_s),
             Linearised(predictor),
             Rivals(predictor),
+        )
+        self._innovations, self._initial = (
+            Innovations(predictor, self.fusion, self.rivals.at),
             initially(predictor, known),
         )
         self._open(at_first(held, known is not None), self._initial)
@@ -345,7 +348,7 @@ class RecursiveExiddm(Holding):
         self.state, self.covariance = free((self.state, self.covariance))
         self._snapshots.become(free)
         self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
-        self._innovations.may_be_wrong = self.rivals.at
+        self._innovations.may_be_wrong = self.rivals.freed_at
         self._linearised.begin_anew()
 
     def _compare(self, innovation: Innovation, used: int) -> None:
@@ -355,7 +358,9 @@ class RecursiveExiddm(Holding):
         if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
             self._free(free)
             return
-        accused = self.fusion.standing(self._innovations.contradicting(innovation, used, self.state, self.covariance))
+        known = self.state, self.covariance
+        found = self._innovations.contradicting(innovation, used, *known, self.rivals.too_far(*known))
+        accused = self.fusion.standing(found)
         if accused is not None:
             self._before = bool(self.held)
             kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW

@@ -1,8 +1,10 @@
-"""What may not be as stated of a free-flyer: the drawing of base and links, its joints, the scales of its load cells.
+"""What may not be as stated of a free-flyer: the drawing of base and links, its joints, IMUs and load cells' scales.
 
 Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, the
 centre of mass, or each of its ten parameters by itself; of a link, both by one factor. One factor over all links is
-another arm, one over base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder.
+another arm, one over base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder. Of an
+IMU the scales of one sensor or of both, as a reference voltage or a wrong range changes them, its housing turned, the
+cross-axis sensitivities of a sensor, or each element of all these by itself: not calibrated.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -21,7 +23,10 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
-_EACH = 10.0  # stated sigmas of each parameter of a base that is wrong in every way
+_EACH = 10.0  # stated sigmas of each parameter of a base, or element of an IMU's matrix, that is wrong in every way
+_OF_IMU = [
+    [f"{sensor}_{kind}" for sensor in ("gyro", "accelerometer")] for kind in ("scale", "misalignment", "cross_axis")
+]
 
 
 class Rivals:
@@ -41,6 +46,16 @@ class Rivals:
 
     @property
     def at(self) -> IndexArray:
+        """Places in the state of all that may be wrong."""
+        return self._bank.at
+
+    @property
+    def spanned(self) -> IndexArray:
+        """Places in the state of constants of which every error is one of a suspect."""
+        return self._bank.spanned
+
+    @property
+    def freed_at(self) -> IndexArray:
         """Places in the state of what has been freed."""
         return self._bank.at if self.freed else self._bank.at[:0]
 
@@ -51,6 +66,10 @@ class Rivals:
             self._of = state, covariance
             self._weighed = self._bank.weigh(self._bank.as_stated(self._of) if self.freed else self._of)
         return self._weighed
+
+    def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
+        """What is likeliest wrong, if it is farther off than any error of the bank; else empty."""
+        return self.weighed(state, covariance).too_far
 
     def freeing(self, state: FloatArray, covariance: FloatArray) -> Callable[[Known], Known] | None:
         """What frees all that is known, the first time that all as stated is not believed; else None."""
@@ -66,9 +85,9 @@ def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
     The motion tells ratios of masses alone. Where one cell is all that measures a force, a factor of all masses is a
     factor of that cell.
     """
-    found = [*_bodies(predictor), *_joints(predictor), *_cells(predictor)]
-    forces = sum(isinstance(one, FurtherCell) for one in predictor.further) + len(predictor.thrusters)
-    gauge = {ALL_MASSES, *(one.name for one in predictor.further)} if forces == 1 else set()
+    found = [*_bodies(predictor), *_joints(predictor), *_imus(predictor), *_cells(predictor)]
+    cells = [one.name for one in predictor.further if isinstance(one, FurtherCell)]
+    gauge = {ALL_MASSES, *cells} if len(cells) + len(predictor.thrusters) == 1 else set()
     return [one._replace(alike=one.name in gauge) for one in found]
 
 
@@ -123,6 +142,25 @@ def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
             name = f"{what}_{joint.name}"
             if name in predictor.names and predictor.stated[at := predictor.names.index(name)] > 0.0:
                 yield Suspect(name, np.array([at]), np.full((1, 1), size), ODDS_OF_PART / len(sizes))
+
+
+def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
+    """Scales of its gyro, of its accelerometer, of both; its housing turned; cross-axis of each sensor; all of it."""
+    for name, own in zip(predictor.instruments, predictor.of_each[: len(predictor.imu_frames)], strict=False):
+        scales, turns, cross = ([at for one in kinds if (at := named(predictor, own, one)).size] for kinds in _OF_IMU)
+        ways = [(at, LIKELY_SIZE * np.ones((len(at), 1))) for at in scales]
+        for several, columns in ((scales, np.ones((3, 1))), (turns, np.eye(3))):
+            if len(several) > 1:
+                ways.append((np.concatenate(several), LIKELY_SIZE * np.tile(columns, (len(several), 1))))
+        every = [*scales, *turns, *cross]
+        for at in [*cross, *([np.concatenate(every)] if every else [])]:
+            ways.append((at, _EACH * np.diag(predictor.sigma[at])))
+        yield from (Suspect(name, at, along, ODDS / len(ways)) for at, along in ways)
+
+
+def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
+    """Places of the errors of a kind among those of an instrument."""
+    return own[[predictor.names[at].startswith(kind) for at in own]]
 
 
 def _cells(predictor: ImuPredictor) -> Iterator[Suspect]:

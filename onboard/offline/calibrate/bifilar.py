@@ -95,7 +95,7 @@ def _of_gyro(vehicle: config.Vehicle, role: ImuRole) -> tuple[AxisErrors, str]:
     if vehicle.file.estimation.method == "exiddm":
         prior = vehicle.file.estimation.imu_prior
         key = "estimation.imu_prior.gyro_misalignment_rad"
-        return AxisErrors(prior.gyro_misalignment_rad, prior.gyro_scale, prior.gyro_cross_axis), key
+        return AxisErrors(prior.gyro_misalignment_rad, prior.gyro_scale, prior.cross_axis[0]), key
     if role.misalignment_sigma_rad:
         return AxisErrors(role.misalignment_sigma_rad, role.gyro_scale_sigma), "misalignment_sigma_rad"
     return AxisErrors(AXIS_rad, role.gyro_scale_sigma), "assumed: state misalignment_sigma_rad"

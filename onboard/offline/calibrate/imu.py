@@ -232,12 +232,10 @@ def _prior(vehicle: config.Vehicle, device: str, accel: TriadCalibration, gyro: 
     if vehicle.file.estimation.method != "exiddm" or roles_of(vehicle).imu.channels[0] != device:
         return []
     table, changes = ("estimation", "imu_prior"), []
-    stated = vehicle.file.estimation.imu_prior.model_dump()
     for name, one in (("gyro", gyro), ("accelerometer", accel)):
         scale = float(np.sqrt(np.mean(np.diag(one.matrix_sigma) ** 2)))
         angle = float(np.sqrt(np.mean(one.matrix_sigma[~np.eye(3, dtype=bool)] ** 2)))
         changes.append(Change(table, f"{name}_scale", two_digits(scale)))
         changes.append(Change(table, f"{name}_misalignment_rad", two_digits(angle)))
-        if stated[f"{name}_cross_axis"]:
-            changes.append(Change(table, f"{name}_cross_axis", two_digits(angle)))
+        changes.append(Change(table, f"{name}_cross_axis", two_digits(angle)))
     return changes

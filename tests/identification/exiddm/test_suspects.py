@@ -32,7 +32,7 @@ def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None
     """The numbers are those of the page on the levels: they change with the policy's, and with nothing else."""
     found = {}
     for one in suspects_of(predictor):
-        if one.name != "load_cell" and not one.name.startswith(("zero_", "scale_", "delay_")):
+        if one.name != "load_cell" and not one.name.startswith(("zero_", "scale_", "delay_", "imu_")):
             found.setdefault(one.name, []).append((changed(predictor, one.at, one.along[:, 0]), one.odds))
     assert set(found) == {"base", *(f"link_{k}" for k in range(1, 6)), "the arm", ALL_MASSES}
     np.testing.assert_allclose(found[ALL_MASSES][0][0], 0.1, rtol=1e-4)
@@ -61,6 +61,49 @@ def test_an_encoder_is_wrong_in_zero_scale_or_delay(predictor: ImuPredictor) -> 
         assert every[name].odds == pytest.approx(2e-3 / 3.0)
 
 
+def test_an_imu_is_wrong_in_scales_housing_or_every_element(predictor: ImuPredictor) -> None:
+    """A housing that is turned by t reads ``u - t x u`` in both sensors."""
+    for imu, end in (("imu_base", ""), ("imu_2", "_imu_2")):
+        own = [one for one in suspects_of(predictor) if one.name == imu]
+        moved = [{predictor.names[at]: along for at, along in zip(one.at, one.along, strict=True)} for one in own]
+        gyro, accelerometer = ({f"{of}_scale_{axis}{end}" for axis in "xyz"} for of in ("gyro", "accelerometer"))
+        assert [set(one) for one in moved[:3]] == [gyro, accelerometer, gyro | accelerometer]
+        assert all(along.tolist() == [0.1] for one in moved[:3] for along in one.values())
+        for k, axis in enumerate("xyz"):
+            for of in ("gyro", "accelerometer"):
+                np.testing.assert_array_equal(moved[3][f"{of}_misalignment_rad_{axis}{end}"], 0.1 * np.eye(3)[k])
+        assert [len(one) for one in moved[4:]] == [3, 3, 18]
+        for one in own[4:]:
+            np.testing.assert_array_equal(one.along, np.diag(10.0 * predictor.sigma[one.at]))
+        assert all("cross_axis" in name for one in moved[4:6] for name in one)
+        assert sum(one.odds for one in own) == pytest.approx(1e-2)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "named"),
+    [((1.2, 1.2, 1.2), True), ((-1.2, -1.2, -1.2), True), ((1.2, -1.2, 1.2), True), ((0.4, 0.4, 0.4), False)],
+)
+def test_a_scale_of_all_axes_is_noticed_long_before_it_is_many_stated_sigmas(
+    predictor: ImuPredictor, sigmas: tuple[float, ...], *, named: bool
+) -> None:
+    """The data tell a tenth of the variance, so of three axes together a sigma of 0.55 stated ones."""
+    at = [predictor.names.index(f"gyro_scale_{axis}_imu_2") for axis in "xyz"]
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    x[at], P[at, at] = sigmas * predictor.sigma[at], 0.9 * P[at, at]
+    assert Rivals(predictor).weighed(x, P).names[:1] == (("imu_2",) if named else ())
+
+
+def test_what_is_farther_off_than_any_error_is_not_freed_but_told(predictor: ImuPredictor) -> None:
+    rivals, at = Rivals(predictor), [predictor.names.index(f"gyro_scale_{axis}_imu_2") for axis in "xyz"]
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    P[at, at] = 1e-6 * P[at, at]
+    for size, told in ((0.2, ""), (0.4, "imu_2")):
+        x[at] = size  # the prior hardly counts
+        assert rivals.too_far(x.copy(), P) == told
+        assert (rivals.freeing(x.copy(), P) is None) == bool(told)
+        rivals.freed = False
+
+
 def test_one_cell_and_all_masses_are_alike(predictor: ImuPredictor) -> None:
     assert {one.name for one in suspects_of(predictor) if one.alike} == {"load_cell", ALL_MASSES}
 
@@ -73,7 +116,7 @@ def test_weights_are_made_once_for_each_state(predictor: ImuPredictor) -> None:
     assert first.names == ()
     assert rivals.weighed(known[0].copy(), known[1]) is not first
     assert rivals.freeing(*known) is None
-    assert rivals.at.size == 0
+    assert rivals.freed_at.size == 0
 
 
 def test_a_filter_is_freed_once_and_taken_back_where_it_is_weighed(predictor: ImuPredictor) -> None:
@@ -83,7 +126,7 @@ def test_a_filter_is_freed_once_and_taken_back_where_it_is_weighed(predictor: Im
     x[at], P[at, at] = 20.0, 0.01  # far from the drawing
     free = rivals.freeing(x, P)
     assert free is not None
-    assert rivals.at.size == 76
+    assert rivals.freed_at.size == 112
     assert rivals.freeing(*free((x, P))) is None
     np.testing.assert_allclose(rivals.weighed(*free((x, P))).stated[1], P, atol=1e-9)
     assert rivals.weighed(*free((x, P))).names == ("base",)
