@@ -147,7 +147,7 @@ class ImuPriorKeys(Section):
     """Prior on errors of the base IMU and of its place in the drawing: standard deviations per axis; zero: exact.
 
     Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
-    Silent cross-axis keys are as the scale, which the same calibration tells: ``cross_axis``.
+    Silent cross-axis keys are the smaller of scale and misalignment, which the same calibration tells: ``cross_axis``.
     """
 
     gyro_bias_rad_s: NotNegative = 0.0
@@ -171,10 +171,11 @@ class ImuPriorKeys(Section):
     def cross_axis(self) -> tuple[float, float]:
         """Of gyro and accelerometer."""
         gyro, accelerometer = self.gyro_cross_axis, self.accelerometer_cross_axis
-        return (
-            self.gyro_scale if gyro is None else gyro,
-            self.accelerometer_scale if accelerometer is None else accelerometer,
-        )
+        if gyro is None:
+            gyro = min(self.gyro_scale, self.gyro_misalignment_rad)
+        if accelerometer is None:
+            accelerometer = min(self.accelerometer_scale, self.accelerometer_misalignment_rad)
+        return gyro, accelerometer
 
 
 class DisturbanceKeys(Section):

@@ -287,7 +287,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
         "gyro_cross_axis": _M(
-            "Share of one axis that another shows, each of six; silent: as its scale.", "the data sheet states it"
+            "Share of one axis that another shows, each of six; silent: the least of the two above.",
+            "the data sheet states it",
         ),
         "accelerometer_bias_m_s2": _M(
             "Bias of the accelerometer at the start.", "from the data sheet, or a calibration"

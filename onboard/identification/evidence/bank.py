@@ -128,17 +128,36 @@ class Mixture(NamedTuple):
             (m,): half the interval about the mean that leaves :data:`.LEAST_WEIGHT` out, over 3.29; no less than the
             root of the variance.
         """
-        mean, covariance = self.known
-        apart = (self.means - mean) @ along.T  # (k, m)
-        sigma = np.sqrt(np.einsum("ij,kjl,il->ki", along, self.covariances, along))
+        _, covariance = self.known
+        apart, sigma = self._of(along)
         low = np.sqrt(np.einsum("ij,jl,il->i", along, covariance, along))
         far = -ndtri(0.5 * LEAST_WEIGHT)
         within, beyond = low * far, np.abs(apart).max(axis=0) + far * sigma.max(axis=0)
         for _ in range(_HALVINGS):
             middle = 0.5 * (within + beyond)
-            outside = self.weights @ (ndtr((apart - middle) / sigma) + ndtr((-apart - middle) / sigma))
+            outside = self.weights @ _beyond(apart, sigma, middle)
             within, beyond = np.where(outside > LEAST_WEIGHT, [middle, beyond], [within, middle])
         return np.asarray(within / far, np.float64)
+
+    def shares(self, along: FloatArray, covering: FloatArray) -> FloatArray:
+        """Of what lies beyond the 99.9 % intervals of linear functions, the share of each Gaussian, (k, m).
+
+        Args:
+            along: the functions, (m, p).
+            covering: their sigmas, (m,).
+        """
+        each = self.weights[:, None] * _beyond(*self._of(along), -ndtri(0.5 * LEAST_WEIGHT) * covering)
+        return np.asarray(each / each.sum(axis=0), np.float64)
+
+    def _of(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Means about that of the mixture, and sigmas, of the functions under each Gaussian, (k, m)."""
+        apart = (self.means - self.weights @ self.means) @ along.T
+        return apart, np.sqrt(np.einsum("ij,kjl,il->ki", along, self.covariances, along))
+
+
+def _beyond(apart: FloatArray, sigma: FloatArray, half: FloatArray) -> FloatArray:
+    """Probability of more than half an interval on either side."""
+    return np.asarray(ndtr((apart - half) / sigma) + ndtr((-apart - half) / sigma), np.float64)
 
 
 class Bank:

@@ -15,8 +15,8 @@ ODDS = 1e-2
 """That a body, or an instrument's scale, is so wrong, against all being as stated: one flight in a hundred. A
 hypothesis is then the likelier one from 4.6 nats of evidence on."""
 ODDS_OF_PART = 2e-3
-"""The same of a link, of all links of the arm, or of an encoder: nothing is used up of them, and nobody opens them
-between the balance and the flight; a part was exchanged, or drawn wrong."""
+"""The same of a link, of all links of the arm, of an encoder or an IMU: nothing is used up of them, and nobody opens
+them between the balance and the flight; a part was exchanged, or drawn wrong."""
 ODDS_OF_ALL = 3e-3
 """The same of all masses of the file by one factor, which takes one balance for all of them, or a wrong unit. To the
 motion and a cell it is the same as a scale of that cell: what is said of either always covers both."""

@@ -22,9 +22,10 @@ from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
 from onboard.identification.exiddm.prediction.further import Further, FurtherCell, FurtherPose
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
+from onboard.identification.leaning import PART, Causes, Keys
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -57,6 +58,14 @@ def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
         rows = {1: ("",), 6: IMU_ROWS, LINES: POSE_ROWS}[one.width]
         names += [f"{row}_{one.name}" if row else one.name for row in rows]
     return tuple(names)
+
+
+def keys_of(predictor: ImuPredictor) -> tuple[str, ...]:
+    """The vehicle file's key of each element of the state that is constant; empty for the others."""
+    of = Keys(predictor.further, predictor.thrusters, [joint.name for joint in predictor.vehicle.joints])
+    varying = {*predictor.changing.tolist(), *(k for pair in predictor.biases for k in pair)}
+    varying |= {k for k, _ in predictor.wandering} | {*range(PAYLOAD.stop)}
+    return tuple("" if k in varying else of.of(name) for k, name in enumerate(predictor.names))
 
 
 def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
@@ -95,6 +104,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
+        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma)
         self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion, exiddm.rivals.spanned)
         self._attached: bool | None = None
         self._told = 0
@@ -166,6 +176,7 @@ class ExiddmIdentifier:
         exiddm = self.exiddm
         note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
         fine = np.zeros(10, np.bool_)
+        leans: tuple[str, ...] = ("",) * 10
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if self._answers and exiddm.state is not None:
@@ -180,17 +191,19 @@ class ExiddmIdentifier:
                 note = str(error)
             else:
                 body, estimated = numbers_of(possible), numbers_of(body_of(mean))
-                spread = np.hypot(widening**0.5 * mixture.covering(D), body - estimated)
+                covering = mixture.covering(D)
+                spread = np.hypot(widening**0.5 * covering, body - estimated)
                 shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
                 fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
+                leans = self._causes.said(self._effects(D, mixture.shares(D, covering)), spread, np.abs(body))
         z = float(ndtri(0.5 + 0.5 * level))
         quantities = []
         for k, name in enumerate(self.quantity_names):
             at, wide = (float(body[k]), float(spread[k])) if fine[k] else (np.nan, np.nan)
-            said = "" if fine[k] else note
-            told = at, wide, at - z * wide, at + z * wide, float(shrinkage[k]), bool(fine[k]), said
-            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told))
+            why = "" if fine[k] else note
+            told = at, wide, at - z * wide, at + z * wide, float(shrinkage[k]), bool(fine[k]), why
+            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k]))
         supported = sigma <= SUPPORTED_SHRINKAGE * exiddm.payload_sigma
         return Estimate(
             self.parameter_names,
@@ -322,6 +335,29 @@ class ExiddmIdentifier:
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         self._mixed = weighed, weighed.mixed(partial(self._payload_if, weighed, self._doubted())), misfit
         return self._mixed[1:]
+
+    def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:
+        """What one sigma of each key of the vehicle's file does to linear functions of the payload, (m, c).
+
+        Of what may not be as stated also what that would do, where much of what lies beyond an interval is due to it.
+
+        Args:
+            along: the functions, (m, 10).
+            shares: of each hypothesis that counts in what lies beyond their intervals, (k, m).
+        """
+        weighed = self._weighed
+        _, covariance = weighed.known(weighed.likeliest)
+        effects = self._causes.effects(along @ covariance[PAYLOAD])
+        for one, share in zip(weighed.counting, shares, strict=True):
+            if (
+                one.suspect is None
+                or (cause := self._causes.at[one.suspect.at[0]]) < 0
+                or not (large := share > PART).any()
+            ):
+                continue
+            moved = np.hypot(along @ one.shift[PAYLOAD], np.linalg.norm(along @ one.root[PAYLOAD], axis=1))
+            effects[large, cause] = np.fmax(effects[large, cause], moved[large])
+        return effects
 
     def _payload_if(self, weighed: Weighed, doubted: IndexArray, hypothesis: Hypothesis) -> Known:
         """The same if a hypothesis is true, with scales that are hardly relied on.

@@ -95,15 +95,9 @@ class RecursiveExiddm(Holding):
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots, self._linearised, self.rivals = (
-            Snapshots(predictor.period_s),
-            Linearised(predictor),
-            Rivals(predictor),
-        )
-        self._innovations, self._initial = (
-            Innovations(predictor, self.fusion, self.rivals.at),
-            initially(predictor, known),
-        )
+        self._snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
+        self.rivals, self._initial = Rivals(predictor), initially(predictor, known)
+        self._innovations = Innovations(predictor, self.fusion, self.rivals.at)
         self._open(at_first(held, known is not None), self._initial)
 
     def settled(self) -> bool:

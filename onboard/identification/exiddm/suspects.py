@@ -155,7 +155,7 @@ def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
         every = [*scales, *turns, *cross]
         for at in [*cross, *([np.concatenate(every)] if every else [])]:
             ways.append((at, _EACH * np.diag(predictor.sigma[at])))
-        yield from (Suspect(name, at, along, ODDS / len(ways)) for at, along in ways)
+        yield from (Suspect(name, at, along, ODDS_OF_PART / len(ways)) for at, along in ways)
 
 
 def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:

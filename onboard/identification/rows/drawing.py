@@ -11,13 +11,13 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
+from onboard.identification.leaning import PART
 from onboard.identification.quantities import Leaning, Quantity, QuantityEstimate
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.row_blocks import RowBlocks
 
 REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
 _EXPECTED = 1.96  # that many sigmas off the drawing are expected of a sound flight; beyond, a scale may be wrong
-_OF_SIGMA = 0.2  # part of the sigma from which on a cause is named
 _COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
 
@@ -43,10 +43,10 @@ def leans_on(
     said = []
     for cause, effect in zip(considered, np.abs(effects).tolist(), strict=True):
         stands_with_it = cause.effect in _SCALES and cause.sigma and effect > _COMMON * cause.sigma * abs(mean)
-        if stands_with_it or effect > _OF_SIGMA * sigma:
+        if stands_with_it or effect > PART * sigma:
             said.append(cause.stated)
     parts = [(abs(float(leaning.weights @ parameters)), leaning.cause) for leaning in leanings]
-    if parts and max(parts)[0] > _OF_SIGMA * sigma:
+    if parts and max(parts)[0] > PART * sigma:
         said.append(max(parts)[1])
     return f"leans on {', '.join(said)}" if said else ""
 

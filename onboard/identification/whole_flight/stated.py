@@ -21,8 +21,8 @@ from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.further import FurtherCell
+from onboard.identification.leaning import Causes, Keys
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
@@ -40,16 +40,6 @@ KINDS = (
 KINDS_OF_CELL = ("scale", "delay_s")
 UNLIKELY, UNLIKELY_FURTHER = 0.02, 0.005  # chance below which a kind is fitted freely: of the first IMU, of others
 _FREE = 10.0  # times its stated sigma
-_OF_SIGMA, _MOST_CAUSES = 0.2, 3  # part of sigma from which on a cause is named, and how many are
-_OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
-    f"place_{axis}": "position_m" for axis in "xyz"
-}
-_OF_CELLS = {
-    "scale": "scale_sigma",
-    "bias": "zero_sigma_N",
-    "drift": "zero_drift_N_s",
-    "delay_s": "delay_sigma_ms",
-}
 _TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
 
 
@@ -84,7 +74,7 @@ def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
     """
     own: dict[tuple[int, str], list[int]] = {}
     for place, parameter in enumerate(found.names):
-        device, correction = _correction(flight, parameter)
+        device, correction = keys_of(flight).correction_of(parameter)
         axis = correction[-2:] in ("_x", "_y", "_z")
         own.setdefault((device, correction[:-2] if axis else correction), []).append(place)
     made = []
@@ -159,8 +149,7 @@ def bound_of(flight: WholeFlight, found: FlightFit) -> FloatArray:
 def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     """The stated sigmas that each of the payload's ten numbers depends on, by their keys, with the effect of one sigma.
 
-    A shift of a prior's mean by one sigma s moves the estimate by ``P / s`` (P: covariance with that parameter); the
-    parameters of a cause are summed as squares. Empty where no cause makes up ``_OF_SIGMA`` of sigma.
+    See :mod:`onboard.identification.leaning`.
 
     Args:
         flight: that was fitted.
@@ -168,56 +157,15 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     """
     D = np.zeros((10, found.fit.x.size))
     D[:, :10] = body_jacobian(found.chi)
-    parts = (D @ found.fit.covariance) / np.where(np.isfinite(flight.sigma), flight.sigma, np.inf)
-    causes: dict[str, FloatArray] = {}
-    for name, squares in zip(found.names[10:], parts.T[10:] ** 2, strict=True):
-        if key := _key(flight, name):
-            causes[key] = causes.get(key, np.zeros(10)) + squares
+    of = keys_of(flight)
+    keys = [*[""] * 10, *(of.of(name) for name in found.names[10:])]
     sigma = np.sqrt(np.diag(found.payload.covariance))
     body = found.payload.body
     size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
-    said = []
-    for number in range(10):
-        own = {key: float(np.sqrt(squares[number])) for key, squares in causes.items()}
-        large = [key for key in sorted(own, key=lambda key: -own[key]) if own[key] > _OF_SIGMA * sigma[number]]
-        told = ", ".join(f"{key} ({100.0 * own[key] / size[number]:.2g} %)" for key in large[:_MOST_CAUSES])
-        said.append(f"leans on {told}" if told else "")
-    return tuple(said)
+    causes = Causes(keys, flight.sigma)
+    return causes.said(causes.effects(D @ found.fit.covariance), sigma, size)
 
 
-def _key(flight: WholeFlight, parameter: str) -> str:
-    """The vehicle file's key of a parameter's sigma; empty for one that has none."""
-    link, inertial, _ = parameter.partition("_inertial_")
-    if inertial:
-        return f"prior.link.{link}"
-    device, correction = _correction(flight, parameter)
-    if device and isinstance(one := flight.further[device - 1], FurtherCell):
-        return _key_of_cell(flight, one, correction)
-    if parameter.removeprefix("scale_") in {thruster.name for thruster in flight.thrusters}:
-        return f"device.{parameter.removeprefix('scale_')}.scale_sigma"
-    for kind, key in _OF_JOINTS.items():
-        if parameter.startswith(f"{kind}_") and not device:
-            return f"prior.joint.{parameter[len(kind) + 1 :]}.{key}"
-    own = correction[:-2] if correction.endswith(("_x", "_y", "_z")) else correction
-    if own == "place":
-        return "imu_prior.position_m"
-    return f"imu_prior.{own}" if own in ImuPrior._fields else ""
-
-
-def _key_of_cell(flight: WholeFlight, cell: FurtherCell, correction: str) -> str:
-    """The same of a load cell or the torque of a joint, which a drive (CiA 402) sends in a channel of its own."""
-    if cell.friction is None:
-        return f"device.{cell.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
-    if correction in OF_FRICTION:
-        return f"prior.absolute.{correction}_{flight.joints[cell.friction.joint]}"
-    drive = cell.name.removesuffix("_torque")
-    scale = f"device.{cell.name}.scale_sigma" if drive == cell.name else f"device.{drive}.torque_scale_sigma"
-    return {"bias": f"prior.absolute.bias_{cell.name}", "scale": scale}.get(correction, "")
-
-
-def _correction(flight: WholeFlight, parameter: str) -> tuple[int, str]:
-    """The instrument of a parameter by its number, and the name without it; 0 for what is no instrument's."""
-    for device, one in enumerate(flight.further, 1):
-        if parameter.endswith(f"_{one.name}"):
-            return device, parameter.removesuffix(f"_{one.name}")
-    return 0, parameter.removesuffix("_imu")
+def keys_of(flight: WholeFlight) -> Keys:
+    """The keys of the vehicle that flew."""
+    return Keys(flight.further, flight.thrusters, flight.joints)

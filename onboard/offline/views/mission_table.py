@@ -170,9 +170,10 @@ def render(table: Result) -> RenderableType:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
     rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"], *table["motions"]]
-    for field, otherwise in (("standing", "not answered"), ("leans", "")):
+    leaning = [row for row in rows if row not in table["parameters"] or row["shown_in"] == "kg"]  # ten lines otherwise
+    for field, otherwise, those in (("standing", "not answered", rows), ("leans", "", leaning)):
         said: dict[str, list[str]] = {}
-        for row in rows:
+        for row in those:
             said.setdefault(row[field] or otherwise, []).append(row["label"])
         lines += [Text(f"{', '.join(labels)}: {text}") for text, labels in said.items() if text]
     troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]

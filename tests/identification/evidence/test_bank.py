@@ -115,6 +115,16 @@ def test_an_unlikely_error_that_is_large_is_in_a_99_9_percent_interval() -> None
     assert alone == pytest.approx(2.0)
 
 
+def test_what_lies_beyond_an_interval_is_due_to_the_unlikely_one() -> None:
+    means, covariances = np.array([[0.0], [10.0], [0.0]]), np.ones((3, 1, 1))
+    mixture = Mixture(np.array([0.6, 0.01, 0.39]), means, covariances)
+    along = np.eye(1)
+    shares = mixture.shares(along, mixture.covering(along))[:, 0]
+    np.testing.assert_allclose(shares, [0.0, 1.0, 0.0], atol=1e-6)
+    alone = Mixture(np.array([0.6, 0.4]), means[[0, 2]], covariances[:2])
+    np.testing.assert_allclose(alone.shares(along, alone.covering(along))[:, 0], [0.6, 0.4])
+
+
 def test_of_two_that_are_as_likely_no_less_than_the_variance_is_covered() -> None:
     mixture = Mixture(np.array([0.5, 0.5]), np.array([[-5.0], [5.0]]), np.ones((2, 1, 1)))
     assert mixture.covering(np.eye(1)) == pytest.approx(26.0**0.5)

@@ -32,8 +32,11 @@ def flyer(tmp_path_factory):
     directory = tmp_path_factory.mktemp("flyer")
     asked = ["init", str(directory / "mine"), "--base", "free", "--joints", "2", "--load-cell", "cia404"]
     assert main(asked) == 0
-    with (directory / "mine" / "vehicle.toml").open("a") as file:
-        file.write("\n[estimation.useful]\nmoment = 0.3\n")  # so little is learned here in few segments
+    file = directory / "mine" / "vehicle.toml"
+    exact = "[estimation.imu_prior]\ngyro_cross_axis = 0\naccelerometer_cross_axis = 0 "  # so its simulated IMU is
+    file.write_text(file.read_text().replace("[estimation.imu_prior]", exact))
+    with file.open("a") as more:
+        more.write("\n[estimation.useful]\nmoment = 0.3\n")  # so little is learned here in few segments
     (directory / "over.toml").write_text(SCENARIO)
     return directory
 
