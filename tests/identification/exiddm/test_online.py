@@ -34,6 +34,7 @@ class Once:
 
 
 SIGMA, SCALE_AT = 0.0025, 13
+NONE = np.zeros(0, np.intp)
 CELL = FurtherCell("cell", "wrist", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 5, CellPrior(0.0, 0.0, SIGMA, 0.0))
 
 
@@ -68,8 +69,10 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         of_each=[nothing] * 3,
         wandering=[],
         biases=[],
-        names=(),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
+        names=tuple(f"unknown_{k}" for k in range(SCALE_AT + 1)),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
+        thrusters=(),
+        changing=np.arange(3),
         further=(SimpleNamespace(name="imu_2", width=6), CELL),
         of_further=[nothing, np.array([SCALE_AT])],
         imu_frames=("imu", "imu_2"),
@@ -77,7 +80,14 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
     )
     quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
     online = ExiddmIdentifier(
-        SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
+        SimpleNamespace(
+            predictor=predictor,
+            fusion=fusion,
+            covariance=covariance,
+            lines=quiet,
+            misfit=quiet,
+            rivals=SimpleNamespace(spanned=NONE),
+        )
     )
     wanted, wide = solved(20.0 * SIGMA if doubted else SIGMA)
     mean, told = payload_of(online, as_stated(state, covariance))
@@ -117,14 +127,23 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
         wandering=[],
         biases=[],
         names=tuple(f"unknown_{k}" for k in range(15)),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
+        thrusters=(),
+        changing=np.arange(3),
         further=(),
         of_further=[],
         imu_frames=("imu", "imu_2"),
     )
     quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
     online = ExiddmIdentifier(
-        SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
+        SimpleNamespace(
+            predictor=predictor,
+            fusion=fusion,
+            covariance=covariance,
+            lines=quiet,
+            misfit=quiet,
+            rivals=SimpleNamespace(spanned=NONE),
+        )
     )
     np.testing.assert_allclose(
         payload_of(online, as_stated(state.copy(), covariance))[1], 4.0 * covariance[PAYLOAD, PAYLOAD]
@@ -153,10 +172,13 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
         wandering=[],
         biases=[],
         names=tuple(f"unknown_{k}" for k in range(PAYLOAD.stop + 1)),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
+        thrusters=(),
+        changing=np.arange(3),
         further=(),
         of_further=[],
         imu_frames=("imu",),
+        sigma=np.full(PAYLOAD.stop + 1, np.nan),
     )
     sheet.stated[-1] = 1.0
     state, covariance = np.zeros(PAYLOAD.stop + 1), np.eye(PAYLOAD.stop + 1)
@@ -171,7 +193,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             state=state,
             lines=quiet,
             misfit=quiet,
-            rivals=SimpleNamespace(weighed=Once()),
+            rivals=SimpleNamespace(weighed=Once(), spanned=NONE),
             held=True,
             holds=True,
             confirmed=True,
@@ -206,6 +228,14 @@ def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doub
         found = unsure(mean, np.array([0.2 * relative, *[1e-3] * 9]), moved=6.0).findings()
         assert bool(found.against) is refuses
         assert any("by 6 sigmas" in one for one in (found.against if refuses else found.doubts))
+
+
+def test_a_correction_that_is_weighed_in_every_direction_is_held_against_nothing_one_by_one() -> None:
+    online = unsure(np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3), moved=5.1)
+    assert online.findings().against
+    weighed = held_against.HeldAgainst(online.exiddm.predictor, online.exiddm.fusion, np.array([PAYLOAD.stop]))
+    online._corrections = weighed
+    assert not online.findings().against
 
 
 def test_instruments_without_either_of_which_a_window_is_explained_are_named_before_what_swings() -> None:
