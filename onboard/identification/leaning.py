@@ -59,12 +59,12 @@ class Causes:
         Args:
             effects: of each key, (k, c).
             sigma: of the answers, (k,).
-            size: that effects are shown over, (k,).
+            size: that effects are shown over, (k,); over zero they are not shown.
         """
         found = []
         for each, one, whole in zip(effects, sigma.tolist(), size.tolist(), strict=True):
             large = [c for c in np.argsort(-each)[:_MOST_CAUSES].tolist() if each[c] > PART * one]
-            told = ", ".join(f"{self.names[c]} ({100.0 * each[c] / whole:.2g} %)" for c in large)
+            told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
             found.append(f"leans on {told}" if told else "")
         return tuple(found)
 

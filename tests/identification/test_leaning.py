@@ -38,6 +38,7 @@ def test_what_makes_up_a_good_part_of_sigma_is_said() -> None:
     causes, effects = Causes(KEYS, SIGMA), np.array([[0.3, 0.25], [0.1, 0.25], [0.19, 0.0]])
     sizes = np.array([1.0, 2.0, 1.0])
     assert causes.said(effects, np.ones(3), sizes) == ("leans on one (30 %), other (25 %)", "leans on other (12 %)", "")
+    assert causes.said(effects[:1], np.ones(1), np.zeros(1)) == ("leans on one, other",)
 
 
 def test_a_part_that_is_doubled_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
