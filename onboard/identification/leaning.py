@@ -13,7 +13,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, Further, FurtherCell, Thruster
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 
-PART, _MOST_CAUSES = 0.2, 3  # part of a sigma from which on a cause of it is named, and how many are
+PART = 0.2  # of a sigma: from which on a cause of it is named
 _OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
     f"place_{axis}": "position_m" for axis in "xyz"
 }
@@ -53,17 +53,18 @@ class Causes:
         """
         return np.asarray(np.sqrt(along**2 @ self._of), np.float64)
 
-    def said(self, effects: FloatArray, sigma: FloatArray, size: FloatArray) -> tuple[str, ...]:
+    def said(self, effects: FloatArray, sigma: FloatArray, size: FloatArray, most: int = 3) -> tuple[str, ...]:
         """Of each answer the keys that make up a good part of its sigma, with their effects in per cent; else empty.
 
         Args:
             effects: of each key, (k, c).
             sigma: of the answers, (k,).
             size: that effects are shown over, (k,); over zero they are not shown.
+            most: keys that are said.
         """
         found = []
         for each, one, whole in zip(effects, sigma.tolist(), size.tolist(), strict=True):
-            large = [c for c in np.argsort(-each)[:_MOST_CAUSES].tolist() if each[c] > PART * one]
+            large = [c for c in np.argsort(-each)[:most].tolist() if each[c] > PART * one]
             told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
             found.append(f"leans on {told}" if told else "")
         return tuple(found)

@@ -48,6 +48,7 @@ _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
+_LEANINGS = 2  # keys that an answer leans on: as above
 _DOUBTED = 20.0  # times the stated sigma of a cell's scale
 
 
@@ -196,7 +197,8 @@ class ExiddmIdentifier:
                 shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
                 fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
-                leans = self._causes.said(self._effects(D, mixture.shares(D, covering)), spread, np.abs(body))
+                effects = self._effects(D, mixture.shares(D, covering))
+                leans = self._causes.said(effects, spread, np.abs(body), _LEANINGS)
         z = float(ndtri(0.5 + 0.5 * level))
         quantities = []
         for k, name in enumerate(self.quantity_names):

@@ -170,7 +170,7 @@ def render(table: Result) -> RenderableType:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
     rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"], *table["motions"]]
-    leaning = [row for row in rows if row not in table["parameters"] or row["shown_in"] == "kg"]  # ten lines otherwise
+    leaning = [row for row in rows if published or row["shown_in"] in ("kg", "g")]  # of the others: --json, report
     for field, otherwise, those in (("standing", "not answered", rows), ("leans", "", leaning)):
         said: dict[str, list[str]] = {}
         for row in those:
