@@ -11,17 +11,17 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import STANDARD
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
-from onboard.identification.evidence.bank import Hypothesis, Known, Mixture, Weighed
+from onboard.identification.evidence.bank import Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
-from onboard.identification.exiddm.prediction.further import Further, FurtherCell, FurtherPose
+from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
@@ -49,7 +49,6 @@ _MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
 _LEANINGS = 2  # keys that an answer leans on: as above
-_DOUBTED = 20.0  # times the stated sigma of a cell's scale
 
 
 def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
@@ -87,9 +86,6 @@ class ExiddmIdentifier:
     A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
     of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
     largest, where that is above one (:mod:`onboard.identification.exiddm.misfit`).
-
-    Where an IMU contradicts the others, one calibration is not as stated, and those of load cells, which the other IMU
-    alone checks slowly, are hardly relied on: the answer is that of a much larger sigma of their scales.
 
     Args:
         exiddm: the estimator.
@@ -335,7 +331,7 @@ class ExiddmIdentifier:
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
-        self._mixed = weighed, weighed.mixed(partial(self._payload_if, weighed, self._doubted())), misfit
+        self._mixed = weighed, weighed.mixed(partial(weighed.known, part=PAYLOAD)), misfit
         return self._mixed[1:]
 
     def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:
@@ -360,30 +356,6 @@ class ExiddmIdentifier:
             moved = np.hypot(along @ one.shift[PAYLOAD], np.linalg.norm(along @ one.root[PAYLOAD], axis=1))
             effects[large, cause] = np.fmax(effects[large, cause], moved[large])
         return effects
-
-    def _payload_if(self, weighed: Weighed, doubted: IndexArray, hypothesis: Hypothesis) -> Known:
-        """The same if a hypothesis is true, with scales that are hardly relied on.
-
-        Taking the part A of a prior's information on parameters k, of mean zero, away changes a covariance P by
-        ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
-        """
-        mean, covariance = weighed.known(hypothesis, PAYLOAD)
-        at = doubted if hypothesis.suspect is None else np.setdiff1d(doubted, hypothesis.suspect.at)
-        if at.size:
-            state, P = weighed.known(hypothesis)
-            taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))
-            gain = np.linalg.solve(taken - P[np.ix_(at, at)], P[at, PAYLOAD]).T
-            mean, covariance = mean + gain @ state[at], covariance + gain @ P[at, PAYLOAD]
-        return mean, covariance
-
-    def _doubted(self) -> IndexArray:
-        """Scales of the load cells in use, if an IMU contradicts the others."""
-        predictor, fusion = self.exiddm.predictor, self.exiddm.fusion
-        if not any(k < len(predictor.imu_frames) and k not in fusion.absent for k in fusion.left_out):
-            return np.zeros(0, np.intp)
-        cells = enumerate(zip(predictor.further, predictor.of_further, strict=True), 1)
-        used = [own for k, (one, own) in cells if isinstance(one, FurtherCell) and k not in fusion.left_out]
-        return np.concatenate([np.zeros(0, np.intp), *used])
 
     def _unexplained(self) -> int:
         """Largest number of recent changes at any time that no capture and no ejection explained."""

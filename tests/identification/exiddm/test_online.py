@@ -12,7 +12,6 @@ from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 
 
@@ -33,9 +32,7 @@ class Once:
         return self.made
 
 
-SIGMA, SCALE_AT = 0.0025, 13
 NONE = np.zeros(0, np.intp)
-CELL = FurtherCell("cell", "wrist", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 5, CellPrior(0.0, 0.0, SIGMA, 0.0))
 
 
 def payload_of(online, weighed):
@@ -43,56 +40,6 @@ def payload_of(online, weighed):
     mixture, widening = online._payload(weighed)
     mean, covariance = mixture.known
     return mean, widening * covariance
-
-
-@pytest.mark.parametrize(
-    ("left_out", "kind", "doubted"), [(1, "left_out", True), (1, "absent", False), (2, "left_out", False)]
-)
-def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_scale(
-    left_out: int, kind: str, doubted: bool, rng: np.random.Generator
-) -> None:
-    """Linear rows with a prior on the scale alone: the same rows with a prior 20 times as wide give the answer."""
-    fusion = Fusion(("imu", "imu_2", "cell"), (slice(0, 6), slice(6, 12), slice(12, 13)))
-    fusion.leave_out(left_out, kind=kind)
-    A, b = rng.standard_normal((40, SCALE_AT + 1)), rng.standard_normal(40)
-    A[:, SCALE_AT] *= 100.0
-
-    def solved(sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        information = A.T @ A
-        information[SCALE_AT, SCALE_AT] += sigma**-2
-        return np.linalg.solve(information, A.T @ b), np.linalg.inv(information)
-
-    state, covariance = solved(SIGMA)
-    nothing = np.zeros(0, np.intp)
-    predictor = SimpleNamespace(
-        stated=np.full(SCALE_AT + 1, np.nan),
-        of_each=[nothing] * 3,
-        wandering=[],
-        biases=[],
-        names=tuple(f"unknown_{k}" for k in range(SCALE_AT + 1)),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
-        thrusters=(),
-        changing=np.arange(3),
-        further=(SimpleNamespace(name="imu_2", width=6), CELL),
-        of_further=[nothing, np.array([SCALE_AT])],
-        imu_frames=("imu", "imu_2"),
-        sigma=np.full(SCALE_AT + 1, SIGMA),
-    )
-    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
-    online = ExiddmIdentifier(
-        SimpleNamespace(
-            predictor=predictor,
-            fusion=fusion,
-            covariance=covariance,
-            lines=quiet,
-            misfit=quiet,
-            rivals=SimpleNamespace(spanned=NONE),
-        )
-    )
-    wanted, wide = solved(20.0 * SIGMA if doubted else SIGMA)
-    mean, told = payload_of(online, as_stated(state, covariance))
-    np.testing.assert_allclose(mean, wanted[PAYLOAD], rtol=1e-9)
-    np.testing.assert_allclose(told, wide[PAYLOAD, PAYLOAD], rtol=1e-6, atol=1e-12)
 
 
 def test_a_correction_that_the_data_hardly_tell_of_is_held_against_what_they_tell() -> None:
