@@ -30,7 +30,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
 
 
 def test_a_vehicle_file_with_a_mistake_names_the_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = config.packaged("rocksat").read_text().replace("poll_period_ms = 25", "poll_period_us = 25000")
+    text = config.packaged("rocksat").read_text().replace("poll_period_ms = 10", "poll_period_us = 10000")
     vehicle = tmp_path / "vehicle.toml"
     vehicle.write_text(text)
     code, said = run(["fly", str(vehicle)], capsys)

@@ -42,7 +42,7 @@ def test_the_packaged_vehicle_reads() -> None:
 
 
 def test_an_unknown_key_names_line_and_the_key_meant() -> None:
-    message = refuse("poll_period_ms = 25", "poll_period_s = 0.025")
+    message = refuse("poll_period_ms = 10", "poll_period_s = 0.01")
     assert f"vehicle.toml:{line_of(TEXT, 'poll_period_ms')}:" in message
     assert "'device.imu_base.poll_period_s'" in message
     assert "did you mean 'poll_period_ms'" in message

@@ -50,7 +50,7 @@ sample_rate_hz = 1000
 accel_range_g = 4
 gyro_range_deg_s = 250
 filter_code = 2                # DLPF_CFG: 94/98 Hz
-poll_period_ms = 25
+poll_period_ms = 10
 accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
 gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
 """,
