@@ -166,11 +166,12 @@ def grouping_of(W: FloatArray, independent: NDArray[np.intp]) -> FloatArray:
     columns = W.shape[1]
     norms = np.sqrt(np.einsum("ij,ij->j", W[:, independent], W[:, independent]))
     dependent = np.setdiff1d(np.arange(columns), independent)
-    K = lstsq(W[:, independent] / norms, W[:, dependent])[0] / norms[:, None]
-    K[np.abs(K) < 1e-9] = 0.0
     grouping = np.zeros((independent.size, columns))
     grouping[np.arange(independent.size), independent] = 1.0
-    grouping[:, dependent] = K
+    if dependent.size:  # LAPACK refuses a right side without columns
+        K = lstsq(W[:, independent] / norms, W[:, dependent])[0] / norms[:, None]
+        K[np.abs(K) < 1e-9] = 0.0
+        grouping[:, dependent] = K
     return grouping
 
 

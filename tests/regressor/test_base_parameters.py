@@ -1,9 +1,13 @@
 """Base parameters: counts that theory gives, a map that keeps the rows, names as people write them."""
 
+import re
+
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
@@ -168,6 +172,52 @@ def test_the_map_keeps_every_row(rng, kind):
     np.testing.assert_allclose(found.reduce(Y) @ found.value(chi), Y @ chi, atol=1e-8 * np.abs(Y).max() * 10)
     W = found.reduce(Y)
     assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0)) == len(found.names)
+
+
+def massless_urdf(rng, kinds, massless):
+    """A chain of links, base first; of those that are ``massless`` the URDF has no ``<inertial>``."""
+    text = to_urdf(random_vehicle(rng, kinds))
+    for name, none in zip(("base", *(f"link_{n + 1}" for n in range(len(kinds)))), massless, strict=True):
+        if none:
+            text = re.sub(rf'(<link name="{name}">)<inertial>.*?</inertial>', r"\1", text)
+    return text
+
+
+@settings(max_examples=60)
+@example((BaseKind.FIXED, ["fixed"], [True, False], True, 6))  # a tool on a wrist: mass in the payload alone
+@example((BaseKind.PRESCRIBED, [], [False], False, 6))  # one body
+@example((BaseKind.PRESCRIBED, ["fixed"], [True, True], False, 6))  # no body
+@given(
+    st.lists(st.sampled_from(["revolute", "prismatic", "fixed"]), max_size=3).flatmap(
+        lambda kinds: st.tuples(
+            st.sampled_from([BaseKind.FIXED, BaseKind.PRESCRIBED]),
+            st.just(kinds),
+            st.lists(st.booleans(), min_size=len(kinds) + 1, max_size=len(kinds) + 1),
+            st.booleans(),
+            st.sampled_from([1, 3, 6]),
+        )
+    )
+)
+def test_trees_with_massless_links_one_body_or_none(tree):
+    """A six-axis cell, or some axes of one, at the last link: the map keeps every row, or nothing moves the rows."""
+    kind, kinds, massless, payload, axes = tree
+    rng = np.random.default_rng(11)
+    last = f"link_{len(kinds)}" if kinds else "base"
+    spec = VehicleSpec(kind, "base", last if payload else None)
+    vehicle = VehicleModel(massless_urdf(rng, kinds, massless), spec)
+    cells = [(axis, measures) for measures in ("force", "moment") for axis in (Z, X, Y)]  # Z: gravity
+    rows = [load_cell_row(f"c_{n}", last, *one, bias=False) for n, one in enumerate(cells[:axes])]
+    if massless[-1] and not payload:
+        with pytest.raises(UrdfError, match="nothing with mass hangs beyond"):
+            RowModel(vehicle, rows)
+        return
+    model = RowModel(vehicle, rows)
+    found = base_parameters(model, rng)
+    W = sampled_rows(model, np.random.default_rng(5), 20, SampledMotion.of(kind), False)
+    chi = rng.normal(size=len(model.names))
+    np.testing.assert_allclose(found.reduce(W) @ found.value(chi), W @ chi, atol=1e-7 * np.abs(W).max() * 10)
+    written = groupings(model, found)
+    assert len(written.lines) == len(found.names) > 0
 
 
 def test_names_do_not_depend_on_the_samples(rng):
