@@ -38,9 +38,10 @@ class SoftParts:
         damping_ratio: of these.
         slosh: the swinging mass, if any.
         gap_rad: of each joint's play, at the start and at the end, (2, j); none of it where not given.
-        duration_s: in which the play grows.
+        duration_s: of the motion, in which the play grows.
 
     Attributes:
+        duration_s: as above.
         state: (s,) where the vehicle stands.
         stiffness_N_m_rad: of each joint; empty before ``start``.
     """
@@ -55,7 +56,7 @@ class SoftParts:
     ) -> None:
         self._frequency, self._ratio, self.slosh = frequency_Hz, damping_ratio, slosh
         self.joints = len(frequency_Hz)
-        self._gap, self._duration_s = np.zeros((2, self.joints)) if gap_rad is None else gap_rad, duration_s
+        self._gap, self.duration_s = np.zeros((2, self.joints)) if gap_rad is None else gap_rad, duration_s
         self.state = np.zeros(2 * self.joints + (0 if slosh is None else 6))
         self.stiffness_N_m_rad = self._damping = np.zeros(0)
 
@@ -102,7 +103,7 @@ class SoftParts:
     def torque(self, state: FloatArray, time_s: float) -> FloatArray:
         """Of the springs on the links, (j,): none while a bend is within its joint's play."""
         bend, rate = self.bend(state)
-        half = 0.5 * (self._gap[0] + min(1.0, time_s / self._duration_s) * (self._gap[1] - self._gap[0]))
+        half = 0.5 * (self._gap[0] + min(1.0, time_s / self.duration_s) * (self._gap[1] - self._gap[0]))
         beyond = bend - np.clip(bend, -half, half)
         touches = (beyond != 0.0) | (half == 0.0)
         return np.asarray(-self.stiffness_N_m_rad * beyond - self._damping * rate * touches, np.float64)

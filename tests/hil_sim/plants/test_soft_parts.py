@@ -73,6 +73,22 @@ def test_springs_too_fast_for_the_step_are_refused(motion):
         flown(motion, jointed(100.0), 1)
 
 
+class Turned(Still):
+    """An arm that rests stretched out and ends folded."""
+
+    def at(self, time_s):
+        q, dq, ddq = super().at(time_s)
+        q[time_s > 5.0] = [0.0, 0.3, 0.0, 2.4, 0.0]
+        return q, dq, ddq
+
+
+def test_springs_too_fast_in_a_later_pose_are_refused_before_the_flight():
+    hertz, of_10_s = np.full(5, 60.0), SoftParts(np.full(5, 60.0), 0.05, None, duration_s=10.0)
+    flown(Turned(), SoftParts(hertz, 0.05, None, duration_s=4.0), 1)
+    with pytest.raises(ScenarioError, match="too fast for steps of 1 ms"):
+        flown(Turned(), of_10_s, 1)
+
+
 def test_a_standing_arm_sags_by_its_load():
     soft = jointed(5.0)
     flight, rows = flown(Still(), soft, 50, "fixed")
