@@ -166,3 +166,11 @@ def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
     for row, unit in zip(out, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, row, unit)
     return out
+
+
+def bent_inertia(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> FloatArray:
+    """Inertia of the joints' bends at the pose in ``data``; a base of so many freedoms gives way, (j, j)."""
+    data.qacc[:] = 0.0
+    mujoco.mj_inverse(model, data)
+    M = full_inertia(model, data)
+    return M[base:, base:] - M[base:, :base] @ np.linalg.solve(M[:base, :base], M[:base, base:]) if base else M

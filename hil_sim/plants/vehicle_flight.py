@@ -25,7 +25,7 @@ from hil_sim.plants.contact import Contact
 from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.pucks import Puck, drag_wrench
-from hil_sim.plants.soft_parts import SoftParts, full_inertia
+from hil_sim.plants.soft_parts import SoftParts, bent_inertia, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
 Told = tuple[FloatArray, FloatArray, FloatArray]  # of the joints, (j,) each: angle, rate and acceleration
@@ -319,20 +319,13 @@ class VehicleFlight:
         """Springs at rest, in the pose of the first row; checked in the poses of the whole motion."""
         q, dq, _ = self._motion.at(np.zeros(1))
         self._place(self._pose, self._velocity, q[0], dq[0])
-        M = self._bent_inertia()
+        M = bent_inertia(self.model, self.data, self._nb)
         anchor = self._anchor(self._pose, self._velocity) if soft.slosh is not None else (np.zeros(3), np.zeros(3))
         load = self.data.qfrc_inverse[self._nb :] if self.model.opt.gravity.any() else np.zeros(len(M))
         soft.start(np.diag(M).copy(), load, anchor)
         for pose in self._motion.at(np.linspace(0.0, soft.duration_s, _POSES))[0] if soft.joints else ():
             self._state[1][:] = pose
-            soft.require(self._bent_inertia(), self._step_s)
-
-    def _bent_inertia(self) -> FloatArray:
-        """That the joints' bends accelerate in MuJoCo's pose while the base gives way, (j, j)."""
-        nb, self.data.qacc[:] = self._nb, 0.0
-        mujoco.mj_inverse(self.model, self.data)
-        M = full_inertia(self.model, self.data)
-        return M[nb:, nb:] - M[nb:, :nb] @ np.linalg.solve(M[:nb, :nb], M[:nb, nb:]) if nb else M
+            soft.require(bent_inertia(self.model, self.data, self._nb), self._step_s)
 
     def _turn(self, pose: FloatArray) -> FloatArray:
         """Rotation from the base's axes to the world's, (3, 3)."""
