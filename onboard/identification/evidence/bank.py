@@ -12,12 +12,13 @@ with the determinant is Occam's)
     log B = g' M^-1 g / 2 - log |M| / 2,   M = 1 + H
 
 and mean and covariance with it are ``x + P U M^-1 g`` and ``P + P U M^-1 U' P``. Nothing is solved anew, no tick is
-kept. What a filter makes of a prior that has such terms is taken back to "as stated" by the same rule with
-``-(1 + D' U + U' P U)`` in place of M.
+kept; mean and covariance are computed of the few hypotheses that are asked for. What a filter makes of a prior that has
+such terms is taken back to "as stated" by the same rule with ``-(1 + D' U + U' P U)`` in place of M.
 """
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -47,8 +48,9 @@ class Hypothesis(NamedTuple):
     weight: float  # probability, given that one of all hypotheses is true
     nats: float  # log of the evidence over that of "as stated", odds not counted
     size: float  # of its errors, in the sigmas of the suspect
-    shift: FloatArray  # (p,) by which the mean lies off that of "as stated"
-    root: FloatArray  # (p, r) of what is added to its covariance
+    slopes: FloatArray  # (k, r) U at the suspect's constants
+    whiten: FloatArray  # (r, r) of which the product with its transpose is M^-1
+    g: FloatArray  # (r,) its gradient, so whitened
 
 
 class Weighed(NamedTuple):
@@ -60,13 +62,26 @@ class Weighed(NamedTuple):
     def known(self, one: Hypothesis, part: slice = slice(None)) -> Known:
         """Mean and covariance of a part of the state if a hypothesis is true."""
         x, P = self.stated
-        root = one.root[part]
-        return x[part] + one.shift[part], P[part, part] + root @ root.T
+        if one.suspect is None:
+            return x[part], P[part, part]
+        shift, root = self.effect(one, part)
+        return x[part] + shift, P[part, part] + root @ root.T
+
+    def effect(self, one: Hypothesis, part: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """Of a hypothesis with a suspect on a part of the state.
+
+        Returns:
+            By which the mean lies off that of "as stated", (n,), and the root of what is added to its covariance,
+            (n, r).
+        """
+        assert one.suspect is not None
+        root = self.stated[1][part, one.suspect.at] @ (one.slopes @ one.whiten)
+        return root @ one.g, root
 
     @property
     def likeliest(self) -> Hypothesis:
         """The one of the largest weight."""
-        return max(self.every, key=lambda one: one.weight)
+        return max(self.every, key=_WEIGHT)
 
     @property
     def contradicts(self) -> bool:
@@ -177,27 +192,25 @@ class Bank:
         self._alike = np.array([False, *(one.alike for one in suspects)])
         self._log_odds = np.log([1.0, *(one.odds for one in suspects)])
         ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
-        self._columns = [slice(*pair) for pair in pairwise(ends)]
         every = np.zeros((len(sigma), ends[-1]))
-        for one, own in zip(suspects, self._columns, strict=True):
-            every[one.at, own] = one.along
+        for one, own in zip(suspects, pairwise(ends), strict=True):
+            every[one.at, slice(*own)] = one.along
         self.at: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
         whole = (one.at for one in suspects if np.linalg.matrix_rank(one.along) == len(one.at))
         self.spanned: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *whole]))
         self._of_all = every[self.at] / sigma[self.at, None] ** 2
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
-        for fixed in (
-            self.at,
-            self.spanned,
-            self._alike,
-            self._log_odds,
-            self._of_all,
-            self._inner,
-        ):  # a checkpoint names it
-            fixed.setflags(write=False)
-        for one in suspects:
-            one.at.setflags(write=False)
-            one.along.setflags(write=False)
+        self._inside = self.at[:, None] * len(sigma) + self.at  # their covariance in that of the state
+        self._slopes = [one.along / sigma[one.at, None] ** 2 for one in suspects]
+        widths = np.diff(ends)
+        self._alone = [  # those of as many columns: their numbers, (n,), and columns, (n, r)
+            (which := np.flatnonzero(widths == r), np.array(ends)[which, None] + np.arange(r))
+            for r in dict.fromkeys(widths.tolist())
+        ]
+        fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner, self._inside]
+        fixed += [part for one in suspects for part in (one.at, one.along)]
+        for part in (*fixed, *self._slopes, *(part for pair in self._alone for part in pair)):
+            part.setflags(write=False)  # a checkpoint names it
 
     def freed(self, known: Known) -> Known:
         """What is known if every suspect may be wrong."""
@@ -220,31 +233,27 @@ class Bank:
             stated: what is known if nothing is wrong.
         """
         x, P = stated
-        PU, slope = P[:, self.at] @ self._of_all, self._of_all.T @ x[self.at]  # (p, R), (R,) of all suspects at once
-        M = self._inner - self._of_all.T @ PU[self.at]  # (R, R)
-        scale = np.sqrt(np.maximum(np.diag(M), 1.0))  # (R,) of suspects with one column; below one by rounding
-        roots, g = PU / scale, slope / scale
-        shifts, nats, sizes = (roots * g).T, 0.5 * g**2 - np.log(scale), np.abs(g) / scale
-        found = [(0.0, 0.0, np.zeros_like(x), np.zeros((len(x), 0)))]
-        for own in self._columns:
-            k = own.start
-            if own.stop == k + 1:
-                found.append((float(nats[k]), float(sizes[k]), shifts[k], roots[:, own]))
-            else:
-                found.append(_of_several(PU[:, own], slope[own], M[own, own]))
-        evidence = np.array([one[0] for one in found])
+        U = self._of_all
+        M, slope = self._inner - U.T @ (P.take(self._inside) @ U), U.T @ x[self.at]  # of all suspects at once
+        evidence, sizes = np.zeros((2, 1 + len(self.suspects)))
+        parts = dict[int, tuple[FloatArray, ...]]()
+        for which, columns in self._alone:
+            told, V = np.linalg.eigh(M[columns[:, :, None], columns[:, None]])
+            scale = np.sqrt(np.maximum(told, 1.0))  # (n, r); below one by rounding
+            whiten = V / scale[:, None]
+            g = (slope[columns][:, None] @ whiten)[:, 0]
+            evidence[1 + which] = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
+            sizes[1 + which] = np.sqrt(((g / scale) ** 2).mean(axis=1))
+            parts.update(zip(which.tolist(), zip(whiten, g, strict=True), strict=True))
+        nats = evidence.tolist()
         evidence[self._alike] = evidence[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
         each = evidence + self._log_odds
         weights = np.exp(each - each.max())
-        weights /= weights.sum()
-        every = zip((None, *self.suspects), weights.tolist(), found, strict=True)
-        return Weighed(stated, tuple(Hypothesis(one, weight, *rest) for one, weight, rest in every))
+        first, *rest = (weights / weights.sum()).tolist()
+        every = zip(self.suspects, rest, nats[1:], sizes[1:].tolist(), self._slopes, strict=True)
+        found = (Hypothesis(*one, *parts[k]) for k, one in enumerate(every))
+        return Weighed(stated, (Hypothesis(None, first, 0.0, 0.0, *_NONE), *found))
 
 
-def _of_several(PU: FloatArray, slope: FloatArray, M: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
-    """Evidence, size, shift and root of a suspect with several columns, (p, r), (r,) and (r, r)."""
-    told, V = np.linalg.eigh(M)
-    scale = np.sqrt(np.maximum(told, 1.0))
-    root, g = PU @ V / scale, V.T @ slope / scale
-    nats, size = 0.5 * float(g @ g) - float(np.log(scale).sum()), float(np.linalg.norm(g / scale)) / len(g) ** 0.5
-    return nats, size, root @ g, root
+_NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+_WEIGHT = attrgetter("weight")

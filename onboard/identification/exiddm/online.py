@@ -353,7 +353,8 @@ class ExiddmIdentifier:
                 or not (large := share > PART).any()
             ):
                 continue
-            moved = np.hypot(along @ one.shift[PAYLOAD], np.linalg.norm(along @ one.root[PAYLOAD], axis=1))
+            shift, root = weighed.effect(one, PAYLOAD)
+            moved = np.hypot(along @ shift, np.linalg.norm(along @ root, axis=1))
             effects[large, cause] = np.fmax(effects[large, cause], moved[large])
         return effects
 

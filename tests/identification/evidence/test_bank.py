@@ -58,16 +58,19 @@ def test_a_hypothesis_is_the_same_whether_weighed_alone_or_among_many(linear: Li
     several = [BODY, CELL, BODY._replace(name="alone", along=BODY.along[:, :1])]
     several += [Suspect(f"at_{k}", np.array([k, k + 1]), rng.standard_normal((2, 1)), 0.01) for k in (1, 2, 3)]
     stated = linear.solved()
-    _, *every = Bank(several, SIGMA).weigh(stated).every
+    together = Bank(several, SIGMA).weigh(stated)
+    _, *every = together.every
     assert len(every) == len(several)
     for one, suspect in zip(every, several, strict=True):
-        _, alone = Bank([suspect], SIGMA).weigh(stated).every
+        by_itself = Bank([suspect], SIGMA).weigh(stated)
+        _, alone = by_itself.every
         assert one.suspect is suspect
         assert one.nats == pytest.approx(alone.nats, rel=1e-10)
         assert one.size == pytest.approx(alone.size, rel=1e-10)
-        np.testing.assert_allclose(one.shift, alone.shift, rtol=1e-9, atol=1e-13)
-        np.testing.assert_allclose(one.root @ one.root.T, alone.root @ alone.root.T, rtol=1e-9, atol=1e-13)
-        np.testing.assert_allclose(one.shift, linear.solved(suspect)[0] - stated[0], rtol=1e-6, atol=1e-9)
+        (shift, root), (shift_alone, root_alone) = together.effect(one), by_itself.effect(alone)
+        np.testing.assert_allclose(shift, shift_alone, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(root @ root.T, root_alone @ root_alone.T, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(shift, linear.solved(suspect)[0] - stated[0], rtol=1e-6, atol=1e-9)
 
 
 def test_a_freed_filter_has_all_errors_in_its_prior_and_is_taken_back(linear: Linear) -> None:
@@ -87,9 +90,9 @@ def test_what_no_data_tell_apart_shares_its_evidence(linear: Linear) -> None:
 
 def weighed(*weights: float, size: float = 1.0) -> Weighed:
     """As stated, then suspects a, b, ... whose means lie 1, 2, ... apart."""
-    names = [None, *(Suspect(name, np.zeros(0, np.intp), np.zeros((0, 1)), 0.01) for name in "abc")]
-    each = zip(names[: len(weights)], weights, strict=True)
-    every = (Hypothesis(one, w, 0.0, size, np.array([float(k)]), np.zeros((1, 0))) for k, (one, w) in enumerate(each))
+    names = [None, *(Suspect(name, np.zeros(1, np.intp), np.eye(1), 0.01) for name in "abc")]
+    each, small = zip(names[: len(weights)], weights, strict=True), 1e-9 * np.eye(1)  # of what is added to a covariance
+    every = (Hypothesis(one, w, 0.0, size, small, np.eye(1), np.array([1e9 * k])) for k, (one, w) in enumerate(each))
     return Weighed((np.zeros(1), np.eye(1)), tuple(every))
 
 
