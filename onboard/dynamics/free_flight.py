@@ -33,6 +33,11 @@ class Push(NamedTuple):
     of_each: FloatArray  # (n, 6, k) as it is stated
     gain: FloatArray  # (k,) by which it is multiplied
 
+    def and_too(self, more: "Push") -> "Push":
+        """These sources and more."""
+        both = np.concatenate([self.of_each, more.of_each], axis=2)
+        return Push(both, np.concatenate([self.gain, more.gain]))
+
 
 class BasePrediction(NamedTuple):
     """Motion of the base at every tick, in base axes, and its derivatives with respect to (eta_0, chi)."""
@@ -175,9 +180,10 @@ def _move(
     still = times(inverse[:, 3:], mu)  # less the rate without a momentum
     momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
     pushed = None if push is None else _Pushed(push, bodies.composite)
-    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, None if pushed is None else pushed.torque)
+    torque = pushed.torque if pushed is not None and pushed.acts else None
+    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, torque)
     bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
-    if pushed is not None:
+    if pushed is not None and pushed.acts:
         bias = bias - pushed.wrench
     thrust = -times(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
     bodies.pushed(thrust)
@@ -217,7 +223,8 @@ def _predict(
     if pushed is not None:
         along[:, 3:, 3 + own :] = -pushed.of_each
         forcing[:, :, own:] += pushed.torque_of_each
-        forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
+        if pushed.acts:
+            forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
     local = slice(3 + own - (0 if errors is None else errors.local), 3 + own)
     forcing[:, :, local.start - 3 : local.stop - 3] = 0.0
     d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
@@ -259,10 +266,13 @@ class _Pushed:
     Args:
         push: the wrench.
         composite: spatial inertia of the vehicle, (n, 6, 6).
+
+    Attributes:
+        acts: it is not zero: only what it would do is asked for then.
     """
 
     def __init__(self, push: Push, composite: FloatArray) -> None:
-        self.of_each = push.of_each
+        self.of_each, self.acts = push.of_each, bool(push.gain.any())
         self.wrench: FloatArray = push.of_each @ push.gain  # (n, 6)
         self._mass_kg, self._centre_m = centre_of(composite)
         self.torque_of_each = self.of_each[:, 3:] - hat(self._centre_m) @ self.of_each[:, :3]  # (n, 3, k)

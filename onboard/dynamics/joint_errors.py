@@ -46,7 +46,10 @@ class Readings(NamedTuple):
     ) -> "Readings":
         """With the jerk by differences of the acceleration."""
         cyclic = np.zeros((len(q), 3, 0)) if cyclic is None else cyclic
-        return Readings(q, dq, ddq, np.gradient(ddq, period_s, axis=0), cyclic)
+        jerk = np.empty_like(ddq)
+        jerk[1:-1] = (ddq[2:] - ddq[:-2]) / (2.0 * period_s)
+        jerk[0], jerk[-1] = (ddq[1] - ddq[0]) / period_s, (ddq[-1] - ddq[-2]) / period_s
+        return Readings(q, dq, ddq, jerk, cyclic)
 
     def corrected(
         self, errors: FloatArray, cyclic: FloatArray, turns: FloatArray
@@ -59,7 +62,7 @@ class Readings(NamedTuple):
             turns: the joint of each function, as one in its column, (m, joints).
         """
         zero, scale, delay = errors[:, 3:].T
-        q, dq, ddq = np.moveaxis((self.cyclic * cyclic) @ turns, 1, 0)
+        q, dq, ddq = ((self.cyclic * cyclic) @ turns).swapaxes(0, 1)
         return (
             self.q * (1.0 + scale) + zero + delay * self.dq + q,
             self.dq * (1.0 + scale) + delay * self.ddq + dq,

@@ -15,6 +15,7 @@ gives no readings for a second is left out as well.
 
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -149,9 +150,7 @@ class Fusion:
 
     def rows(self, order: Sequence[int], ticks: int) -> IndexArray:
         """Places of a batch's lines, (ticks x lines,), instrument by instrument."""
-        width = self._lines[-1].stop
-        each = [np.arange(self._lines[k].start, self._lines[k].stop) for k in order]
-        return np.concatenate([(width * np.arange(ticks)[:, None] + own).ravel() for own in each])
+        return _rows(tuple((own.start, own.stop) for own in (self._lines[k] for k in order)), ticks)
 
     def without(self, left_out: Sequence[int], measured: FloatArray) -> FloatArray:
         """Ticks without what some instruments measured, (n, lines)."""
@@ -235,3 +234,13 @@ class Fusion:
         """Instruments left out and taken back since the last call."""
         news, self._news = self._news, []
         return news
+
+
+@lru_cache
+def _rows(order: tuple[tuple[int, int], ...], ticks: int) -> IndexArray:
+    """Places of the lines of instruments, from the one to before the other, in ticks that have them all."""
+    width = max(stop for _, stop in order)
+    each = [width * np.arange(ticks)[:, None] + np.arange(*own) for own in order]
+    found: IndexArray = np.concatenate([own.ravel() for own in each])
+    found.setflags(write=False)
+    return found

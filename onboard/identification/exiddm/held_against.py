@@ -66,8 +66,6 @@ class HeldAgainst:
 
 def stated_after(predictor: ImuPredictor, time_s: float) -> FloatArray:
     """What is stated of all constants after so long a flight, (p,): a bias drifts by its drift's sigma all the time."""
-    stated = predictor.stated.copy()
-    for bias_at, drift_at in predictor.biases:
-        drifted = max(time_s, DRIFT_MEMORY_s) * predictor.sigma[drift_at]
-        stated[bias_at] = np.hypot(predictor.sigma[bias_at], drifted)
+    stated, (biases, drifts) = predictor.stated.copy(), np.array(predictor.biases, np.intp).reshape(-1, 2).T
+    stated[biases] = np.hypot(predictor.sigma[biases], max(time_s, DRIFT_MEMORY_s) * predictor.sigma[drifts])
     return stated

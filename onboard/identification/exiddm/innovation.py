@@ -57,12 +57,13 @@ class Innovations:
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
-        self._fusion, self._predictor, self._lines, self._weighed = fusion, predictor, predictor.lines, weighed
+        self._fusion, self._predictor, self._lines = fusion, predictor, predictor.lines
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
         self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
+        self._alone = [np.setdiff1d(each, weighed) for each in (predictor.of_each[0], *own)]  # held against one by one
         self._friction = {  # of torques: what it is multiplied by cannot be negative
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
             for k, one in further
@@ -92,10 +93,10 @@ class Innovations:
         if not there.all():
             r[~there], H[~there] = 0.0, 0.0
         H = H.reshape(r.size, p)[rows]
-        known = np.empty((r.size, p + 1 + self._scales.size))
-        HP = np.matmul(H, covariance, out=known[:, :p])
-        known[:, p], known[:, p + 1 :] = r.ravel()[rows], H[:, self._scales]
-        S = HP @ H.T
+        known = np.empty((p + 1 + self._scales.size, r.size))  # transposed: LAPACK's order
+        PH = np.matmul(covariance, H.T, out=known[:p])
+        known[p], known[p + 1 :] = r.ravel()[rows], H[:, self._scales].T
+        S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
         if not S.diagonal().max() < _LARGEST:  # as with NaN
             raise SingularError("the state says nothing of what is measured; it is to be found anew")
@@ -103,7 +104,7 @@ class Innovations:
             L = np.asarray(np.linalg.cholesky(S), np.float64)
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it is to be found anew") from error
-        solved = dtrtrs(L.T, known, lower=False, trans=True)[0]
+        solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 
     def agreeing(
@@ -154,10 +155,9 @@ class Innovations:
             if batches and k not in fusion.left_out:
                 return Accusation(k, 0 if self.misled(state, k) else batches, for_good=True)
         stated = stated_after(predictor, fusion.running_s)
-        for k, each in enumerate([predictor.of_each[0], *predictor.of_further]):
+        for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
-            own = np.setdiff1d(each, self._weighed)
             beyond = (np.abs(state[own]) > FARTHEST * stated[own]).any() or self._drives(k, state, covariance)
             if beyond or fusion.names[k] == too_far:
                 return Accusation(k, 0, for_good=True)

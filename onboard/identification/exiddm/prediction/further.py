@@ -238,11 +238,13 @@ def fade(processes: Sequence[tuple[int, float]], after_s: float, state: FloatArr
         state: (p,).
         covariance: of it, (p, p).
     """
-    for at, memory_s in processes:
-        left = np.exp(-after_s / memory_s)
-        state[at] *= left
-        covariance[at] *= left
-        covariance[:, at] *= left
+    if not processes:
+        return
+    at, memory_s = zip(*processes, strict=True)
+    where, left = list(at), np.exp(-after_s / np.array(memory_s))
+    state[where] *= left
+    covariance[where] *= left[:, None]
+    covariance[:, where] *= left
 
 
 class PlacedImu(NamedTuple):

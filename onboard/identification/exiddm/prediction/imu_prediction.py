@@ -138,13 +138,13 @@ class ImuPredictor:
         for one in self.further:
             blocks |= blocks_of(one)
         layout = Layout(blocks)
-        self._layout, self.names, self.sigma, self._pushed_s = layout, layout.names, layout.sigma, disturbance.memory_s
+        self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
+        self._in_push = layout.estimated("disturbance")
+        self.pushes: list[tuple[int, int]] = list(zip(*self._in_push.reshape(2, -1).tolist(), strict=True))
+        self.fading = [one for at, of in self.pushes for one in ((at, disturbance.memory_s), (of, DRIFT_MEMORY_s))]
         of_functions = geometry.cyclic_joints(vehicle) if self._flexible is None else self._flexible.placed(layout)
-        self._imus = [
-            PlacedImu(
-                *vehicle.pose_in_base(imu_frame), samples, slice(PAYLOAD.stop, PAYLOAD.stop + SIZE), layout["imu_place"]
-            )
-        ]
+        errors = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE)
+        self._imus = [PlacedImu(*vehicle.pose_in_base(imu_frame), samples, errors, layout["imu_place"])]
         self._imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
         self._cells = cuts_of(vehicle, self.further, self._links.indices, of_functions)
         self._poses = [self._pose(one) for one in self.further if isinstance(one, FurtherPose)]
@@ -170,10 +170,7 @@ class ImuPredictor:
         self.lines = tuple(
             slice(*ends) for ends in pairwise(accumulate((6, *(f.width for f in self.further)), initial=0))
         )
-        self._joint_errors, self._columns = (
-            JointErrors(vehicle, of_functions),
-            self._links.columns,
-        )
+        self._joint_errors, self._columns = JointErrors(vehicle, of_functions), self._links.columns
         self._noise = JointNoise(vehicle, self._joint_errors, self._imus, [cut for _, cut in self._cells], self.lines)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
         self.drawn = dict(zip(self._links.drawn, zip(self._in_links.reshape(-1, 10), halves, strict=True), strict=True))
@@ -200,25 +197,25 @@ class ImuPredictor:
         samples_of = [samples, *(one.samples for one in self.further)]
         for own, count in zip(self.lines, samples_of, strict=True):
             self._samples[own] = (1.0 - 1.0 / count**2) / 24.0
+        self._set_changing()
+
+    def _set_changing(self) -> None:
+        """What of the state changes from tick to tick, and how."""
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        self.changing = np.array([*range(3), *(at for at, _ in [*self.biases, *self.pushes]), *self.anew_at], np.intp)
+        self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T  # what drifts, by what
+        drifting, by = self._drifting
+        self.changing = np.concatenate([np.arange(3), drifting, self.anew_at])
+        self._unchanged = (self.changing[:, None] == np.arange(len(self.names))).astype(np.float64)
         self.stated = self.sigma.copy()
-        for bias_at, drift_at in [*self.biases, *self.pushes]:
-            self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
+        self.stated[drifting] = np.hypot(self.sigma[drifting], DRIFT_MEMORY_s * self.sigma[by])
         self.stated[self.anew_at] = np.nan
-
-    @property
-    def pushes(self) -> list[tuple[int, int]]:
-        """Places of each component of the disturbance, and of its drift."""
-        constants, drifts = self._layout.estimated("disturbance").reshape(2, -1).tolist()
-        return list(zip(constants, drifts, strict=True))
-
-    @property
-    def fading(self) -> list[tuple[int, float]]:
-        """Places of what decays of the disturbance, and the correlation time of each, s: see :func:`.fade`."""
-        return [one for at, of in self.pushes for one in ((at, self._pushed_s), (of, DRIFT_MEMORY_s))]
+        walks = [*((of, DRIFT_MEMORY_s) for _, of in self.biases), *self.wandering]
+        self._walking = np.array([of for of, _ in walks], np.intp)
+        self._walked = (
+            2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2
+        )  # per second
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
         at = self._layout[f"gyro_bias_rad_s {one.name}"].start
@@ -279,8 +276,8 @@ class ImuPredictor:
         Raises:
             SignalError: fewer than four ticks.
         """
-        linear, push, at = self._scaled.linear(state), np.zeros_like(state), self._layout.estimated("disturbance")
-        push[at] = state[at]
+        linear, push = self._scaled.linear(state), np.zeros_like(state)
+        push[self._in_push] = state[self._in_push]
         found = self._unpushed((q, dq, ddq), linear - push, cyclic, thrust)
         for by in (found.jacobian, found.transition):
             self._scaled.derive(by, state)
@@ -330,14 +327,13 @@ class ImuPredictor:
         if bent is not None:
             more = bent.added(by_motion)
             jacobian += (more[2:] + more[:-2]) * self._samples + (1.0 - 2.0 * self._samples) * more[1:-1]
-        carried, transition = state.copy(), (self.changing[:, None] == np.arange(len(state))).astype(np.float64)
+        carried, transition, (drifts, of) = state.copy(), self._unchanged.copy(), self._drifting
         carried[RATE] = base.rate[-2]
         self._into(transition, base.d_rate[-2])
-        for row, (bias_at, drift_at) in enumerate([*self.biases, *self.pushes], RATE.stop):
-            carried[bias_at] += time_s[-1] * state[drift_at]
-            transition[row, drift_at] = time_s[-1]
+        carried[drifts] += time_s[-1] * state[of]
+        transition[np.arange(RATE.stop, first := RATE.stop + len(of)), of] = time_s[-1]
         for pose, kept, shown_pose in moved:
-            rows = slice(first := RATE.stop + len(self.biases) + len(self.pushes), first + MOTION.stop)
+            rows = slice(first, first + MOTION.stop)
             carried[pose.motion] = shown_pose.carried
             transition[rows, kept.errors] = shown_pose.carried_by_own[:, kept.of_errors]
             for here, there in self._of_motion:
@@ -385,9 +381,8 @@ class ImuPredictor:
 
     def aged(self, covariance: FloatArray, ticks: int) -> FloatArray:
         """The state's covariance, (p, p), after so many ticks' noise of drifts, clocks' times and pushes."""
-        aged_s, P = ticks * self.period_s, covariance.copy()
-        for at, memory_s in [*((at, DRIFT_MEMORY_s) for _, at in self.biases), *self.wandering]:
-            P[at, at] += 2.0 * aged_s / memory_s * self.sigma[at] ** 2
+        P = covariance.copy()
+        P[self._walking, self._walking] += ticks * self.period_s * self._walked
         return P
 
     def bridge(

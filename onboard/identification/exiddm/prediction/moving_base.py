@@ -1,6 +1,7 @@
 """Motion of a free base from all unknowns of a flight: payload, links, the joints' errors and bends, thrusters."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -61,11 +62,8 @@ class MovingBase:
             forces = np.zeros((len(readings.q), self._wrenches.shape[1])) if thrust is None else thrust
             push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
         if self._disturbed:
-            time_s = period_s * np.arange(len(readings.q))[:, None, None]
-            unit = np.broadcast_to(np.eye(6), (len(readings.q), 6, 6))
-            known = Push(unit[..., :0], np.zeros(0)) if push is None else push
-            both = np.concatenate([known.gain, x[at["disturbance"]]])
-            push = Push(np.concatenate([known.of_each, unit, time_s * unit], axis=2), both)
+            unknown = Push(_steady_and_growing(len(readings.q), period_s), x[at["disturbance"]])
+            push = unknown if push is None else push.and_too(unknown)
         chi = self._links.chi(x[at["payload"]], self._links.basis @ x[at["links"]])
         if self._joint_errors is None:
             links = chain_motion(vehicle, *readings[:3]).links
@@ -95,3 +93,13 @@ class MovingBase:
         own = self._flexible.compliance.unit_functions(ticks)
         plain = np.zeros((ticks, 3, count - own.shape[2])) if cyclic is None else cyclic
         return np.concatenate([plain, own], axis=2)
+
+
+@lru_cache(maxsize=16)
+def _steady_and_growing(ticks: int, period_s: float) -> FloatArray:
+    """A unit of each component of a wrench, constant, then growing from the first tick on, (n, 6, 12)."""
+    growth = np.ones((ticks, 1, 2, 1))
+    growth[:, 0, 1, 0] = period_s * np.arange(ticks)
+    found = np.asarray(growth * np.eye(6)[:, None], np.float64).reshape(ticks, 6, 12)
+    found.setflags(write=False)
+    return found
