@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.kinematics import link_motions, wrench_columns
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.spatial import MOMENTUM, crf, crm, force_transforms, times
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -25,14 +26,6 @@ from onboard.estimation.arrays import FloatArray
 ROUNDING_m_s = 2e-3  # slip below which Coulomb drag is rounded to zero
 _FASTEST = 1e3  # m/s, rad/s, rad; beyond it the integration is stopped
 PLANAR = [0, 1, 5]  # of force and moment, and of twist
-
-
-class PlanarColumns(NamedTuple):
-    """Wrench as columns of the vehicle's parameters, times f_x, f_y, dw, 1, w, w^2; at ticks and half-way between."""
-
-    T: FloatArray  # (2n - 1, 3, 6, P)
-    period_s: float  # between ticks
-    gravity_m_s2: float
 
 
 class PlanarDrag(NamedTuple):
@@ -51,77 +44,124 @@ class PlanarPrediction(NamedTuple):
     velocity: FloatArray  # (n, 4) x, y, m/s, yaw rate, rad/s, yaw since the start, rad
 
 
-def planar_columns(vehicle: VehicleModel, signals: FlightSignals, offsets: FloatArray | None = None) -> PlanarColumns:
-    """Wrench columns (Limparis 2.132) of a run's joint motion, at ticks and half-way between (joints by a spline).
+class PlanarRun:
+    """The wrench that a run's joint motion asks for, at ticks and half-way between: the joints by a spline.
 
-    M and h of the equation at the head of this module, from :func:`onboard.dynamics.kinematics.wrench_columns` at unit
-    accelerations and at rates of 1, -1 and 0.
+    Times f_x, f_y, dw, 1, w, w^2: M and h of the equation at the head of this module. With v and a the twist of a link
+    and its rate of change relative to the base, z that of a unit of yaw, all in the link's own axes, and B its momentum
+    per twist, the link's wrench is ``B (a + f + dw z + w z x v) + (v + w z) x* B (v + w z)`` (Featherstone, Rigid Body
+    Dynamics Algorithms, 2008, chapter 2); its columns (Limparis 2.132) have those of B.
 
     Args:
         vehicle: the model.
         signals: of its joints.
         offsets: of each joint from its place in the drawing, (joints, 3), m, in the axes of its frame at zero.
 
+    Attributes:
+        ticks: n; there are m = 2n - 1 of them and what is half-way between.
+        period_s: between ticks.
+        gravity_m_s2: onto the table.
+
     Raises:
         SignalError: joint signals of another vehicle.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 0.1 s, of all that fit a flight and have no table
 
-    n = len(signals.q)
-    ticks, both = np.arange(n), 0.5 * np.arange(2 * n - 1)
-    q, dq, ddq = (np.asarray(CubicSpline(ticks, x)(both), np.float64) for x in (signals.q, signals.dq, signals.ddq))
-    zero = np.zeros((len(both), 3))
-    x, y, z = (zero + unit for unit in np.eye(3))
-    T = np.empty((len(both), 3, 6, vehicle.chi.size))
-    for index, link in enumerate(link_motions(vehicle, q, dq, ddq, offsets)):
-        at_rest = wrench_columns(link, zero, zero, zero)
-        one, other = wrench_columns(link, z, zero, zero), wrench_columns(link, -z, zero, zero)
-        parts = [wrench_columns(link, zero, *a) - at_rest for a in ((x, zero), (y, zero), (zero, z))]
-        parts += [at_rest, 0.5 * (one - other), 0.5 * (one + other) - at_rest]
-        T[..., 10 * index : 10 * index + 10] = np.stack([part[:, PLANAR] for part in parts], axis=2)
-    return PlanarColumns(T, signals.period_s, -vehicle.spec.gravity_m_s2[2])
+    def __init__(self, vehicle: VehicleModel, signals: FlightSignals, offsets: FloatArray | None = None) -> None:
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 0.1 s, of all that fit a flight and have no table
+
+        n = self.ticks = len(signals.q)
+        joints = CubicSpline(np.arange(n), np.stack([signals.q, signals.dq, signals.ddq], axis=1))
+        q, dq, ddq = joints(0.5 * np.arange(2 * n - 1)).swapaxes(0, 1)
+        frames = chain_motion(vehicle, q, dq, ddq, offsets).links
+        X = force_transforms(frames.R, frames.p)
+        own, z = X.swapaxes(2, 3), X[:, :, 5]
+        v, a = times(own, frames.V), times(own, frames.A)
+        self._twists = np.stack([X[:, :, 0], X[:, :, 1], z, a, times(crm(z), v), v], axis=2)  # (m, links, 6, 6)
+        self._to_base = X[:, :, PLANAR]
+        self.period_s, self.gravity_m_s2 = signals.period_s, -vehicle.spec.gravity_m_s2[2]
+        self._columns: dict[tuple[int, ...], FloatArray] = {}
+        self._rest: tuple[FloatArray, FloatArray] | None = None  # parameters without those of some links, their wrench
+
+    def columns(self, links: tuple[int, ...]) -> FloatArray:
+        """Of the parameters of some links, (m, 3, 6, 10 x links)."""
+        if links not in self._columns:
+            each = self._wrenches(list(links), np.repeat(MOMENTUM[None], len(links), axis=0))  # (m, links, 3, 6, 10)
+            self._columns[links] = np.moveaxis(each, 1, 3).reshape(len(each), 3, 6, 10 * len(links))
+        return self._columns[links]
+
+    def wrench(self, chi: FloatArray, links: tuple[int, ...], part: slice = slice(None)) -> FloatArray:
+        """Of all links, (m, 3, 6).
+
+        Args:
+            chi: standard parameters of all links, (P,).
+            links: those whose parameters change from one call to the next.
+            part: of the m.
+        """
+        own, rest = np.array(links, np.intp), chi.reshape(-1, 10).copy()
+        rest[own] = 0.0
+        if self._rest is None or not np.array_equal(rest, self._rest[0]):
+            B = np.einsum("aij,kj->kai", MOMENTUM, rest)[..., None]
+            self._rest = rest, self._wrenches(list(range(len(B))), B)[..., 0].sum(axis=1)
+        found: FloatArray = self._rest[1][part]
+        return found + self.columns(links)[part] @ chi.reshape(-1, 10)[own].ravel() if links else found
+
+    def _wrenches(self, links: list[int], B: FloatArray) -> FloatArray:
+        """Of each of some links, (m, links, 3, 6, c), by its momentum per twist, (links, 6, 6, c)."""
+        U, (k, _, _, c), m = self._twists[:, links], B.shape, len(self._twists)
+        H = (U @ B.reshape(k, 6, 6 * c)).reshape(m, k, 6, 6, c)
+        out = np.empty((m, k, 6, 6, c))  # rows of the wrench, then what it is multiplied by
+        out[:] = H.swapaxes(2, 3)
+        both = np.concatenate([H[:, :, 5], H[:, :, 2]], axis=3)  # of v, of z
+        by_v, by_z = crf(U[:, :, 5]) @ both, crf(U[:, :, 2]) @ both
+        out[..., 3, :] += by_v[..., :c]
+        out[..., 4, :] += by_z[..., :c] + by_v[..., c:]
+        out[..., 5, :] = by_z[..., c:]
+        found: FloatArray = (self._to_base[:, links] @ out.reshape(m, k, 6, 6 * c)).reshape(m, k, 3, 6, c)
+        return found
 
 
 def predict_planar(
-    columns: PlanarColumns,
+    run: PlanarRun,
     start: FloatArray,
     chi: FloatArray,
     drag: PlanarDrag,
     tilt: FloatArray,
     free: tuple[int, ...],
+    ticks: int | None = None,
 ) -> PlanarPrediction:
     """Predicts the base's motion by the equations at the head of this module.
 
     Args:
-        columns: of the run.
+        run: its joints.
         start: velocity at the first tick: x, y, m/s, and yaw rate, rad/s; base axes, (3,).
         chi: standard parameters of all links, (P,).
         drag: of the pucks.
         tilt: gravity along the table, m/s^2, along the base's axes at the first tick, (2,).
         free: links whose ten columns are wanted in the derivatives, as in
             :func:`onboard.dynamics.free_flight.predict_base`.
+        ticks: only the first so many; all, where not given.
     """
-    wanted = (10 * np.repeat(free, 10) + np.tile(np.arange(10), len(free))).astype(np.intp)
-    G = columns.T @ chi  # (m, 3, 6)
+    first = slice(2 * (run.ticks if ticks is None else ticks) - 1)
+    G, T = run.wrench(chi, free, first), run.columns(free)[first]  # (m, 3, 6), (m, 3, 6, P)
     inverse = np.asarray(np.linalg.inv(G[:, :, :3]), np.float64)
     k = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2
-    states = _integrate(inverse, k, start, drag, tilt, columns.period_s)
+    states = _integrate(inverse, k, start, drag, tilt, run.period_s)
     at_ticks = _accelerations(states, inverse[::2], k[::2], drag)[0]
-    state = _with_midpoints(states, _rates(states, at_ticks, tilt), columns.period_s)  # (m, 4)
+    state = _with_midpoints(states, _rates(states, at_ticks, tilt), run.period_s)  # (m, 4)
     a, A, pull = _accelerations(state, inverse, k, drag)
-    m, P, pucks = len(state), wanted.size, len(drag.viscous)
+    m, P, pucks = len(state), T.shape[3], len(drag.viscous)
     w, yaw = state[:, 2], state[:, 3]
     basis = np.column_stack([a, np.ones(m), w, w * w])
     D = np.zeros((m, 3, 3 + P + 2 * pucks + 2))
     by_columns = (-inverse[:, :, :, None] * basis[:, None, None, :]).reshape(m, 3, 18)
-    D[:, :, 3 : 3 + P] = (by_columns @ columns.T.reshape(m, 18, -1))[:, :, wanted]
+    np.matmul(by_columns, T.reshape(m, 18, P), out=D[:, :, 3 : 3 + P])
     np.matmul(inverse, pull, out=D[:, :, 3 + P : -2])
-    S = _sensitivities(*_slopes(state, A, D, yaw, tilt), columns.period_s)
+    S = _sensitivities(*_slopes(state, A, D, yaw, tilt), run.period_s)
     D = D[::2] + A[::2] @ S
     n = len(states)
     zero, own = np.zeros((n, 3)), np.zeros((n, 3, D.shape[2]))
     rate, spin, force = zero.copy(), zero.copy(), zero.copy()
-    force[:, 2] = columns.gravity_m_s2
+    force[:, 2] = run.gravity_m_s2
     along = np.zeros((n, 9, D.shape[2]))  # of rate, specific force and angular acceleration
     rate[:, 2], spin[:, 2], force[:, :2] = states[:, 2], a[::2, 2], a[::2, :2]
     along[:, 2], along[:, 8], along[:, 3:5] = S[:, 2], D[:, 2], D[:, :2]

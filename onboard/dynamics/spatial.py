@@ -25,7 +25,7 @@ def _maps() -> tuple[FloatArray, ...]:
     return hats.reshape(3, 9), crm.reshape(6, 36), -crm.swapaxes(1, 2).reshape(6, 36), coad.reshape(6, 36), momentum
 
 
-_HAT, _CRM, _CRF, _COAD, _MOMENTUM = _maps()
+_HAT, _CRM, _CRF, _COAD, MOMENTUM = _maps()
 
 
 def hat(a: FloatArray) -> FloatArray:
@@ -73,7 +73,7 @@ def force_transforms(R: FloatArray, p: FloatArray) -> FloatArray:
 
 def own_inertias(chi: FloatArray) -> FloatArray:
     """Spatial inertias of links in their own axes about their own origins, (links, 6, 6), from (10 x links,)."""
-    return np.asarray(np.einsum("aij,kj->kia", _MOMENTUM, chi.reshape(-1, 10)), np.float64)
+    return np.asarray(np.einsum("aij,kj->kia", MOMENTUM, chi.reshape(-1, 10)), np.float64)
 
 
 class Columns:
@@ -87,7 +87,7 @@ class Columns:
     def __init__(self, links: tuple[int, ...], bases: Sequence[FloatArray] | None = None) -> None:
         self.links = links
         each = [np.eye(10)] * len(links) if bases is None else bases
-        self._of_twist = np.array([_MOMENTUM @ basis for basis in each]).reshape(len(links), 6, 60)
+        self._of_twist = np.array([MOMENTUM @ basis for basis in each]).reshape(len(links), 6, 60)
 
     def into(self, out: FloatArray, X: FloatArray, V: FloatArray, A: FloatArray | None = None) -> None:
         """Momentum, or with the rates of change ``A`` the wrench, of all links, base axes.

@@ -33,6 +33,7 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     BIASES,
     CERTAIN,
     ImuPrior,
+    ImuReading,
     gain_of,
     imu_blocks,
     imu_reading,
@@ -227,23 +228,33 @@ class Exiddm:
             parameters: (p,).
             ticks: only the first so many; all, where not given.
         """
-        layout, signals = self.layout, self._base.signals
-        x, n = layout.whole(parameters), len(self._valid) if ticks is None else ticks
-        others = {name: x[layout[name]] for name in self._base.others}
-        base = self._base.predict(x[layout["start"]], self._chi(x), others, self._links.indices, n)
-        true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
-        time_s = np.asarray(signals.period_s * (np.arange(n) - 0.5 * (len(self._valid) - 1)), np.float64)
-        change = np.gradient(true, signals.period_s, axis=0)
-        shown = imu_reading(true, change, time_s, x[self._errors])
+        n, samples = len(self._valid) if ticks is None else ticks, self._base.signals.samples
+        x = self.layout.whole(parameters)
+        shown, d_true = self._shown(x, n, self._links.indices)
         d_motion = gain_of(x[self._errors]) @ d_true
-        jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, layout.kept]
-        values, jacobian = tick_mean(shown.values, signals.samples), tick_mean(jacobian, signals.samples)
+        jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, self.layout.kept]
+        values, jacobian = tick_mean(shown.values, samples), tick_mean(jacobian, samples)
         return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
+
+    def left(self, parameters: FloatArray) -> FloatArray:
+        """The residuals alone, (6 v,)."""
+        shown, _ = self._shown(self.layout.whole(parameters), len(self._valid), ())
+        values = tick_mean(shown.values, self._base.signals.samples)
+        return np.asarray(((values - self._measured) / self._sigma)[self._valid].ravel(), np.float64)
+
+    def _shown(self, x: FloatArray, n: int, links: tuple[int, ...]) -> tuple[ImuReading, FloatArray]:
+        """Of the first n ticks with all unknowns as in ``x``; and the derivative of the motion, (n, 6, c)."""
+        layout, period_s = self.layout, self._base.signals.period_s
+        others = {name: x[layout[name]] for name in self._base.others}
+        base = self._base.predict(x[layout["start"]], self._chi(x), others, links, n)
+        true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
+        time_s = np.asarray(period_s * (np.arange(n) - 0.5 * (len(self._valid) - 1)), np.float64)
+        return imu_reading(true, np.gradient(true, period_s, axis=0), time_s, x[self._errors]), d_true
 
     def residuals_by_tick(self, parameters: FloatArray) -> FloatArray:
         """As :meth:`residuals`, (n, 6), NaN at ticks without an IMU."""
         left = np.full((len(self._valid), 6), np.nan)
-        left[self._valid] = self.residuals(parameters)[0].reshape(-1, 6)
+        left[self._valid] = self.left(parameters).reshape(-1, 6)
         return left
 
     def predicted(self, x: FloatArray, own: FloatArray) -> HeldOutFit:
@@ -266,7 +277,7 @@ class Exiddm:
         prior = self.prior_information[np.ix_(anew, anew)]
         done = fit(residuals, own[anew], np.zeros(anew.size), prior, tolerance=_HELD_OUT_TOLERANCE)
         tried[anew], tried[self._payload] = done.x, _NOTHING
-        none, _ = self.residuals(self._with_first_state(tried))
+        none = self.left(self._with_first_state(tried))
         return HeldOutFit(float(np.sqrt(done.residual_sum / (none @ none))), done.residual_sum / none.size)
 
     def _fit(self, x: FloatArray, ticks: int, tolerance: float, iterations: int = _ITERATIONS) -> Fit:

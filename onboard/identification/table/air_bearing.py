@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import PlanarColumns, PlanarDrag, ROUNDING_m_s, planar_columns, predict_planar
+from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.joint_errors import Readings
 from onboard.dynamics.payload import possible_body
+from onboard.dynamics.spatial import times
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
@@ -93,7 +94,7 @@ class AirBearingBase:
         if vehicle.spec.base is not BaseKind.PLANAR:
             raise SignalError(f"the base is {vehicle.spec.base.value}; this is for a planar one")
         self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
-        self._columns = planar_columns(vehicle, signals, offsets)
+        self._run = PlanarRun(vehicle, signals, offsets)
         self._pucks = np.array([vehicle.pose_in_base(frame)[1][:2] for frame in prior.pucks]).reshape(-1, 2)
         state = np.array([prior.velocity_m_s, prior.velocity_m_s, prior.rate_rad_s])
         self.start = Block(("velocity_x", "velocity_y", "rate_z"), state)
@@ -112,8 +113,7 @@ class AirBearingBase:
         """See :func:`onboard.dynamics.air_bearing.predict_planar`."""
         viscous, coulomb = others["drag"].reshape(-1, 2).T
         drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s)
-        columns = self._columns._replace(T=self._columns.T[: 2 * ticks - 1])
-        return predict_planar(columns, start, chi, drag, others["tilt"], links).base
+        return predict_planar(self._run, start, chi, drag, others["tilt"], links, ticks).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
         """None: the gyro gives no velocity."""
@@ -141,7 +141,7 @@ class AirBearingBase:
         Raises:
             SignalError: a mass that is not positive.
         """
-        Y, y = planar_rows(self.vehicle, imu_frame, self.signals, self._columns, ROUGH_WIDTH_s)
+        Y, y = planar_rows(self.vehicle, imu_frame, self.signals, self._run, ROUGH_WIDTH_s)
         mean, noise = np.zeros(10), 1.0
         for _ in range(3):
             information = Y.T @ Y / noise + np.diag(1.0 / payload_sigma**2)
@@ -306,7 +306,7 @@ def air_bearing_exiddm(
 
 
 def planar_rows(
-    vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, columns: PlanarColumns, width_s: float
+    vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, run: PlanarRun, width_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Rows ``y = Y chi_payload`` of force x, y and moment z without drag: Y (3 v, 10), y (3 v,).
 
@@ -316,17 +316,17 @@ def planar_rows(
         vehicle: with a payload link.
         imu_frame: the IMU's frame.
         signals: the run.
-        columns: of its joints.
+        run: its joints.
         width_s: of the kernel that smooths the base's motion.
     """
     base = measured_base(vehicle, imu_frame, signals, width_s)
     whole = np.isfinite(base.specific_force).all(axis=1) & np.isfinite(base.acceleration).all(axis=1)
     w = base.rate[whole, 2]
     basis = np.column_stack([base.specific_force[whole, :2], base.acceleration[whole, 2], np.ones(len(w)), w, w * w])
-    W = np.einsum("mijp,mj->mip", columns.T[::2][whole], basis)
     own, chi = vehicle.payload_columns(), vehicle.chi.copy()
     chi[own] = 0.0
-    return W[:, :, own].reshape(-1, 10), -(W @ chi).ravel()
+    Y = np.einsum("mijp,mj->mip", run.columns((own.start // 10,))[::2][whole], basis)
+    return Y.reshape(-1, 10), -times(run.wrench(chi, ())[::2][whole], basis).ravel()
 
 
 class DragFit(NamedTuple):

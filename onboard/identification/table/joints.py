@@ -85,7 +85,7 @@ def _normal(exiddm: TableExiddm, x: FloatArray) -> tuple[FloatArray, FloatArray,
     columns = [J]
     for place in np.flatnonzero(joints > 0.0):
         errors = np.where(np.arange(joints.size) == place, joints, 0.0).reshape(-1, PER_JOINT)
-        columns.append(((exiddm.with_errors(errors).residuals(x)[0] - r) / joints[place])[:, None])
+        columns.append(((exiddm.with_errors(errors).left(x) - r) / joints[place])[:, None])
     both = np.concatenate(columns, axis=1)
     information = both.T @ both
     information[: x.size, : x.size] += exiddm.prior_information

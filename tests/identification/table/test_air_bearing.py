@@ -12,7 +12,7 @@ import pytest
 import onboard
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
-from onboard.dynamics.air_bearing import PlanarDrag, planar_columns, predict_planar
+from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
 from onboard.dynamics.errors import SignalError, UnknownFrameError
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_covariance, standard_of
@@ -101,7 +101,8 @@ def test_three_rows_are_mujocos_generalised_forces(rng):
     f[:, :2], f[:, 2] = acceleration[:, :2], 9.80665
     found = rows.regressor(q, dq, ddq, BaseMotion(w, dw, f)) @ chi
     still = FlightSignals(0.01, q, dq, ddq, w, f, np.ones(3), np.ones(3), 1)
-    T = planar_columns(model, still).T[::2]
+    moved, payload = PlanarRun(model, still), model.links.index("payload")
+    G, T = moved.wrench(chi, (payload,))[::2], moved.columns(tuple(range(len(model.links))))[::2]
     basis = np.column_stack([acceleration, np.ones(4), w[:, 2], w[:, 2] ** 2])
     data = mujoco.MjData(truth)
     for k in range(4):  # yaw zero: table axes are base axes
@@ -110,6 +111,7 @@ def test_three_rows_are_mujocos_generalised_forces(rng):
         mujoco.mj_inverse(truth, data)
         np.testing.assert_allclose(found[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(T[k] @ chi @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(G[k] @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
 
 
 def pulls(drags):
@@ -118,13 +120,13 @@ def pulls(drags):
 
 
 def test_motion_is_mujocos_drag_and_tilt_included(run):
-    columns, truth = planar_columns(run.vehicle, exact(run)), run.flight.velocity
+    joints, truth = PlanarRun(run.vehicle, exact(run)), run.flight.velocity
     for drags, tilt, low, high in (
         (DRAGS, TILT, 0.0, 5e-5),
         ([planar_bed.Drag()] * 3, TILT, 0.02, np.inf),
         (DRAGS, (0.0, 0.0), 1e-4, np.inf),
     ):
-        found = predict_planar(columns, truth[0], run.chi, pulls(drags), np.array(tilt), ())
+        found = predict_planar(joints, truth[0], run.chi, pulls(drags), np.array(tilt), ())
         assert low <= np.abs(found.velocity[:, :3] - truth[::3]).max() < high
 
 
