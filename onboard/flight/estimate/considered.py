@@ -1,12 +1,15 @@
 """Errors of the instruments that rows consider (:mod:`onboard.identification.rows.considered`), by the vehicle file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from onboard import config
-from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles
+from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.identification.rows.considered import Considered, Effect
 from onboard.identification.rows.stated import Stated
 from onboard.regressor.rows import RowModel
+
+FEWEST_GAINS = 2  # that can have an error in common
+COMMON_SHARE = 0.5  # of the variance of each gain: see :func:`of_gains`
 
 
 def of_motion(roles: Roles) -> list[Considered]:
@@ -81,6 +84,27 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     drift_N_s = (keys.zero_drift_N_s if isinstance(keys, LoadCellKeys) else None) or 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
     return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+
+
+def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
+    """The same with half of the variance of the torques' gains in one factor on all of them.
+
+    Torque constants of an arm come from one source (a data sheet, a gear's efficiency, the magnets' temperature), so
+    their errors are neither independent nor one: nobody states which, and each half is as large. Of different
+    gains the least is what all can have in common.
+
+    Args:
+        found: errors of all cells.
+        roles: of the devices.
+    """
+    scales = [cause for cause in found if cause.effect == "scale" and cause.sigma > 0.0]
+    if len(scales) < FEWEST_GAINS or not all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells):
+        return list(found)
+    if len(scales) < len(roles.cells):
+        return list(found)
+    common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
+    own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]
+    return [*own, Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques")]
 
 
 def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:

@@ -17,7 +17,7 @@ from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSp
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
-from onboard.flight.estimate.considered import of_bias, of_cell, of_motion, stated_by
+from onboard.flight.estimate.considered import of_bias, of_cell, of_gains, of_motion, stated_by
 from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
@@ -279,7 +279,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows.append(_cell_row(cell, model, scaled))
             considered += of_cell(cell, scaled=scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
-        considered += of_motion(roles)
+        considered = [*of_gains(considered, roles), *of_motion(roles)]
         zero_force = settings.zero_force_sigma_m_s2
         if model.spec.base in (BaseKind.PRESCRIBED, BaseKind.FREE) and roles.imus:
             considered += of_bias(roles.imu, settings.imu_prior, accelerometer=zero_force is None)

@@ -38,11 +38,16 @@ class Considered(NamedTuple):
     """An error common to all readings of one instrument, with a known sigma."""
 
     name: str
-    row: str  # of a load cell; of a joint, its name; of the IMU, its frame
+    row: str  # of a load cell; of a joint, its name; of the IMU, its frame; "" of a scale that is common to all rows
     effect: Effect
     sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
     axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
+
+    @property
+    def is_common(self) -> bool:
+        """Whether it is a scale of all rows."""
+        return self.effect == "scale" and not self.row
 
     @property
     def stated(self) -> str:
@@ -68,7 +73,7 @@ def check(considered: Sequence[Considered], model: RowModel) -> None:
     """
     rows, joints = [row.name for row in model.rows], [joint.name for joint in model.vehicle.joints]
     for cause in considered:
-        if cause.effect in _OF_ROW and cause.row not in rows:
+        if cause.effect in _OF_ROW and cause.row not in rows and not cause.is_common:
             raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
         if cause.effect in _OF_JOINT and cause.row not in joints:
             raise UnknownFrameError(f"considered {cause.name!r} names joint {cause.row!r}; there are {joints}")
@@ -111,7 +116,9 @@ def columns(
     D = np.zeros((*use.shape, len(considered), parameters + 1))
     misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
     for k, cause in enumerate(considered):
-        if cause.effect == "scale":
+        if cause.is_common:
+            D[..., k, -1] = signals.measured[at]
+        elif cause.effect == "scale":
             D[:, names.index(cause.row), k, -1] = signals.measured[at, names.index(cause.row)]
         elif cause.effect == "drift":
             D[:, names.index(cause.row), k, -1] = signals.time_s[at]

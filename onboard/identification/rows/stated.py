@@ -15,9 +15,10 @@ and maximisation (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989; MacKay
 A key of which the rows tell nothing has ``E_k = n_k`` and stays as stated. So does every key, until by the odds of the
 policy it is likelier that some are wider: where one statement is wrong, the others are as doubtful.
 
-An arm that is heavier than drawn and gains that are all too large by one factor are the same to most motions. So one
-factor on all gains, beside all else as stated, competes: unless one of the two is likelier by the same odds, the answer
-covers both, and that factor is considered as large as it would have to be. Its sigma is that of the policy.
+An arm that is heavier than drawn and gains that are all too large by one factor are the same to most motions. So that
+factor alone, beside all else as stated, competes with all that may be wider: unless one of the two is likelier by the
+same odds, the answer covers both, its interval reaching as far as that factor would move it. Free widths are paid
+for: the evidence of each hypothesis has Student's density of its errors in place of the normal one of fitted width.
 
 Errors of gains are estimated beside the parameters here, ``y = exp(e) Y chi`` about the last estimate (a column of
 readings would be of their noise, and shrink the gain); the estimate itself considers them. Noise first: each
@@ -32,10 +33,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaln
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.rls import SquareRootRls
-from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELY_SIZE, ODDS
+from onboard.identification.evidence.policy import ODDS
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.regressor.base_parameters import BaseParameters
@@ -50,7 +52,7 @@ class Stated(NamedTuple):
 
 FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
-_COMMON = Stated("", "one factor on all gains")
+_REACHES = 1.96  # sigmas that an interval of 95 % reaches
 _SETTLED = 0.02  # relative change of a width in a step
 _MOST_STEPS, _PASSES = 60, 3  # of expectation and maximisation; about a new estimate
 
@@ -59,7 +61,7 @@ class Taken(NamedTuple):
     """What is taken for granted of what is stated."""
 
     rls: SquareRootRls  # of the rows so far
-    considered: FloatArray  # (k,) sigmas of the considered errors, or a root of their covariance, (k, k)
+    considered: FloatArray  # (k,) sigmas of the considered errors
     prior_root: FloatArray  # (P, P) L of the covariance ``L L'`` of the standard parameters
     covariance: FloatArray  # (p, p) of the base parameters
     said: tuple[str, ...] = ()  # which are contradicted
@@ -116,23 +118,24 @@ class StatedSigmas:
     ) -> None:
         self._gains = [k for k, cause in enumerate(considered) if cause.effect == "scale"]
         gains = [Stated(considered[k].key, "scale_sigma") for k in self._gains]
-        rows = [instruments.index(considered[k].row) for k in self._gains]
+        self._rows = [None if considered[k].is_common else instruments.index(considered[k].row) for k in self._gains]
         half, sigma, centre = base.grouping @ stated.prior_root, stated.considered[self._gains], base.value(chi)
         p, P, k = *half.shape, len(gains)
         self._base = base
-        every = [*columns, *gains, _COMMON]
-        self._active = np.flatnonzero(np.concatenate([half.any(axis=0), sigma > 0.0, [True]]))
-        self._L = np.zeros((p + k, P + k + 1))
-        self._L[:p, :P], self._L[p:, P:-1], self._L[p:, -1] = half, np.diag(sigma), LIKELY_SIZE
+        every = [*columns, *gains]
+        self._active = np.flatnonzero(np.concatenate([half.any(axis=0), sigma > 0.0]))
+        self._L = np.zeros((p + k, P + k))
+        self._L[:p, :P], self._L[p:, P:] = half, np.diag(sigma)
         self._L = self._L[:, self._active]
         self._centre = np.concatenate([centre, np.zeros(k)])
-        self._rows, self._bodies, self._shape = list(rows), np.flatnonzero(physical), (P, k)
+        self._bodies, self._shape = np.flatnonzero(physical), (P, k)
         self.stated = tuple(dict.fromkeys(every[column] for column in self._active))
         self._key: IndexArray = np.array([self.stated.index(every[column]) for column in self._active], np.intp)
         kinds = list(dict.fromkeys(one.kind for one in self.stated))
         self._kind: IndexArray = np.array([kinds.index(one.kind) for one in self.stated], np.intp)
         self._many = np.bincount(self._key).astype(np.float64)  # errors of each key
-        self._alone = np.array([one == _COMMON for one in self.stated])
+        common = {gains[number] for number, row in enumerate(self._rows) if row is None}
+        self._common = np.array([one in common for one in self.stated], np.bool_)
 
     def taken(self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float) -> Taken:
         """What is taken for granted after the rows.
@@ -144,33 +147,30 @@ class StatedSigmas:
             correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
         """
         X = np.concatenate([mean, np.zeros(len(self._rows))])
-        as_it_is = np.where(self._alone, 0.0, 1.0)
-        width = as_it_is
-        parts = [_part(blocks, held, number) for held, number in blocks.parts]
+        n = len(self.stated)
+        as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
+        parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, np.ones(n, np.bool_)
         for _ in range(_PASSES):
-            A, r = self._told(*self._equations(parts, X, correlation), X, width)
-            width, z = self._settled(A, r, width, ~self._alone)
-            X = self._centre + self._L @ z
-        one_factor, errors = self._settled(A, r, np.ones_like(width), self._alone)
-        nothing, many, one = (self._evidence(A, r, each) for each in (as_it_is, width, one_factor))
+            A, r = self._told(*self._equations(parts, X, correlation), X, many.width)
+            many = self._settled(A, r, many.width, free)
+            X = self._centre + self._L @ many.errors
+        one = self._settled(A, r, as_it_is.width, self._common) if self._common.any() else as_it_is
+        nothing, of_many, of_one = (self._evidence(A, r, each) for each in (as_it_is, many, one))
         least = -np.log(ODDS)
-        if max(many, one) - nothing < least:
+        if max(of_many, of_one) - nothing < least:
             return stated
-        if one - many > least:
-            width = as_it_is
-        said = self._contradicted(A, r, width, many)
+        width = one.width if of_one - of_many > least else many.width
+        said = self._contradicted(A, r, many) if width is many.width else ()
         P, k = self._shape
-        factors = np.ones(P + k + 1)
+        factors = np.ones(P + k)
         factors[self._active] = width[self._key]
         considered, root = stated.considered.copy(), stated.prior_root * factors[:P]
-        considered[self._gains] *= factors[P:-1]
-        if many - one < least:
-            common = LIKELY_SIZE * float(errors[-1])
-            said += (f"all gains may be off by one factor, by {abs(common):.0%}",)
-            along = np.zeros(len(considered))
-            along[self._gains] = common
-            values, V = np.linalg.eigh(np.diag(considered**2) + np.outer(along, along))
-            considered = V * np.sqrt(np.maximum(values, 0.0)) @ V.T
+        considered[self._gains] *= factors[P:]
+        if of_many - of_one < least and self._common.any():
+            of_gains, common = (self._L @ one.errors)[-k:], self._rows.index(None)
+            factor = float(of_gains[common] + np.delete(of_gains, common).mean())
+            considered[self._gains[common]] = max(considered[self._gains[common]], abs(factor) / _REACHES)
+            said += (f"all gains may be off by one factor, by {abs(factor):.0%}",)
         covariance = self._base.covariance(root)
         rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
         return Taken(rls, considered, root, covariance, said)
@@ -182,10 +182,11 @@ class StatedSigmas:
         for part in blocks:
             J = np.zeros((p, len(X)))
             np.fill_diagonal(J, 1.0)
-            if part.instrument in self._rows:
-                gain = p + self._rows.index(part.instrument)
-                J[self._bodies, self._bodies] = np.exp(X[gain])
-                J[self._bodies, gain] = np.exp(X[gain]) * X[self._bodies]
+            gains = [p + k for k, row in enumerate(self._rows) if row is None or row == part.instrument]
+            if gains:
+                factor = np.exp(X[gains].sum())
+                J[self._bodies, self._bodies] = factor
+                J[self._bodies[:, None], gains] = factor * X[self._bodies, None]
             v = np.concatenate([J[:, :p] @ X[:p], [-1.0, 0.0]])
             left[part.instrument] = left.get(part.instrument, 0.0) + max(float(v @ part.whole @ v), 0.0)
             count[part.instrument] = count.get(part.instrument, 0.0) + part.rows
@@ -215,9 +216,7 @@ class StatedSigmas:
         offset = self._L.T @ (H @ (X - self._centre))
         return A / colour, (each.sum(axis=0) + V @ (V.T @ offset)) / colour
 
-    def _settled(
-        self, A: FloatArray, r: FloatArray, width: FloatArray, free: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _settled(self, A: FloatArray, r: FloatArray, width: FloatArray, free: BoolArray) -> "_Widths":
         """Width of each key, of those that are free to change, and the errors with them, in stated sigmas."""
         every, one = np.bincount(self._kind, self._many), np.eye(len(A))
         square = np.ones(len(every))  # of each kind's scale
@@ -229,17 +228,19 @@ class StatedSigmas:
             weight = (FREEDOM + self._many) / (FREEDOM + E / square[self._kind])
             square = np.maximum(1.0, np.bincount(self._kind, weight * E) / every)
             made = np.where(free, np.maximum(1.0, np.sqrt(square[self._kind] / weight)), width)
-            made[self._alone] = np.minimum(made[self._alone], FARTHEST_SIZE)
             change, width = float(np.abs(np.log(made[free] / width[free])).max()), made
             if change < _SETTLED:
                 break
-        return width, z
+        paid = _students(E / square[self._kind], self._many) - _normal(E / width**2, self._many, weight)
+        return _Widths(width, z, np.where(free, paid, 0.0))
 
-    def _contradicted(self, A: FloatArray, r: FloatArray, width: FloatArray, widest: float) -> tuple[str, ...]:
+    def _contradicted(self, A: FloatArray, r: FloatArray, wide: "_Widths") -> tuple[str, ...]:
         """Words for each kind of which it is likelier that it is so wide than that it is as stated."""
-        said = []
+        said, width = list[str](), wide.width
+        widest = self._evidence(A, r, wide)
         for kind in np.unique(self._kind[width > 1.0]):
-            if widest - self._evidence(A, r, np.where(self._kind == kind, 1.0, width)) < -np.log(ODDS):
+            without = wide._replace(width=np.where(self._kind == kind, 1.0, width))
+            if widest - self._evidence(A, r, without) < -np.log(ODDS):
                 continue
             mine = np.flatnonzero((self._kind == kind) & (width > 1.0))
             worst = mine[np.argmax(width[mine])]
@@ -247,8 +248,30 @@ class StatedSigmas:
             said.append(f"the rows contradict {self.stated[worst].key}: taken {width[worst]:.3g} times as wide{more}")
         return tuple(said)
 
-    def _evidence(self, A: FloatArray, r: FloatArray, width: FloatArray) -> float:
-        w = width[self._key]
+    def _evidence(self, A: FloatArray, r: FloatArray, wide: "_Widths") -> float:
+        w = wide.width[self._key]
         M = np.eye(len(A)) + A * np.outer(w, w)
         b = w * r
-        return float(b @ np.linalg.solve(M, b) - np.linalg.slogdet(M)[1]) / 2.0
+        return float(b @ np.linalg.solve(M, b) - np.linalg.slogdet(M)[1]) / 2.0 + float(
+            wide.paid[wide.width > 1.0].sum()
+        )
+
+
+class _Widths(NamedTuple):
+    """How wide keys are taken."""
+
+    width: FloatArray  # (keys,) of each, in stated sigmas
+    errors: FloatArray  # with these, in stated sigmas
+    paid: FloatArray  # (keys,) log of Student's density of the errors over the normal one of these widths
+
+
+def _students(square: FloatArray, many: FloatArray) -> FloatArray:
+    """Log density of ``many`` errors with a sum of squares, each of scale one."""
+    whole = 0.5 * (FREEDOM + many)
+    head = gammaln(whole) - gammaln(0.5 * FREEDOM) - 0.5 * many * np.log(np.pi * FREEDOM)
+    return np.asarray(head - whole * np.log1p(square / FREEDOM), np.float64)
+
+
+def _normal(square: FloatArray, many: FloatArray, weight: FloatArray) -> FloatArray:
+    """The same of normal ones whose variance is one over ``weight``; ``square``: over that variance."""
+    return np.asarray(-0.5 * many * np.log(2.0 * np.pi / weight) - 0.5 * square, np.float64)

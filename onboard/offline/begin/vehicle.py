@@ -187,6 +187,8 @@ def _bus(name: str, wanted: Wanted) -> str:
 
 # of a link in a fixed or prescribed arm: screws and cables are in no drawing
 _DRAWN = "{ mass_relative = 0.02, centre_m = 2e-3, inertia_relative = 0.02 }"
+# of a link in somebody's URDF: bodies of CAD without cables, of another revision, or guessed from a picture
+_TAKEN_OVER = "{ mass_relative = 0.3, centre_m = 0.03, inertia_relative = 0.5 }"
 _CALIBRATED = """
 [estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours. As it comes it is useless
 gyro_bias_rad_s = 2e-3         # here: an MPU-6050 is off by up to 0.3 rad/s and 0.8 m/s^2
@@ -226,17 +228,20 @@ delay_s = 1e-4
     first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
     sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
-    own |= _torque_sigmas(wanted, 5.0, 1.0) if wanted.by_torque else {"bias_load_cell": 5.0}
+    own |= _torque_sigmas(wanted, _IN_GRAVITY) if wanted.by_torque else {"bias_load_cell": 5.0}
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
-    drawn = "".join(f"{json.dumps(link)} = {_DRAWN}\n" for link in wanted.links)
+    known, about = _DRAWN, "as each was weighed, balanced and swung: yours"
+    if wanted.recorded and wanted.drawn is not None:
+        known, about = _TAKEN_OVER, "which somebody drew: less where you know it better"
+    drawn = "".join(f"{json.dumps(link)} = {known}\n" for link in wanted.links)
     calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
     return f"""
 [estimation]
 smoothing_ms = 100             # of both sides of every row
 row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
-[estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours; where the rows
-# contradict it, it is taken wider, and heft identify says by how much
+[estimation.prior.link]        # 1 sigma about the URDF, {about}; where
+# the rows contradict it, it is taken wider, and heft identify says by how much
 {drawn}
 [estimation.prior.relative]    # of all parameters of a link that is not known
 {json.dumps(wanted.payload_link)} = 1.0
@@ -245,17 +250,32 @@ row_noise = "by_frequency"     # what differentiated encoders add at high freque
 {held}"""
 
 
-def _torque_sigmas(wanted: Wanted, friction: float, rest: float) -> dict[str, float]:
-    """Of what the joints' torques have in them, by the names of the columns; ``rest``: rotor and offset."""
+class _OfTorque(NamedTuple):
+    """1 sigma of what a joint's torque has in it besides the bodies'."""
+
+    rotor: float  # kg m^2
+    friction: float  # N m, Coulomb's; viscous at 1 rad/s
+    offset: float  # N m
+
+
+_IN_GRAVITY, _FREE = _OfTorque(1.0, 5.0, 1.0), _OfTorque(0.1, 0.5, 0.1)  # arms of 10 N m or some more
+_OF_LARGEST = _OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears of 100 and more lose as much
+
+
+def _torque_sigmas(wanted: Wanted, usual: _OfTorque) -> dict[str, float]:
+    """Of what joints add to their torques, by the names of the columns; of a recorded arm by its largest torques."""
     own: dict[str, float] = {}
     for number, joint in enumerate(wanted.joints, 1):
-        bias = f"bias_{devices.device_of(number, joint)}_torque"
-        own |= {f"Ia_{joint}": rest, f"Fv_{joint}": friction, f"Fc_{joint}": friction, bias: rest}
+        each, bias = usual, f"bias_{devices.device_of(number, joint)}_torque"
+        if wanted.recorded:
+            each = _OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in _OF_LARGEST))
+        own |= {f"Ia_{joint}": each.rotor, f"Fv_{joint}": each.friction, f"Fc_{joint}": each.friction}
+        own[bias] = each.offset
     return own
 
 
 def _of_torques(wanted: Wanted) -> str:
-    own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, 0.5, 0.1).items())
+    own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, _FREE).items())
     return f"""
 [estimation.prior.absolute]    # 1 sigma about none: friction, rotor and offset in each joint's torque
 {own}"""
