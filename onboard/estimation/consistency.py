@@ -240,7 +240,7 @@ class JackknifeEstimate:
         jackknife = ((self._moves @ w.T) ** 2).sum(axis=0) * self._rows_weight()
         prior = ((w @ self._prior_half) ** 2).sum(axis=1)
         common = ((w @ self._common) ** 2).sum(axis=1)
-        share = np.maximum(np.einsum("ri,bij,rj->br", w, self._shares, w), 0.0)  # (b, r)
+        share = np.maximum((w @ self._shares * w).sum(axis=2), 0.0)  # (b, r)
         total, squares = share.sum(axis=0), (share**2).sum(axis=0)
         freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
         variance = jackknife + prior

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
+from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.rows.row_blocks import RowBlocks
 
@@ -95,20 +96,21 @@ def instrument_fits(
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
     v, *others = (np.concatenate([one, [-1.0, 0.0]]) for one in (mean, plain, drawn))
-    rows_of = {part: blocks.of(*part)[0][:, :-2, :-2] for part in blocks.parts}
-    every = prior + sum(H.sum(axis=0) for H in rows_of.values())
+    rows_of = {part: blocks.of(*part) for part in blocks.parts}
+    every = prior + sum(N[:, :-2, :-2].sum(axis=0) for N, _ in rows_of.values())
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
-    judged = {part: _part(blocks, part, v, rows_of[part], correlation) for part in blocks.parts}
+    judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
     for number, name in enumerate(blocks.instruments):
         parts, squares, worst, lost = list[_Part](), np.zeros(4), (False, 0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
                 continue
-            N, noise = blocks.of(held, number)
-            left, signal, as_drawn = (_sums(part, one) for part, one in ((N, v), (N - noise, body), (N - noise, plan)))
+            (N, noise), left = rows_of[held, number], judged[held, number].left
+            of_rows = N - noise
+            signal, as_drawn = (_sums(of_rows, one) for one in (body, plan))
             rows = float(N[:, -1, -1].sum())
-            readings = np.abs((N - noise)[:, -2, -2])
+            readings = np.abs(of_rows[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
             lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
@@ -132,7 +134,7 @@ def instrument_fits(
 def _sums(N: FloatArray, v: FloatArray) -> FloatArray:
     """``v' N v`` of each block, (b,), not below zero; of its first parameters where ``v`` has no more."""
     n = v.size
-    return np.asarray(np.maximum(np.einsum("i,bij,j->b", v, N[:, :n, :n], v), 0.0))
+    return np.asarray(np.maximum(N[:, :n, :n] @ v @ v, 0.0))
 
 
 class _Part(NamedTuple):
@@ -145,10 +147,11 @@ class _Part(NamedTuple):
     of_noise: FloatArray  # what makes it one of their stated noise, (b,)
 
 
-def _part(blocks: RowBlocks, of: tuple[bool, int], v: FloatArray, H: FloatArray, correlation: float) -> _Part:
+def _part(times_s: FloatArray, N: FloatArray, noise: FloatArray, v: FloatArray, correlation: float) -> _Part:
     """One instrument's blocks, with the payload or without, at the estimate ``v``, (p + 2,)."""
-    N, noise = blocks.of(*of)
-    return _Part(blocks.times_s(*of), H, (noise - N)[:, :-2] @ v, _sums(N, v), correlation / N[:, -1, -1])
+    of_all = N @ v
+    scores, left = noise[:, :-2] @ v - of_all[:, :-2], np.maximum(of_all @ v, 0.0)
+    return _Part(times_s, N[:, :-2, :-2], scores, left, correlation / N[:, -1, -1])
 
 
 def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step | None:
@@ -169,14 +172,16 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
     """
-    times_s, H, scores, left, of_noise = (np.concatenate(column) for column in zip(*parts, strict=True))
+    times_s = np.concatenate([part.times_s for part in parts])
     order = np.argsort(times_s, kind="stable")
-    times_s, H, scores, left, of_noise = (one[order] for one in (times_s, H, scores, left, of_noise))
-    n = len(H)
+    times_s, n = times_s[order], len(times_s)
+    of_body, scores, left, of_noise = (
+        np.concatenate(column)[order] for column in zip(*((part.H @ body, *part[2:]) for part in parts), strict=True)
+    )
     if n < 2 * _FEWEST or not body.any():
         return None
     after = [0, *range(_FEWEST, n - _FEWEST + 1)]
-    later = np.cumsum((H @ body)[::-1], axis=0)[::-1][after]  # (k, p) sums over the blocks from a cut on
+    later = np.cumsum(of_body[::-1], axis=0)[::-1][after]  # (k, p) sums over the blocks from a cut on
     unit = 1.0 / np.sqrt(np.diag(every))
     a = np.linalg.solve(every * np.outer(unit, unit), (later * unit).T).T * unit
     of_cut = later @ body - np.einsum("kp,kp->k", later, a)
@@ -191,14 +196,19 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
     if not information[k] > 0.0:
         return None
     size = float(moved[k] / information[k])
-    c = np.outer((np.arange(n) >= after[k]) - share[k], body) - (a[k] - share[k] * a[0])
+    taken_up = share[k] * a[0] - a[k]
+    c = np.outer((np.arange(n) >= after[k]) - share[k], body) + taken_up
+    unsorted, ends = np.empty_like(c), np.cumsum([len(part.times_s) for part in parts])[:-1]
+    unsorted[order] = c
+    shares = np.concatenate([_squares(part.H, own) for part, own in zip(parts, np.split(unsorted, ends), strict=True)])
+    shares, told = shares[order], (c * scores).sum(axis=1)
     if others:
-        _, of_others, *noisy = (np.concatenate(column) for column in zip(*others, strict=True))
-        c = np.concatenate([c, np.tile(share[k] * a[0] - a[k], (len(of_others), 1))])
-        H = np.concatenate([H, of_others])
-        scores, left, of_noise = (np.concatenate(pair) for pair in zip((scores, left, of_noise), noisy, strict=True))
-    shares = np.einsum("bp,bpq,bq->b", c, H, c)
-    told = np.einsum("bp,bp->b", c, scores)
+        shares = np.concatenate([shares, *(part.H @ taken_up @ taken_up for part in others)])
+        told = np.concatenate([told, *(part.scores @ taken_up for part in others)])
+        left, of_noise = (
+            np.concatenate([one, *more])
+            for one, *more in zip((left, of_noise), *(part[3:] for part in others), strict=True)
+        )
     unexplained = np.maximum(1.0, (left - 2.0 * size * told + size**2 * shares) * of_noise)  # besides the step
     around = (told - shares * size) ** 2  # of each block, scattered by ``shares`` times what is unexplained
     leverage, tells = np.minimum(shares / information[k], _MOST_SHARE), shares > 0.0
@@ -211,6 +221,11 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
     expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
     return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size)
+
+
+def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
+    """``c' H c`` of each, (b,): matrices (b, p, p), vectors (b, p)."""
+    return np.asarray((times(H, c) * c).sum(axis=1), np.float64)
 
 
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:

@@ -385,7 +385,7 @@ class Identifier:
         p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
         prior = self.taken.covariance
-        spread = np.sqrt(np.einsum("ri,ij,rj->r", weights, prior, weights))
+        spread = np.sqrt((weights @ prior * weights).sum(axis=1))
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
