@@ -85,6 +85,16 @@ def _link(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     return {"as_built": {link: {"mass_factor": factor, "centre_off_mm": (5.0 * _direction(rng)).tolist()}}}, []
 
 
+def _place(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    del size
+    return {"as_built": {str(rng.choice(LINKS)): {"place_mm": 8.0}}}, []
+
+
+def _base_and_imu(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    base, _ = _base_mass(rng, size)
+    return base, [fault("wrong", "imu_base", 0.0, 0.01 * float(rng.choice([-1.0, 1.0])))]
+
+
 def _turned(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     del size
     sigma_deg = float(rng.choice([1.5, 3.0]))
@@ -140,6 +150,8 @@ CLASSES = {
     "all masses 10 %": Class("wrong file", "dymaflex", ("masses", "base"), _all_masses, 10.0),
     "all masses 5 %": Class("wrong file", "dymaflex", ("masses", "base"), _all_masses, 5.0),
     "a link exchanged": Class("wrong file", "dymaflex", LINKS, _link),
+    "a joint placed wrong": Class("wrong file", "dymaflex", JOINTS, _place),
+    "base mass 7 % and gyro 1 %": Class("wrong file", "dymaflex", ("base", "imu_base"), _base_and_imu, 7.0),
     "IMU turned": Class("wrong file", "dymaflex", ("imu_base",), _turned),
     "cell 10 %": Class("scale of a cell", "dymaflex", ("load_cell",), _scale("load_cell"), 10.0),
     "cell 5 %": Class("scale of a cell", "dymaflex", ("load_cell",), _scale("load_cell"), 5.0),

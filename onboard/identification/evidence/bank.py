@@ -22,6 +22,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
@@ -45,6 +46,7 @@ class Hypothesis(NamedTuple):
     """A suspect, and what follows if it is wrong."""
 
     suspect: Suspect | None  # None: all as stated
+    numbers: tuple[int, ...]  # of it in the bank, two where two things are wrong
     weight: float  # probability, given that one of all hypotheses is true
     nats: float  # log of the evidence over that of "as stated", odds not counted
     size: float  # of its errors, in the sigmas of the suspect
@@ -189,12 +191,13 @@ class Bank:
 
     def __init__(self, suspects: Sequence[Suspect], sigma: FloatArray) -> None:
         self.suspects = tuple(suspects)
-        self._alike = np.array([False, *(one.alike for one in suspects)])
-        self._log_odds = np.log([1.0, *(one.odds for one in suspects)])
+        self._alike = np.array([one.alike for one in suspects], np.bool_)
+        self._log_odds = np.log([one.odds for one in suspects])
         ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
         every = np.zeros((len(sigma), ends[-1]))
-        for one, own in zip(suspects, pairwise(ends), strict=True):
-            every[one.at, slice(*own)] = one.along
+        self._columns = [slice(*pair) for pair in pairwise(ends)]
+        for one, own in zip(suspects, self._columns, strict=True):
+            every[one.at, own] = one.along
         self.at: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
         whole = (one.at for one in suspects if np.linalg.matrix_rank(one.along) == len(one.at))
         self.spanned: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *whole]))
@@ -212,22 +215,27 @@ class Bank:
         for part in (*fixed, *self._slopes, *(part for pair in self._alone for part in pair)):
             part.setflags(write=False)  # a checkpoint names it
 
-    def freed(self, known: Known) -> Known:
-        """What is known if every suspect may be wrong."""
-        x, P = known
-        PU = P[:, self.at] @ self._of_all
-        gain = np.linalg.solve(self._inner - self._of_all.T @ PU[self.at], PU.T)
-        return x + (self._of_all.T @ x[self.at]) @ gain, P + PU @ gain
+    def freed(self, known: Known, which: Sequence[int]) -> Known:
+        """What is known if every suspect of these numbers may be wrong."""
+        (x, P), (U, inner) = known, self._of_these(which)
+        PU = P[:, self.at] @ U
+        gain = np.linalg.solve(inner - U.T @ PU[self.at], PU.T)
+        return x + (U.T @ x[self.at]) @ gain, P + PU @ gain
 
-    def as_stated(self, freed: Known) -> Known:
-        """What is known if nothing is wrong, of what :meth:`freed` has made."""
-        x, P = freed
-        PU = P[:, self.at] @ self._of_all
-        gain = np.linalg.solve(self._inner + self._of_all.T @ PU[self.at], PU.T)
-        return x - (self._of_all.T @ x[self.at]) @ gain, P - PU @ gain
+    def as_stated(self, freed: Known, which: Sequence[int]) -> Known:
+        """What is known if nothing is wrong, of what :meth:`freed` has made of these."""
+        (x, P), (U, inner) = freed, self._of_these(which)
+        PU = P[:, self.at] @ U
+        gain = np.linalg.solve(inner + U.T @ PU[self.at], PU.T)
+        return x - (U.T @ x[self.at]) @ gain, P - PU @ gain
+
+    def _of_these(self, which: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """``U`` at all suspects' constants and ``1 + D' U`` of some suspects' columns."""
+        columns = np.concatenate([np.arange(self._columns[k].start, self._columns[k].stop) for k in which])
+        return self._of_all[:, columns], self._inner[np.ix_(columns, columns)]
 
     def weigh(self, stated: Known) -> Weighed:
-        """All hypotheses.
+        """All hypotheses; where all as stated is not believed, also the likeliest suspect together with each other.
 
         Args:
             stated: what is known if nothing is wrong.
@@ -235,24 +243,60 @@ class Bank:
         x, P = stated
         U = self._of_all
         M, slope = self._inner - U.T @ (P.take(self._inside) @ U), U.T @ x[self.at]  # of all suspects at once
-        evidence, sizes = np.zeros((2, 1 + len(self.suspects)))
-        parts = dict[int, tuple[FloatArray, ...]]()
+        found = [Hypothesis(None, (), 1.0, 0.0, 0.0, *_NONE), *self._each(M, slope)]
+        logs = [0.0, *self._log_weights(found[1:])]
+        first = int(np.argmax(logs))
+        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and 0.0 < found[first].size < FARTHEST_SIZE:
+            pairs, more = self._pairs(first - 1, found[first], M, slope)
+            found, logs = found + pairs, logs + [logs[first] + one for one in more]
+        weights = np.exp(np.array(logs) - max(logs))
+        each = zip(found, (weights / weights.sum()).tolist(), strict=True)
+        return Weighed(stated, tuple(one._replace(weight=weight) for one, weight in each))
+
+    def _each(self, M: FloatArray, slope: FloatArray) -> list[Hypothesis]:
+        """Each suspect by itself, not yet weighed, by the matrix, (R, R), and the gradient, (R,), of all columns."""
+        found = dict[int, Hypothesis]()
         for which, columns in self._alone:
             told, V = np.linalg.eigh(M[columns[:, :, None], columns[:, None]])
             scale = np.sqrt(np.maximum(told, 1.0))  # (n, r); below one by rounding
             whiten = V / scale[:, None]
             g = (slope[columns][:, None] @ whiten)[:, 0]
-            evidence[1 + which] = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
-            sizes[1 + which] = np.sqrt(((g / scale) ** 2).mean(axis=1))
-            parts.update(zip(which.tolist(), zip(whiten, g, strict=True), strict=True))
-        nats = evidence.tolist()
-        evidence[self._alike] = evidence[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
-        each = evidence + self._log_odds
-        weights = np.exp(each - each.max())
-        first, *rest = (weights / weights.sum()).tolist()
-        every = zip(self.suspects, rest, nats[1:], sizes[1:].tolist(), self._slopes, strict=True)
-        found = (Hypothesis(*one, *parts[k]) for k, one in enumerate(every))
-        return Weighed(stated, (Hypothesis(None, first, 0.0, 0.0, *_NONE), *found))
+            nats = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
+            sizes = np.sqrt(((g / scale) ** 2).mean(axis=1))
+            for k, n, size, *parts in zip(which.tolist(), nats.tolist(), sizes.tolist(), whiten, g, strict=True):
+                found[k] = Hypothesis(self.suspects[k], (k,), 1.0, n, size, self._slopes[k], *parts)
+        return [found[k] for k in range(len(found))]
+
+    def _log_weights(self, found: Sequence[Hypothesis]) -> list[float]:
+        """Logarithms of the weights of suspects over that of none of them."""
+        nats = np.array([one.nats for one in found])
+        nats[self._alike] = nats[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
+        return [float(one) for one in nats + self._log_odds]
+
+    def _pairs(
+        self, first: int, alone: Hypothesis, M: FloatArray, slope: FloatArray
+    ) -> tuple[list[Hypothesis], list[float]]:
+        """A suspect with each other that is likelier wrong than half of not; logarithms of weights over the first's.
+
+        The second, given the first, is weighed by what is left of its columns without those of the first (the Schur
+        complement in M), so that the evidence of both is the sum of the two. What nothing shows to be wrong is not
+        taken for wrong besides another: a cell's scale, where the base's mass is wrong, would widen every answer.
+        """
+        one, own = self.suspects[first], self._columns[first]
+        onto = M[:, own] @ alone.whiten
+        given, pairs, logs = self._each(M - onto @ onto.T, slope - onto @ alone.g), list[Hypothesis](), list[float]()
+        for k, (two, log) in enumerate(zip(given, self._log_weights(given), strict=True)):
+            if k == first or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
+                continue
+            other, r = self.suspects[k], len(alone.g)
+            name, at = " and ".join(dict.fromkeys([one.name, other.name])), np.concatenate([one.at, other.at])
+            whiten = block_diag(alone.whiten, two.whiten)
+            whiten[:r, r:] = -alone.whiten @ onto[self._columns[k]].T @ two.whiten
+            both = Suspect(name, at, block_diag(one.along, other.along), one.odds * other.odds)
+            parts = block_diag(alone.slopes, two.slopes), whiten, np.concatenate([alone.g, two.g])
+            pairs.append(Hypothesis(both, (first, k), 1.0, alone.nats + two.nats, max(alone.size, two.size), *parts))
+            logs.append(log)
+        return pairs, logs
 
 
 _NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)

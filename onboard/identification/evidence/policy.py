@@ -8,6 +8,8 @@ LIKELY_SIZE = 0.1
 cell knocked. The classes of wrong files that answers are judged by go from 1 to 20 %."""
 LIKELY_DELAY_s = 0.01
 """One sigma of a delay that is wrong: one step of the slower control loops that read encoders, 100 Hz."""
+LIKELY_PLACE_m = 0.01
+"""One sigma of each coordinate of a joint or an IMU that is not where it is drawn: a bracket, spacer or flange more."""
 FARTHEST_SIZE = 3.0
 """Of these sigmas, 0.3 % of errors by chance: beyond, it is of another kind (a dead cell, a sign, half a gain), which
 no linear model explains; the instrument is then left out as a whole, if any is."""

@@ -32,10 +32,13 @@ class Linearised:
 
     Args:
         predictor: of its instruments.
+
+    Attributes:
+        apart: batches since the last window are linearised about different states.
     """
 
     def __init__(self, predictor: ImuPredictor) -> None:
-        self._predictor = predictor
+        self._predictor, self.apart = predictor, False
         self._about: FloatArray | None = None  # (p,) of which the constants count
         self._bent = np.inf  # what is not linear of a change, over its square
         self._known_about: FloatArray | None = None  # (p,) of the batches before
@@ -48,10 +51,11 @@ class Linearised:
     def forget(self) -> None:
         """The next batch is linearised about its own state, as that of a window just solved."""
         self._about = self._known_about = None
+        self.apart = False
 
     def begin_anew(self) -> None:
         """The next batch is linearised about its own state, and what is known was so about another."""
-        self._about = None
+        self._about, self.apart = None, True
 
     def known(self, covariance: FloatArray) -> FloatArray:
         """What the batches before have told, (p, p), as it would be about the state of the last prediction.
@@ -89,6 +93,7 @@ class Linearised:
                 if bent <= _BENT:
                     self._bent = bent / far**2
                     return about, found._replace(values=anew.values)
+            self.apart = True
         self._about, self._bent = state.copy(), np.inf
         return state, self._of(ticks, state)
 

@@ -326,7 +326,7 @@ class RecursiveExiddm(Holding):
             if begun is not None:
                 self._open((Hypothesis.NOTHING,), self._prior, begun)
                 return
-            if self._stepped.due:
+            if self._stepped.due(apart=self._linearised.apart):
                 self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
                 return
         self._snapshots.append(self.state, self.covariance)

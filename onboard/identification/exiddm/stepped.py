@@ -3,7 +3,9 @@
 A step is linearised about what is known then. While that is still far off, each step gives information in directions
 that no motion shows, and nothing takes it back. So the window and the steps since are solved as one window, of 8 s or
 of twice the window, and again at twice that length where the mass was not known to a few percent, as of a light vehicle
-that caught much.
+that caught much. It is solved sooner where steps are linearised about different states (:mod:`.linearised`), as when a
+part of the drawing is wrong: together they tell what no motion shows. Of a base 7 % and a gyro 1 % off, steps of 11 s
+had evidence of 430 nats for two bodies that were right, and an answer 6.7 sigmas off; the window of them has 46 nats.
 
 Without a payload it is the base's rate that may be hardly known: at rest nothing tells it from zeros of the gyros that
 may be large. In a short window the rate has several minima, each sharp, so it is solved again up to 8 s in any case.
@@ -23,6 +25,7 @@ from onboard.identification.exiddm.trials import Trial
 from onboard.identification.exiddm.window import Hypothesis, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
+_APART = 1.25  # of its last length, at which a window of steps linearised about different states is solved again
 _WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough
 _WELL_rad_s = 0.02  # and sigma of the base's rate, which the zeros of a gyro bound
 _AT_REST_s = 1.0  # kept of it
@@ -40,6 +43,7 @@ class Stepped:
 
     def __init__(self, ticks: Ticks, length_s: float, *, held: bool, first: bool) -> None:
         self._parts, self._length_s, self.held, self.first = [ticks], length_s, held, first
+        self._again_s = _APART * self._now_s
         self._rests = not held and ticks.rest  # the arm, in all of them
 
     @staticmethod
@@ -82,9 +86,12 @@ class Stepped:
         return _later(predictor, known, dropped), None
 
     @property
-    def due(self) -> bool:
-        """They are to be solved again."""
-        return float(self._parts[-1].time_s[-1] - self._parts[0].time_s[0]) >= 0.99 * self._length_s
+    def _now_s(self) -> float:
+        return float(self._parts[-1].time_s[-1] - self._parts[0].time_s[0])
+
+    def due(self, *, apart: bool) -> bool:
+        """They are to be solved again; ``apart``: steps since the last time are linearised about different states."""
+        return self._now_s >= 0.99 * (min(self._again_s, self._length_s) if apart else self._length_s)
 
     @property
     def ticks(self) -> Ticks:
@@ -101,9 +108,10 @@ class Stepped:
         """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""
         rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
         well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
-        if well or 2.0 * self._length_s > 1.01 * _LONGEST_s:
+        length_s = self._length_s if self._now_s < 0.99 * self._length_s else 2.0 * self._length_s
+        if well or length_s > 1.01 * _LONGEST_s:
             return None
-        return Stepped(self.ticks, 2.0 * self._length_s, held=self.held, first=False)
+        return Stepped(self.ticks, length_s, held=self.held, first=False)
 
 
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:

@@ -1,13 +1,15 @@
-"""What may not be as stated of a free-flyer: the drawing of base and links, its joints, IMUs and load cells' scales.
+"""What may not be as stated of a free-flyer: the drawing of base and links, its joints, IMUs and load cells.
 
 Of the base the mass may be wrong alone (propellant near its centre of mass), the inertia alone, both by one factor, the
-centre of mass, or each of its ten parameters by itself; of a link, both by one factor. One factor over all links is
-another arm, one over base and links a wrong unit or balance. Of a joint the zero, scale or delay of its encoder. Of an
-IMU the scales of one sensor or of both, as a reference voltage or a wrong range changes them, its housing turned, the
-cross-axis sensitivities of a sensor, or each element of all these by itself: not calibrated.
+centre of mass, or each of its ten parameters by itself; of a link, both by one factor, or each by itself. One factor
+over all links is another arm, one over base and links a wrong unit or balance. Of a joint its place, or the zero, scale
+or delay of its encoder. Of an IMU the scales of one sensor or of both, as a reference voltage or a wrong range changes
+them, its housing turned, the cross-axis sensitivities of a sensor, each element of all these by itself (not
+calibrated), its place or its delay. Of a load cell the scale or the delay.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -17,7 +19,14 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
-from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_ALL, ODDS_OF_PART, LIKELY_DELAY_s
+from onboard.identification.evidence.policy import (
+    LIKELY_SIZE,
+    ODDS,
+    ODDS_OF_ALL,
+    ODDS_OF_PART,
+    LIKELY_DELAY_s,
+    LIKELY_PLACE_m,
+)
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
@@ -32,15 +41,18 @@ _OF_IMU = [
 class Rivals:
     """Weighs what a filter knows, with the newest weights kept.
 
+    Freed is what is likely wrong alone: a prior in which everything may be is so wide in directions that no motion
+    shows that steps linearised about a mean in it told a joint's zero, which was right, by 100 nats.
+
     Args:
         predictor: of the filter.
 
     Attributes:
-        freed: the filter carries priors in which every suspect may be wrong.
+        freed: numbers of the suspects that may be wrong in the priors that the filter carries.
     """
 
     def __init__(self, predictor: ImuPredictor) -> None:
-        self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), False
+        self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), tuple[int, ...]()
         self._of: Known | None = None
         self._weighed: Weighed | None = None
 
@@ -57,14 +69,15 @@ class Rivals:
     @property
     def freed_at(self) -> IndexArray:
         """Places in the state of what has been freed."""
-        return self._bank.at if self.freed else self._bank.at[:0]
+        each = [self._bank.suspects[k].at for k in self.freed]
+        return np.unique(np.concatenate([self._bank.at[:0], *each]))
 
     def weighed(self, state: FloatArray, covariance: FloatArray) -> Weighed:
         """All hypotheses, by the filter's state, (p,), and its covariance, (p, p)."""
         of = self._of
         if self._weighed is None or of is None or of[0] is not state or of[1] is not covariance:
             self._of = state, covariance
-            self._weighed = self._bank.weigh(self._bank.as_stated(self._of) if self.freed else self._of)
+            self._weighed = self._bank.weigh(self._stated(self._of, self.freed))
         return self._weighed
 
     def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
@@ -72,11 +85,20 @@ class Rivals:
         return self.weighed(state, covariance).too_far
 
     def freeing(self, state: FloatArray, covariance: FloatArray) -> Callable[[Known], Known] | None:
-        """What frees all that is known, the first time that all as stated is not believed; else None."""
-        if self.freed or not self.weighed(state, covariance).contradicts:
+        """What frees all that counts in what is known, where the likeliest is wrong and not yet free; else None."""
+        weighed = self.weighed(state, covariance)
+        if not weighed.contradicts or set(weighed.likeliest.numbers) <= set(self.freed):
             return None
-        self.freed, self._of = True, None
-        return self._bank.freed
+        before = self.freed
+        counting = (k for one in weighed.counting for k in one.numbers)
+        self.freed, self._of = tuple(sorted({*before, *counting})), None
+        return partial(self._free, before=before, now=self.freed)
+
+    def _free(self, known: Known, before: Sequence[int], now: Sequence[int]) -> Known:
+        return self._bank.freed(self._stated(known, before), now)
+
+    def _stated(self, known: Known, freed: Sequence[int]) -> Known:
+        return self._bank.as_stated(known, freed) if freed else known
 
 
 def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
@@ -85,13 +107,12 @@ def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
     The motion tells ratios of masses alone. Where one cell is all that measures a force, a factor of all masses is a
     factor of that cell.
     """
-    found = [*_bodies(predictor), *_joints(predictor), *_imus(predictor), *_cells(predictor)]
-    cells = [one.name for one in predictor.further if isinstance(one, FurtherCell)]
-    gauge = {ALL_MASSES, *cells} if len(cells) + len(predictor.thrusters) == 1 else set()
-    return [one._replace(alike=one.name in gauge) for one in found]
+    alone = sum(isinstance(one, FurtherCell) for one in predictor.further) + len(predictor.thrusters) == 1
+    cells = _cells(predictor, alike=alone)
+    return [*_bodies(predictor, alike=alone), *_joints(predictor), *_imus(predictor), *cells]
 
 
-def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
+def _bodies(predictor: ImuPredictor, *, alike: bool) -> Iterator[Suspect]:
     vehicle = predictor.vehicle
     at, factor, of_mass = dict[str, IndexArray](), dict[str, FloatArray](), dict[str, FloatArray]()
     for name, (places, half) in predictor.drawn.items():
@@ -103,7 +124,8 @@ def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
     base = vehicle.spec.base_link
     arm = [name for name in at if name != base]
     for name in arm:
-        yield Suspect(name, at[name], factor[name], ODDS_OF_PART)
+        for way in (factor[name], _in_every_way(factor[name])):
+            yield Suspect(name, at[name], way, 0.5 * ODDS_OF_PART)
     if len(arm) > 1:
         yield Suspect("the arm", _joined(at, arm), _joined(factor, arm), ODDS_OF_PART)
     if base not in at:
@@ -111,10 +133,15 @@ def _bodies(predictor: ImuPredictor) -> Iterator[Suspect]:
     both, mass = factor[base], of_mass[base]
     first = 10 * vehicle.links.index(base)
     centre = LIKELY_SIZE * np.linalg.solve(predictor.drawn[base][1], _of_centre(vehicle.chi[first : first + 10]))
-    ways = both, mass, both - mass, centre, np.hstack([both, _EACH * np.eye(10)])
+    ways = both, mass, both - mass, centre, _in_every_way(both)
     yield from (Suspect(base, at[base], way, ODDS / len(ways)) for way in ways)
     if arm:
-        yield Suspect(ALL_MASSES, _joined(at, at), _joined(factor, at), ODDS_OF_ALL)
+        yield Suspect(ALL_MASSES, _joined(at, at), _joined(factor, at), ODDS_OF_ALL, alike)
+
+
+def _in_every_way(factor: FloatArray) -> FloatArray:
+    """A body's parameters by one factor, (10, 1), and each by itself, (10, 11)."""
+    return np.hstack([factor, _EACH * np.eye(len(factor))])
 
 
 def _joined(of_each: Mapping[str, NDArray[Number]], names: Iterable[str]) -> NDArray[Number]:
@@ -136,16 +163,20 @@ def _of_centre(chi: FloatArray) -> FloatArray:
 
 
 def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
-    sizes = {"zero": LIKELY_SIZE, "scale": LIKELY_SIZE, "delay": LIKELY_DELAY_s}
+    ways = {"place_{}": 3 * (LIKELY_PLACE_m,), "zero_{}": (LIKELY_SIZE,), "scale_{}": (LIKELY_SIZE,)}
+    ways["delay_{}"] = (LIKELY_DELAY_s,)
     for joint in predictor.vehicle.joints:
-        for what, size in sizes.items():
-            name = f"{what}_{joint.name}"
-            if name in predictor.names and predictor.stated[at := predictor.names.index(name)] > 0.0:
-                yield Suspect(name, np.array([at]), np.full((1, 1), size), ODDS_OF_PART / len(sizes))
+        for what, sizes in ways.items():
+            name = what.format(joint.name)
+            names = [name] if len(sizes) == 1 else [what.format(f"{axis}_{joint.name}") for axis in "xyz"]
+            at = np.array([k for k, one in enumerate(predictor.names) if one in names], np.intp)
+            if at.size:
+                yield Suspect(name, at, np.diag(sizes[: at.size]), ODDS_OF_PART / len(ways))
 
 
 def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
     """Scales of its gyro, of its accelerometer, of both; its housing turned; cross-axis of each sensor; all of it."""
+    wander = [at for at, _ in predictor.wandering]
     for name, own in zip(predictor.instruments, predictor.of_each[: len(predictor.imu_frames)], strict=False):
         scales, turns, cross = ([at for one in kinds if (at := named(predictor, own, one)).size] for kinds in _OF_IMU)
         ways = [(at, LIKELY_SIZE * np.ones((len(at), 1))) for at in scales]
@@ -155,6 +186,9 @@ def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
         every = [*scales, *turns, *cross]
         for at in [*cross, *([np.concatenate(every)] if every else [])]:
             ways.append((at, _EACH * np.diag(predictor.sigma[at])))
+        for kind, size in (("place_", LIKELY_PLACE_m), ("delay_s", LIKELY_DELAY_s)):
+            at = np.setdiff1d(named(predictor, own, kind), wander)
+            ways += [(at, size * np.eye(at.size))] if at.size else []
         yield from (Suspect(name, at, along, ODDS_OF_PART / len(ways)) for at, along in ways)
 
 
@@ -163,7 +197,10 @@ def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
     return own[[predictor.names[at].startswith(kind) for at in own]]
 
 
-def _cells(predictor: ImuPredictor) -> Iterator[Suspect]:
-    for one, own in zip(predictor.further, predictor.of_further, strict=True):
-        if isinstance(one, FurtherCell) and own.size:
-            yield Suspect(one.name, own, np.full((1, 1), LIKELY_SIZE), ODDS)
+def _cells(predictor: ImuPredictor, *, alike: bool) -> Iterator[Suspect]:
+    for one, scale, own in zip(predictor.further, predictor.of_further, predictor.of_each[1:], strict=True):
+        delay = named(predictor, own, "delay_s")
+        ways = [(scale, LIKELY_SIZE, ODDS, alike), (delay, LIKELY_DELAY_s, ODDS_OF_PART, False)]
+        for at, size, odds, shared in ways if isinstance(one, FurtherCell) else ():
+            if at.size:
+                yield Suspect(one.name, at, np.full((1, 1), size), odds, shared)

@@ -42,14 +42,19 @@ def linear(rng: np.random.Generator) -> Linear:
     return Linear(rng)
 
 
+def names(first: Suspect, second: Suspect) -> tuple[str, str]:
+    return f"{first.name} and {second.name}", f"{second.name} and {first.name}"
+
+
 def test_each_hypothesis_is_the_fit_with_its_prior_and_has_the_evidence_of_its_readings(linear: Linear) -> None:
-    weighed = Bank([BODY, CELL], SIGMA).weigh(linear.solved())
-    assert len(weighed.every) == 3
-    for one, wrong in zip(weighed.every, ((), (BODY,), (CELL,)), strict=True):
+    body, cell = (one._replace(odds=100.0) for one in (BODY, CELL))
+    weighed = Bank([body, cell], SIGMA).weigh(linear.solved())
+    assert weighed.every[-1].suspect.name in names(body, cell)
+    for one, wrong in zip(weighed.every, ((), (body,), (cell,), (body, cell)), strict=True):
         for found, wanted in zip(weighed.known(one), linear.solved(*wrong), strict=True):
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
         assert one.nats == pytest.approx(linear.nats(*wrong) - linear.nats(), abs=1e-6)
-    odds = np.array([1.0, BODY.odds, CELL.odds]) * np.exp([one.nats for one in weighed.every])
+    odds = np.array([1.0, 1e2, 1e2, 1e4]) * np.exp([one.nats for one in weighed.every])
     np.testing.assert_allclose([one.weight for one in weighed.every], odds / odds.sum(), rtol=1e-5)
 
 
@@ -57,10 +62,11 @@ def test_a_hypothesis_is_the_same_whether_weighed_alone_or_among_many(linear: Li
     """Also of suspects that share places and columns."""
     several = [BODY, CELL, BODY._replace(name="alone", along=BODY.along[:, :1])]
     several += [Suspect(f"at_{k}", np.array([k, k + 1]), rng.standard_normal((2, 1)), 0.01) for k in (1, 2, 3)]
+    several = [one._replace(odds=10.0) for one in several]
     stated = linear.solved()
     together = Bank(several, SIGMA).weigh(stated)
     _, *every = together.every
-    assert len(every) == len(several)
+    every, pairs = every[: len(several)], every[len(several) :]
     for one, suspect in zip(every, several, strict=True):
         by_itself = Bank([suspect], SIGMA).weigh(stated)
         _, alone = by_itself.every
@@ -71,28 +77,49 @@ def test_a_hypothesis_is_the_same_whether_weighed_alone_or_among_many(linear: Li
         np.testing.assert_allclose(shift, shift_alone, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(root @ root.T, root_alone @ root_alone.T, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(shift, linear.solved(suspect)[0] - stated[0], rtol=1e-6, atol=1e-9)
+    assert pairs
+    for one in pairs:
+        first, second = (several[k] for k in one.numbers)
+        assert one.suspect is not None
+        assert one.suspect.name in names(first, second)
+        assert one.nats == pytest.approx(linear.nats(first, second) - linear.nats(), abs=1e-6)
+        for found, wanted in zip(together.known(one), linear.solved(first, second), strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-9)
 
 
 def test_a_freed_filter_has_all_errors_in_its_prior_and_is_taken_back(linear: Linear) -> None:
     bank = Bank([BODY, CELL], SIGMA)
-    freed = bank.freed(linear.solved())
+    freed = bank.freed(linear.solved(), (0, 1))
     for found, wanted in zip(freed, linear.solved(BODY, CELL), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
-    for found, wanted in zip(bank.as_stated(freed), linear.solved(), strict=True):
+    for found, wanted in zip(bank.as_stated(freed, (0, 1)), linear.solved(), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-9)
 
 
 def test_what_no_data_tell_apart_shares_its_evidence(linear: Linear) -> None:
     alike = [one._replace(alike=True, odds=odds) for one, odds in ((BODY, 0.01), (CELL, 0.03))]
-    _, body, cell = Bank(alike, SIGMA).weigh(linear.solved()).every
+    _, body, cell, *_ = Bank(alike, SIGMA).weigh(linear.solved()).every
     assert cell.weight == pytest.approx(3.0 * body.weight)
+
+
+def test_two_are_wrong_only_where_the_data_show_the_second(linear: Linear) -> None:
+    """The second, of odds so small that both are less than half as likely as the first alone, is left out."""
+    gain = linear.nats(BODY, CELL) - max(linear.nats(BODY), linear.nats(CELL))
+    first = max((BODY, CELL), key=lambda one: linear.nats(one) + np.log(one.odds))
+    second = CELL if first is BODY else BODY
+    assert gain == pytest.approx(linear.nats(BODY, CELL) - linear.nats(first))
+    for factor, found in ((0.9, 3), (1.1, 4)):
+        other = second._replace(odds=0.5 * factor * float(np.exp(-gain)))
+        assert len(Bank([first, other], SIGMA).weigh(linear.solved()).every) == found
 
 
 def weighed(*weights: float, size: float = 1.0) -> Weighed:
     """As stated, then suspects a, b, ... whose means lie 1, 2, ... apart."""
     names = [None, *(Suspect(name, np.zeros(1, np.intp), np.eye(1), 0.01) for name in "abc")]
     each, small = zip(names[: len(weights)], weights, strict=True), 1e-9 * np.eye(1)  # of what is added to a covariance
-    every = (Hypothesis(one, w, 0.0, size, small, np.eye(1), np.array([1e9 * k])) for k, (one, w) in enumerate(each))
+    every = (
+        Hypothesis(one, (), w, 0.0, size, small, np.eye(1), np.array([1e9 * k])) for k, (one, w) in enumerate(each)
+    )
     return Weighed((np.zeros(1), np.eye(1)), tuple(every))
 
 

@@ -110,7 +110,9 @@ def test_where_a_prediction_is_not_linear_any_more_steps_are_linearised_anew(hel
         np.testing.assert_array_equal(found.values, by_itself.values)
         near = moved(predictor, there, rng, 1e-3)
         np.testing.assert_array_equal(linearised.predict(ticks, near)[0][PAYLOAD], about[PAYLOAD])
+        assert linearised.apart is anew
         linearised.forget()
+        assert not linearised.apart
         np.testing.assert_array_equal(linearised.predict(ticks, near)[0], near)
 
 
@@ -134,6 +136,7 @@ def test_what_is_known_stays_that_of_ratios_when_the_payload_is_found_to_be_anot
     there = x + 0.2 * all_heavier(predictor, x) * (np.arange(len(x)) > PAYLOAD.stop)
     there[PAYLOAD] *= 1.3
     linearised.begin_anew()
+    assert linearised.apart
     linearised.predict(ticks, there)
     now = linearised.known(told)
     for covariance, state, alike in ((told, x, True), (told, there, False), (now, there, True)):

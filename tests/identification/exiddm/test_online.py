@@ -17,7 +17,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 
 def as_stated(state: np.ndarray, covariance: np.ndarray) -> Weighed:
     """Nothing else competes."""
-    return Weighed((state, covariance), (Hypothesis(None, 1.0, 0.0, 0.0, *np.zeros((2, 0, 0)), state[:0]),))
+    return Weighed((state, covariance), (Hypothesis(None, (), 1.0, 0.0, 0.0, *np.zeros((2, 0, 0)), state[:0]),))
 
 
 class Once:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from onboard.identification.exiddm.prediction.imu_errors import (
     CERTAIN,
@@ -51,27 +52,30 @@ def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
     errors[24:26] = 0.0
     found = imu_reading(true, change, time_s, errors).values
     wz = np.cos(time_s)
-    expected = np.stack([0.1 + time_s - 0.01 * wz, np.full(401, 0.2), 0.3 + 1.5 * wz], axis=1)  # u - m x u
+    turned = -np.sin(0.01) * wz, (0.5 + np.cos(0.01)) * wz  # as the axes turn by m, a vector turns by -m
+    expected = np.stack([0.1 + time_s + turned[0], np.full(401, 0.2), 0.3 + turned[1]], axis=1)
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-12)
 
 
-def test_axes_that_are_not_orthogonal(rng):
+@pytest.mark.parametrize("turned_rad", [1e-6, 5e-3, 0.2, 2.0])  # series and closed form
+def test_axes_that_are_not_orthogonal_and_a_sensor_that_is_turned(rng, turned_rad):
     true, still = rng.standard_normal((20, 6)), np.zeros((20, 6))
-    M = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
-    off = 0.5 * (M + M.T)
-    turned = 0.5 * (M - M.T)
+    M = 0.01 * rng.standard_normal((3, 3))
+    off, turn = 0.5 * (M + M.T), rng.standard_normal(3)
+    turn *= turned_rad / np.linalg.norm(turn)
     errors = np.zeros(SIZE)
-    errors[18:21] = M.diagonal() - 1.0  # of the accelerometer
-    errors[21:24] = -np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+    errors[18:21] = M.diagonal()  # of the accelerometer
+    errors[21:24] = turn
     errors[29:32] = off[1, 2], off[0, 2], off[0, 1]
+    M = off + Rotation.from_rotvec(-turn).as_matrix()
     found = imu_reading(true, still, np.zeros(20), errors)
     np.testing.assert_allclose(found.values[:, 3:], true[:, 3:] @ M.T, atol=1e-14)
     np.testing.assert_array_equal(found.values[:, :3], true[:, :3])
     for k in range(SIZE):
         if k not in (24, 25):  # without a change in time these two have no effect, or one by the power of time
-            step = 1e-3 * (np.arange(SIZE) == k)
-            there = imu_reading(true, still, np.zeros(20), errors + step).values
-            np.testing.assert_allclose(found.d_errors[:, :, k], (there - found.values) / 1e-3, atol=1e-10)
+            step = 1e-5 * (np.arange(SIZE) == k)
+            there, back = (imu_reading(true, still, np.zeros(20), errors + d).values for d in (step, -step))
+            np.testing.assert_allclose(found.d_errors[:, :, k], (there - back) / 2e-5, atol=1e-9)
 
 
 def test_the_sigma_of_six_elements_off_the_diagonal_is_split_into_two_parts(rng):

@@ -32,13 +32,18 @@ def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None
     """The numbers are those of the page on the levels: they change with the policy's, and with nothing else."""
     found = {}
     for one in suspects_of(predictor):
-        if one.name != "load_cell" and not one.name.startswith(("zero_", "scale_", "delay_", "imu_")):
+        if one.name != "load_cell" and not one.name.startswith(("place_", "zero_", "scale_", "delay_", "imu_")):
             found.setdefault(one.name, []).append((changed(predictor, one.at, one.along[:, 0]), one.odds))
     assert set(found) == {"base", *(f"link_{k}" for k in range(1, 6)), "the arm", ALL_MASSES}
     np.testing.assert_allclose(found[ALL_MASSES][0][0], 0.1, rtol=1e-4)
     assert found[ALL_MASSES][0][1] == 3e-3
     np.testing.assert_allclose(found["the arm"][0][0], [[0.0, 0.0], *[[0.1, 0.1]] * 5], rtol=1e-4, atol=1e-9)
-    assert {one[0][1] for name, one in found.items() if name not in ("base", ALL_MASSES)} == {2e-3}
+    for name, one in found.items():
+        assert sum(odds for _, odds in one) == {"base": 1e-2, ALL_MASSES: 3e-3}.get(name, 2e-3)
+        if name.startswith("link"):  # by one factor, or in every way
+            (factor, _), (every, _) = one
+            np.testing.assert_allclose(factor, np.outer(np.arange(6) == int(name[-1]), [0.1, 0.1]), atol=1e-6)
+            np.testing.assert_array_equal(every, factor)
     both, mass, inertia, centre, each = (one[0][0] for one in found["base"])
     assert centre[0] == pytest.approx(0.0, abs=1e-12)  # its mass is as drawn
     np.testing.assert_allclose(both, [0.1, 0.1], rtol=1e-4)
@@ -46,22 +51,27 @@ def test_a_body_is_wrong_by_a_tenth_in_each_way(predictor: ImuPredictor) -> None
     assert mass[0] == pytest.approx(0.1, rel=1e-3)
     assert 0.0 < mass[1] < 1e-3  # its centre of mass is near its origin
     np.testing.assert_allclose(mass + inertia, both, rtol=1e-3)
-    assert sum(odds for _, odds in found["base"]) == pytest.approx(1e-2)
-    (cell,) = (one for one in suspects_of(predictor) if one.name == "load_cell")
+    cell, late = (one for one in suspects_of(predictor) if one.name == "load_cell")
     assert (cell.along.item(), cell.odds) == (0.1, 1e-2)
+    assert (predictor.names[late.at.item()], late.along.item(), late.odds) == ("delay_s_load_cell", 0.01, 2e-3)
 
 
-def test_an_encoder_is_wrong_in_zero_scale_or_delay(predictor: ImuPredictor) -> None:
+def test_a_joint_is_wrong_in_place_and_its_encoder_in_zero_scale_or_delay(predictor: ImuPredictor) -> None:
     every = {one.name: one for one in suspects_of(predictor)}
     kinds = {"zero": 0.1, "scale": 0.1, "delay": 0.01}
     names = {f"{kind}_joint_{k}": size for k in range(1, 6) for kind, size in kinds.items()}
     for name, size in names.items():
         assert every[name].along.item() == pytest.approx(size)
         assert predictor.names[every[name].at[0]] == name
-        assert every[name].odds == pytest.approx(2e-3 / 3.0)
+        assert every[name].odds == pytest.approx(2e-3 / 4.0)
+    for k in range(1, 6):
+        place = every[f"place_joint_{k}"]
+        assert [predictor.names[at] for at in place.at] == [f"place_{axis}_joint_{k}" for axis in "xyz"]
+        np.testing.assert_array_equal(place.along, 0.01 * np.eye(3))
+        assert place.odds == pytest.approx(2e-3 / 4.0)
 
 
-def test_an_imu_is_wrong_in_scales_housing_or_every_element(predictor: ImuPredictor) -> None:
+def test_an_imu_is_wrong_in_scales_housing_every_element_or_place(predictor: ImuPredictor) -> None:
     """A housing that is turned by t reads ``u - t x u`` in both sensors."""
     for imu, end in (("imu_base", ""), ("imu_2", "_imu_2")):
         own = [one for one in suspects_of(predictor) if one.name == imu]
@@ -72,8 +82,10 @@ def test_an_imu_is_wrong_in_scales_housing_or_every_element(predictor: ImuPredic
         for k, axis in enumerate("xyz"):
             for of in ("gyro", "accelerometer"):
                 np.testing.assert_array_equal(moved[3][f"{of}_misalignment_rad_{axis}{end}"], 0.1 * np.eye(3)[k])
-        assert [len(one) for one in moved[4:]] == [3, 3, 18]
-        for one in own[4:]:
+        assert [len(one) for one in moved[4:7]] == [3, 3, 18]
+        assert moved[7].keys() == {f"place_{axis}{end or '_imu'}" for axis in "xyz"}
+        assert [set(one) for one in moved[8:]] == ([] if end else [{"delay_s"}])  # the other's wanders
+        for one in own[4:7]:
             np.testing.assert_array_equal(one.along, np.diag(10.0 * predictor.sigma[one.at]))
         assert all("cross_axis" in name for one in moved[4:6] for name in one)
         assert sum(one.odds for one in own) == pytest.approx(2e-3)
@@ -101,7 +113,7 @@ def test_what_is_farther_off_than_any_error_is_not_freed_but_told(predictor: Imu
         x[at] = size  # the prior hardly counts
         assert rivals.too_far(x.copy(), P) == told
         assert (rivals.freeing(x.copy(), P) is None) == bool(told)
-        rivals.freed = False
+        rivals.freed = ()
 
 
 def test_one_cell_and_all_masses_are_alike(predictor: ImuPredictor) -> None:
@@ -119,17 +131,27 @@ def test_weights_are_made_once_for_each_state(predictor: ImuPredictor) -> None:
     assert rivals.freed_at.size == 0
 
 
-def test_a_filter_is_freed_once_and_taken_back_where_it_is_weighed(predictor: ImuPredictor) -> None:
+def test_what_counts_is_freed_once_and_taken_back_where_it_is_weighed(predictor: ImuPredictor) -> None:
+    """Also where something that was not free turns out to be the likeliest."""
     rivals = Rivals(predictor)
     x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
     at, _ = predictor.drawn["base"]
     x[at], P[at, at] = 20.0, 0.01  # far from the drawing
     free = rivals.freeing(x, P)
     assert free is not None
-    assert rivals.freed_at.size == 112
-    assert rivals.freeing(*free((x, P))) is None
-    np.testing.assert_allclose(rivals.weighed(*free((x, P))).stated[1], P, atol=1e-9)
-    assert rivals.weighed(*free((x, P))).names == ("base",)
+    assert rivals.freed_at.tolist() == at.tolist()
+    freed = free((x, P))
+    assert rivals.freeing(*freed) is None
+    np.testing.assert_allclose(rivals.weighed(*freed).stated[1], P, atol=1e-9)
+    assert rivals.weighed(*freed).names == ("base",)
+    zero = predictor.names.index("zero_joint_1")
+    (mean, covariance) = (part.copy() for part in freed)
+    mean[zero], covariance[zero, zero] = 20.0 * predictor.sigma[zero], 0.01 * covariance[zero, zero]
+    free = rivals.freeing(mean, covariance)
+    assert free is not None
+    assert set(rivals.freed_at) == {*at, zero}
+    assert rivals.weighed(*free((mean, covariance))).names[0] in ("base and zero_joint_1", "zero_joint_1 and base")
+    np.testing.assert_allclose(rivals.weighed(*free((mean, covariance))).stated[1][at, at], P[at, at], atol=1e-9)
 
 
 def test_a_base_s_centre_of_mass_is_off_by_a_tenth_of_the_rms_distance_of_its_mass(predictor: ImuPredictor) -> None:

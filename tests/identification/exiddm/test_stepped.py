@@ -1,0 +1,35 @@
+"""When steps since a window are solved as a window again."""
+
+import pytest
+
+from onboard.identification.exiddm import stepped as module
+from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.stepped import Stepped
+from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
+
+BATCH, LENGTH_s = 10, 4.0
+
+
+@pytest.fixture
+def exiddm(held) -> RecursiveExiddm:
+    return online(held, imu_prior=PRIOR)
+
+
+def ticks_until_due(held, exiddm, *, apart: bool) -> int:
+    """Ticks of all steps that follow a window of 200."""
+    every, at = ticks_of(held), 200
+    stepped = Stepped(every.part(slice(0, at)), LENGTH_s, held=True, first=True)
+    known = exiddm._initial
+    while not stepped.due(apart=apart):
+        stepped.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, known)
+        at += BATCH
+    assert len(stepped.ticks.time_s) == at
+    return at
+
+
+def test_steps_linearised_about_different_states_are_solved_again_a_quarter_later(held, exiddm, monkeypatch) -> None:
+    length = round(LENGTH_s / exiddm.predictor.period_s)
+    assert ticks_until_due(held, exiddm, apart=False) == pytest.approx(length, abs=BATCH)
+    assert ticks_until_due(held, exiddm, apart=True) == pytest.approx(250, abs=BATCH)
+    monkeypatch.setattr(module, "_APART", 2.0 * module._APART)
+    assert ticks_until_due(held, exiddm, apart=True) > 300
