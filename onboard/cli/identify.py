@@ -91,7 +91,7 @@ def _identify_with(
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))
     if arguments.predict:
-        made = tuple((log, predict(vehicle, found.logs[0], log)) for log in arguments.predict)
+        made = tuple((log, predict(found.vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)
     show(identify_view.render(found))
     write_json(arguments.json, found.as_json())

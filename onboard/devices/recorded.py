@@ -12,6 +12,9 @@ from onboard.section import NotNegative, Positive
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
+Quantum = Annotated[
+    float, Field(gt=0.0, description="Counts between readings that differ least; heft identify finds it in the log.")
+]
 
 
 class RecordedDevice(DeviceSection):
@@ -35,6 +38,12 @@ class RecordedImu(RecordedDevice, ImuDevice):
 
     records = IMU
     kind: Literal["recorded_imu"]
+    repeats: Repeats = False
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        found = super().roles(name, period_s)
+        return found._replace(signals={key: one._replace(repeats=self.repeats) for key, one in found.signals.items()})
 
 
 class RecordedAngle(RecordedDevice):
@@ -47,13 +56,14 @@ class RecordedAngle(RecordedDevice):
     zero_count: Annotated[int, Field(description="Raw value at angle zero.")] = 0
     noise_rad: Positive
     repeats: Repeats = False
+    quantum_counts: Quantum = 1.0
     scale_sigma: NotNegative = 0.0
     zero_sigma_rad: NotNegative = roles.ZERO_SIGMA_RAD
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
-            zero_count=self.zero_count, repeats=self.repeats
+            zero_count=self.zero_count, repeats=self.repeats, quantum_counts=self.quantum_counts
         )
         joint = JointRole(self.joint, name, False, self.scale_sigma, self.zero_sigma_rad)
         return Roles([], [joint], [], [], [], {name: angle})
@@ -87,10 +97,13 @@ class RecordedLoadCell(RecordedDevice, LoadCellKeys):
     about_role = "load cell"
     records = SCALAR
     kind: Literal["recorded_load_cell"]
+    repeats: Repeats = False
+    quantum_counts: Quantum = 1.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: roles.force(self, period_s)})
+        force = roles.force(self, period_s)._replace(repeats=self.repeats, quantum_counts=self.quantum_counts)
+        return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: force})
 
 
 class RecordedTorque(RecordedDevice, TorqueKeys):
@@ -99,12 +112,13 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
     about_role = "joint torque"
     records = SCALAR
     kind: Literal["recorded_torque"]
+    repeats: Repeats = False
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         si = {b"N m": 1.0, b"N": 1.0} | ({b"A": self.gain_N_m_A} if self.gain_N_m_A else {})
         noise = 0.0  # of a sample: not stated, sigma_N_m is of the model; equal readings tell nothing without it
-        torque = roles.scalar(self.delay_ms, noise, period_s, si)
+        torque = roles.scalar(self.delay_ms, noise, period_s, si)._replace(repeats=self.repeats)
         return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: torque})
 
 

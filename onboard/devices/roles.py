@@ -149,6 +149,7 @@ class SmoothedChannel(NamedTuple):
     absolute: bool = True
     ripple: tuple[tuple[float, float], ...] = ()
     is_pose: bool = False  # attitude w, x, y, z and position x, y, z of a tracker
+    quantum_counts: float = 1.0  # between readings that differ least: a recording is rounded to more than its counts
     repeats: bool = False  # its recorder may write a reading again: equal ones do not show that it is stuck
     corrections: tuple[Correction, ...] = ()
     inflation: float = 1.0

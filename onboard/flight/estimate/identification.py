@@ -8,6 +8,7 @@ import numpy as np
 
 from onboard import config
 from onboard.config.vehicle import LinkSection
+from onboard.devices.recorded import RecordedDevice
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.inertia import RigidBody, symmetric
@@ -319,6 +320,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
+            recorded_apart=all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values()),
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error

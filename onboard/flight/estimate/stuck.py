@@ -54,7 +54,8 @@ class StuckWatch:
         for first, last in itertools.pairwise(sorted({0, *starts, len(rows)})):
             if first in starts:
                 self._readings.forget()
-            stuck[first:last], reaching = self._readings.watch(raw[first:last].astype(np.float64), usable[first:last])
+            steps = raw[first:last] / self._signal.quantum_counts
+            stuck[first:last], reaching = self._readings.watch(steps, usable[first:last])
             begin, end = first + reaching.start, first + reaching.stop
             stuck[max(0, begin) : max(0, end)] = True
             if begin < min(end, 0):
@@ -99,6 +100,7 @@ def _longest(signal: SmoothedChannel, row: np.void) -> float | None:
         scales = [float(row["scale"]) * signal.si.get(row["unit"], math.nan)]
     else:
         scales = [float(row["gyro_scale_rad_s"])] * 3 + [float(row["accel_scale_m_s2"])] * 3
-    counts = [noise / abs(scale) if scale else math.inf for noise, scale in zip(signal.noise, scales, strict=True)]
+    steps = [signal.quantum_counts * abs(scale) for scale in scales]
+    counts = [noise / step if step else math.inf for noise, step in zip(signal.noise, steps, strict=True)]
     delay_s = max(signal.delays_s)
     return longest_run(counts, math.exp(-signal.period_s / delay_s) if delay_s else 0.0)

@@ -13,6 +13,9 @@ Per instrument, at the estimate of all rows:
   Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the information I_b
   of each (Kish, Survey Sampling, 1965): a block is two kernels long. After a release few tell of the rows without it.
   Rows that read nothing, those of a wrench known to be zero, have no gain.
+- *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
+  what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
+  it is told and its effect is in the intervals, and what is found is not refused for it.
 - *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
   variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
 - *Misfit*: residual relative to the noise, and to the signal, of the worst kind of rows that noise does not explain.
@@ -40,6 +43,7 @@ _OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
+_NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
 _ABSORBED = 0.01  # of a step's information, left by the parameters: one where a payload goes is hardly told from it
@@ -55,6 +59,8 @@ class Step(NamedTuple):
     sigmas: float  # of the scatter of all blocks, each relative to what is left over in it
     expected: float  # so many sigmas, or more, by a chance of 5 %
     moved: FloatArray  # (p,) of the estimate, by the step
+    since_s: float = 0.0  # the first of the rows, until the step
+    between: bool = False  # the recording without the payload, and that with it
 
     @property
     def suspected(self) -> FloatArray:
@@ -83,6 +89,7 @@ def instrument_fits(
     physical: BoolArray,
     prior: FloatArray,
     correlation: float,
+    recorded_apart: bool = False,
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -94,6 +101,7 @@ def instrument_fits(
         physical: which parameters are of bodies, and not of an instrument, (p,).
         prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
+        recorded_apart: rows with the payload and those without are of different recordings.
     """
     v, *others = (np.concatenate([one, [-1.0, 0.0]]) for one in (mean, plain, drawn))
     rows_of = {part: blocks.of(*part) for part in blocks.parts}
@@ -101,6 +109,11 @@ def instrument_fits(
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
     judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
+    begins = [
+        min((part.times_s.min() for (held, _), part in judged.items() if held is own), default=np.inf)
+        for own in (True, False)
+    ]
+    another_s = max(begins) if recorded_apart else np.inf  # when the second of the recordings begins
     for number, name in enumerate(blocks.instruments):
         parts, squares, worst, lost = list[_Part](), np.zeros(4), (False, 0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
@@ -125,7 +138,7 @@ def instrument_fits(
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
             beside = [part for (_, own), part in judged.items() if own != number]
-            step = _step(parts, beside, body, every) if parts else None
+            step = _step(parts, beside, body, every, another_s) if parts else None
             still = float(lost[0] / lost[1]) if lost[1] else 0.0
             found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), still, step))
     return tuple(found)
@@ -154,7 +167,9 @@ def _part(times_s: FloatArray, N: FloatArray, noise: FloatArray, v: FloatArray, 
     return _Part(times_s, N[:, :-2, :-2], scores, left, correlation / N[:, -1, -1])
 
 
-def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step | None:
+def _step(
+    parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, every: FloatArray, recorded_s: float
+) -> Step | None:
     """The likeliest step of an instrument's gain; None where its blocks are too few to be cut.
 
     Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
@@ -171,6 +186,7 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
         others: those of the other instruments, which tell of the parameters that take up part of the step.
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
+        recorded_s: when another recording begins.
     """
     times_s = np.concatenate([part.times_s for part in parts])
     order = np.argsort(times_s, kind="stable")
@@ -192,7 +208,11 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
     information = np.where(information > _ABSORBED * (later @ body), information, 0.0)
     moved = scored - share * scored[0]
     information[0] = 0.0
-    k = int(np.argmax(np.divide(moved * moved, information, out=np.zeros(len(after)), where=information > 0.0)))
+    likely = np.divide(moved * moved, information, out=np.zeros(len(after)), where=information > 0.0)
+    k = int(np.argmax(likely))
+    apart = [cut for cut, first in enumerate(after) if cut and times_s[first - 1] < recorded_s <= times_s[first]]
+    between = bool(apart and likely[apart[0]] > _NEARLY * likely[k])
+    k = apart[0] if between else k
     if not information[k] > 0.0:
         return None
     size = float(moved[k] / information[k])
@@ -220,7 +240,8 @@ def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, eve
     chance = min(1.0, 2.0 * float(stdtr(freedom, -surely)) * tried)
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
     expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
-    return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size)
+    since_s = float(times_s[after[k]] - times_s[0])
+    return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size, since_s, between)
 
 
 def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
@@ -228,14 +249,14 @@ def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
     return np.asarray((times(H, c) * c).sum(axis=1), np.float64)
 
 
-def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:
-    """Reasons to refuse all estimates, and reasons to weaken them, from one instrument's rows.
+def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str], list[str]]:
+    """Reasons to refuse all estimates, reasons to weaken them, and what is told with any, from one instrument's rows.
 
     Args:
         fit: at the estimate of all rows.
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
-    against, doubts, name = list[str](), list[str](), fit.instrument
+    against, doubts, told, name = list[str](), list[str](), list[str](), fit.instrument
     if fit.response < LEAST_RESPONSE:
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > NOISE and fit.unexplained > DOUBTFUL_UNEXPLAINED:
@@ -245,7 +266,15 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
     if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > LEAST_STEP:
-        said = f"{name} reads {step.size:+.0%} of the motion from one time on: it or a joint's sensor has changed"
+        if step.between:
+            said = (
+                f"{name} reads {step.size:+.0%} of the motion in the recording with the payload against that without it"
+            )
+            said += ": its gain or friction has changed between them, and the intervals hold what that does"
+            (doubts if abs(step.size) > LARGE_STEP else told).append(said)
+            return against, doubts, told
+        said = f"{name} reads {step.size:+.0%} of the motion from {step.since_s:.1f} s after its first row on"
+        said += ": it or a joint's sensor has changed"
         is_sure = step.chance < STEP_CHANCE or abs(step.size) > LARGE_STEP
         (against if is_sure else doubts).append(said)
-    return against, doubts
+    return against, doubts, told

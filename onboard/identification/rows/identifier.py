@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.consistency import BlockScores, JackknifeEstimate
+from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
 from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -72,6 +72,7 @@ class Identifier:
         stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free and
             scales that are not estimated, it is taken as wide as the rows ask
             (:mod:`onboard.identification.rows.stated`).
+        recorded_apart: rows with the payload and those without are of different recordings.
 
     Attributes:
         recursion: of the rows.
@@ -97,6 +98,7 @@ class Identifier:
         start: Start | None = None,
         whitening: Whitening | None = None,
         stated: Sequence[Stated] = (),
+        recorded_apart: bool = False,
     ) -> None:
         rows = [row.name for row in model.rows]
         check(considered, model)
@@ -106,6 +108,7 @@ class Identifier:
         self.considered = tuple(considered)
         self.memory = memory
         self.whitening = whitening
+        self._recorded_apart = recorded_apart
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -143,8 +146,8 @@ class Identifier:
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
         self._stated: StatedSigmas | None = None
         if stated and not free and not self._scales and start is None and memory == FOR_EVER:
-            of = considered, instruments, base, model.chi, self._physical
-            self._stated = StatedSigmas(stated, *of, self._as_stated)
+            of = considered, instruments, base, model.chi, self._physical, self._as_stated
+            self._stated = StatedSigmas(stated, *of)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
 
     @property
@@ -174,11 +177,6 @@ class Identifier:
     def rls(self) -> SquareRootRls:
         """The recursive least squares."""
         return self.recursion.rls
-
-    @property
-    def blocks(self) -> BlockScores:
-        """The rows per block of time."""
-        return self.recursion.blocks
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Processes the rows of new ticks.
@@ -277,25 +275,24 @@ class Identifier:
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
-        against, doubts = list[str](), list[str]()
+        said = against, doubts, told = list[str](), list[str](), list(self.taken.said)
         share = (residual := self.refused[GateReason.RESIDUAL]) / max(self.rows_used + residual, 1)
         if share > MOST_CONTRADICTED:
             against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         jackknife = self.block_jackknife()
-        found: list[tuple[Sequence[str], Sequence[str]]]
-        found = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
-        found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
+        judged: list[tuple[Sequence[str], ...]]
+        judged = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
+        judged += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
         scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
         corrections = errors.in_sigmas if (errors := self.fitted_errors) else {}
-        found += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
-        for bad, doubt in found:
-            against += bad
-            doubts += doubt
+        judged += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
+        for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
+            texts.extend(more)
         if self._payload and not too_large(scales) and (why := self._contradiction(jackknife)):
             against.append(why)
-        return Findings(tuple(against), tuple(doubts), self.taken.said)
+        return Findings(tuple(against), tuple(doubts), tuple(told))
 
     def _contradiction(self, jackknife: JackknifeEstimate) -> str:
         """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""
@@ -319,8 +316,8 @@ class Identifier:
         if self._fitted is None or self._fitted[0] != self.rows_used:
             mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
-            fits = instrument_fits(self.seen, mean, plain, drawn, self._physical, prior, self._inflation**2)
-            self._fitted = self.rows_used, fits
+            asked = mean, plain, drawn, self._physical, prior, self._inflation**2, self._recorded_apart
+            self._fitted = self.rows_used, instrument_fits(self.seen, *asked)
         return self._fitted[1]
 
     def unexplained(self) -> float:
@@ -356,7 +353,7 @@ class Identifier:
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
         if taken.rls is self.rls:
             return self.recursion.block_jackknife(sigma, level)
-        return JackknifeEstimate(taken.rls, self.blocks, sigma, level)
+        return JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

@@ -10,10 +10,13 @@ with a scale ``s >= 1`` for all keys of a kind: who is wrong about one torque co
 the rows tell less. Scales and weights are those of the largest likelihood, the errors integrated out, by expectation
 and maximisation (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989; MacKay, Neural Computation 4, 1992):
 
-    E_k = E[z_k' z_k],    w_k = (nu + n_k) / (nu + E_k / s^2),    s^2 = max(1, sum w_k E_k / sum n_k).
+    E_k = E[z_k' z_k],    w_k = (nu + n_k) / (nu + E_k / s^2),
+    s^2 = max(1, (nu + sum w_k E_k) / (nu + sum n_k)),
 
-A key of which the rows tell nothing has ``E_k = n_k`` and stays as stated. So does every key, until by the odds of the
-policy it is likelier that some are wider: where one statement is wrong, the others are as doubtful.
+``s^2`` with nu errors of the stated size beforehand: of a kind of which the rows tell one key alone, the others are not
+as wrong as that one. A key of which the rows tell nothing has ``E_k = n_k`` and stays as stated. So does every key,
+until by the odds of the policy it is likelier that some are wider: where one statement is wrong, the others are as
+doubtful.
 
 An arm that is heavier than drawn and gains that are all too large by one factor are the same to most motions. So that
 factor alone, beside all else as stated, competes with all that may be wider: unless one of the two is likelier by the
@@ -226,7 +229,7 @@ class StatedSigmas:
             z = w * (C @ (w * r))
             E = np.bincount(self._key, z * z + w * w * np.diag(C))
             weight = (FREEDOM + self._many) / (FREEDOM + E / square[self._kind])
-            square = np.maximum(1.0, np.bincount(self._kind, weight * E) / every)
+            square = np.maximum(1.0, (FREEDOM + np.bincount(self._kind, weight * E)) / (FREEDOM + every))
             made = np.where(free, np.maximum(1.0, np.sqrt(square[self._kind] / weight)), width)
             change, width = float(np.abs(np.log(made[free] / width[free])).max()), made
             if change < _SETTLED:

@@ -294,7 +294,8 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
 
 
 _IN_TURN = """
-# The arm without its load and with it: heft merge --in-turn recording EMPTY.mcap LOADED.mcap -o both.mcap, and then
+# The arm without its load and with it: heft merge --in-turn recording EMPTY.mcap LOADED.mcap -o both.mcap. heft
+# identify takes the load for held from the second recording on. To say otherwise:
 # [device.recording]
 # kind = "recorded_value"
 # period_ms = 100

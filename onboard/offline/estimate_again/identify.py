@@ -29,6 +29,7 @@ from onboard.identification.rows.standard import identified_links, without_rotor
 from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.offline.estimate_again import throws
+from onboard.offline.estimate_again.as_recorded import as_recorded
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, check_times, feed
 from onboard.offline.estimate_again.identified import Answer, Identified, standings
@@ -52,6 +53,7 @@ class Identification:
     calibration: Calibration | None
     together: Mapping[str, Throw] = field(default_factory=dict)  # by load: all its throws in one estimate
     predicted: tuple[tuple[Path, HeldOutFit], ...] = ()  # other logs, from the first of these
+    recorded: tuple[str, ...] = ()  # what the recording says of itself, other than the vehicle file
 
     @property
     def supported(self) -> bool:
@@ -79,6 +81,7 @@ class Identification:
             "vehicle": self.vehicle.file.vehicle.name,
             "logs": [log.as_json() for log in self.logs],
             "loads": [summary.as_json() for summary in self.summaries],
+            "recorded": list(self.recorded),
             "calibration": self.calibration.as_json() if self.calibration else None,
             **({"predicted": {str(log): one._asdict() for log, one in self.predicted}} if self.predicted else {}),
         }
@@ -115,6 +118,7 @@ def identify(
         ConfigError: the vehicle file does not fit its URDF.
     """
     readers = [log if isinstance(log, LogReader) else LogReader(log) for log in logs]
+    vehicle, said = as_recorded(vehicle, readers[0])
     for reader in readers:
         check_channels(vehicle, reader)
         check_times(vehicle, reader)
@@ -134,7 +138,7 @@ def identify(
     loaded = {load.name: load for load in loads if load is not None}
     calibration = throws.calibrate(vehicle, {loaded[name].role: pool for name, pool in pools.items()})
     together = {name: throws.throw(vehicle, load, pools[name]) for name, load in loaded.items()}
-    return Identification(vehicle, tuple(found), calibration, together)
+    return Identification(vehicle, tuple(found), calibration, together, recorded=said)
 
 
 def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReader], Identified]:

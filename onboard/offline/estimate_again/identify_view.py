@@ -24,7 +24,8 @@ _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE:
 def render(found: Identification) -> RenderableType:
     """The result as tables."""
     if not any(log.throw for log in found.logs):
-        return Group(*(part for log in found.logs for part in _one(log)), *_predicted(found))
+        told = [Text(f"by the recording: {one}") for one in found.recorded]
+        return Group(*(part for log in found.logs for part in _one(log)), *told, *_predicted(found))
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
         mine = [log for log in found.logs if log.throw and log.throw.load.name == name]

@@ -37,7 +37,7 @@ def test_honest_rows_have_nothing_against_them(rng):
     assert fit.rows == 3000
     assert fit.misfit == pytest.approx(1.0, rel=0.1)
     assert fit.response == pytest.approx(1.0, rel=0.05)
-    assert judged_fit(fit, 1.0) == ([], [])
+    assert judged_fit(fit, 1.0) == ([], [], [])
 
 
 @pytest.mark.parametrize("at_s", [4.0, 15.0, 26.0])
@@ -98,7 +98,32 @@ def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
         assert fit.step is not None
         assert fit.step.size == pytest.approx(0.1 * sign, rel=0.2)
         assert fit.step.time_s == pytest.approx(10.0)
-        assert any("from one time on" in said for said in judged_fit(fit, 1.0)[0])
+        assert any("s after its first row on" in said for said in judged_fit(fit, 1.0)[0])
+
+
+@pytest.mark.parametrize(("cut_s", "between"), [(10.0, True), (15.0, False)])
+def test_a_gain_that_changed_between_two_recordings_is_told_and_refuses_nothing(rng, cut_s, between):
+    """5 % more of one of three torques from the recording with the payload on; within one it is a fault."""
+    t = 0.01 * np.arange(2000)
+    held, swing, one = t >= 10.0, np.sin(5.0 * t), np.ones(t.size)
+    torques = ("joint_1", "joint_2", "joint_3")
+    seen, rows = RowBlocks(2, 0.5, torques), []
+    for number in range(len(torques)):
+        Y = np.column_stack([swing, held * swing])
+        y = np.where((t >= cut_s) & (number == 1), 1.05, 1.0) * (Y @ [0.5, 0.8]) + 0.01 * rng.normal(size=t.size)
+        seen.add(t, held, np.full(t.size, number), Y, y, 0.01 * one, 0.01 * one, None)
+        rows.append((Y, y))
+    mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
+    fits = instrument_fits(seen, mean, mean, mean, np.ones(2, np.bool_), 1e-6 * np.eye(2), 1.0, recorded_apart=True)
+    against, doubts, told = judged_fit(fits[1], 1.0)
+    assert fits[1].step is not None
+    assert fits[1].step.between is between
+    assert bool(against or doubts) is not between
+    if between:
+        assert told[0].startswith("joint_2 reads +5% of the motion in the recording with the payload")
+        assert fits[1].step.suspected.any()  # which intervals contain
+    else:
+        assert f"from {cut_s:.1f} s after its first row on" in (*against, *doubts)[0]
 
 
 def two_cells(rng, noises):
@@ -149,7 +174,7 @@ def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     fit = instrument_fits(seen, mean, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.step is not None
     if scale == 1.0:
-        assert judged_fit(fit, 1.0) == ([], [])
+        assert judged_fit(fit, 1.0) == ([], [], [])
     else:
         assert fit.step.size == pytest.approx(scale - 1.0, rel=0.3)
         assert fit.step.time_s == pytest.approx(25.0, abs=1.0)
@@ -161,7 +186,7 @@ def test_one_block_that_is_off_at_an_end_is_no_step(rng, block):
     fit = fits(rng, lambda t, y: np.where(np.floor(t / 0.5) == block, 1.3, 1.0) * y)
     assert fit.step is not None
     assert fit.step.chance > 0.01
-    assert judged_fit(fit, 1.0) == ([], [])
+    assert judged_fit(fit, 1.0) == ([], [], [])
 
 
 def test_what_vibration_leaves_over_is_seldom_a_step():
@@ -173,7 +198,7 @@ def test_what_vibration_leaves_over_is_seldom_a_step():
             lambda t, y: y + 0.1 * np.random.default_rng(seed).normal(size=t.size),
             sigma=0.005,
         )
-        return any("from one time on" in said for part in judged_fit(fit, 1.0) for said in part)
+        return any("s after its first row on" in said for part in judged_fit(fit, 1.0) for said in part)
 
     assert not any(has_stepped(seed) for seed in range(150))
 
