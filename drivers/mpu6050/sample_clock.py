@@ -14,6 +14,7 @@ itself.
 
 import math
 from collections import deque
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +86,7 @@ class SampleClock:
         self._period_ns = self._nominal_ns = float(nominal_period_ns)
         self._reads: deque[tuple[int, int, int, int]] = deque(maxlen=MOST_READS)  # last field: its segment
         self._segment = 0
+        self._fitted: _Fit | None = None  # of the reads; None: they have changed
 
     def __bool__(self) -> bool:
         return bool(self._reads)
@@ -103,6 +105,7 @@ class SampleClock:
             before_ns: Instant before the request; None: the stamp is taken as punctual.
         """
         self._reads.append((host_ns, produced, host_ns if before_ns is None else before_ns, self._segment))
+        self._fitted = None
 
     def gap(self, samples: int) -> None:
         """Record a gap of ``samples`` by this clock; begins a new segment if that number is uncertain."""
@@ -114,6 +117,7 @@ class SampleClock:
         """The chip restarted sampling: keep the period, drop the reads."""
         self._period_ns = self.period_ns()
         self._reads.clear()
+        self._fitted = None
 
     def period_ns(self) -> float:
         """Sample period, ns, or the last one known while reads are few."""
@@ -141,7 +145,12 @@ class SampleClock:
         return last_produced + max(int((host_ns - last_ns - first_ns) // fit.period_ns), 0)
 
     def _fit(self) -> _Fit:
-        reads = np.array(self._reads, np.int64)
+        if self._fitted is None:
+            self._fitted = self._fit_anew()
+        return self._fitted
+
+    def _fit_anew(self) -> _Fit:
+        reads = np.fromiter(chain.from_iterable(self._reads), np.int64, 4 * len(self._reads)).reshape(-1, 4)
         t, n, before = (reads[:, :3] - (reads[-1, 0], reads[-1, 1], reads[-1, 0])).astype(float).T
         stretch = reads[:, 3] - reads[0, 3]
         newest = stretch == stretch[-1]

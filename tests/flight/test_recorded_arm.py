@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,8 @@ def with_load(links: list) -> list:
     return [*links[:-1], replace(last, mass=total, com=centre, inertia=inertia)]
 
 
-def write_csv(path: Path, links: list, rng: np.random.Generator, began_s: float, gains: np.ndarray) -> Path:
-    """Time, angles and torques of sines; the columns are called as the laboratory calls them."""
+def moved(links: list, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, angles and torques of sines."""
     t = np.arange(0.0, END_s, 1.0 / RATE_HZ)
     w, a, p = rng.uniform(0.5, 4.0, (8, 3)), rng.uniform(0.1, 0.3, (8, 3)), rng.uniform(0, 6.3, (8, 3))
     phase = w * t[:, None, None] + p
@@ -40,16 +41,30 @@ def write_csv(path: Path, links: list, rng: np.random.Generator, began_s: float,
     ticks = zip(q, dq, ddq, strict=True)
     torque = np.array([inverse_dynamics(model, *tick, still, still, still, still)[2] for tick in ticks])
     torque += COULOMB * np.sign(dq) + VISCOUS * dq + ROTOR * ddq + NOISE_N_m * rng.normal(size=torque.shape)
-    torque *= gains
+    return t, q, torque
+
+
+@cache
+def laboratory() -> tuple[list, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """An arm, and its recordings with nothing and with the load."""
+    rng = np.random.default_rng(20261122)
+    links = random_vehicle(rng, ["revolute"] * 3)
+    return links, {name: moved(arm, rng) for name, arm in (("empty", links), ("loaded", with_load(links)))}
+
+
+def write_csv(path: Path, of: tuple[np.ndarray, np.ndarray, np.ndarray], began_s: float, gains: np.ndarray) -> Path:
+    """A recording; the columns are called as the laboratory calls them."""
+    t, q, torque = of
     header = "time," + ",".join(f"q{k}" for k in (1, 2, 3)) + "," + ",".join(f"tau{k}" for k in (1, 2, 3))
-    np.savetxt(path, np.column_stack([began_s + t, q, torque]), delimiter=",", header=header, comments="", fmt="%.9f")
+    np.savetxt(
+        path, np.column_stack([began_s + t, q, torque * gains]), delimiter=",", header=header, comments="", fmt="%.9f"
+    )
     return path
 
 
 def recorded(root: Path, gains: np.ndarray, drawn: np.ndarray) -> Path:
     """``v/``, as init made it of a URDF with masses that are ``drawn`` times the arm's, and two recordings as logs."""
-    rng = np.random.default_rng(20261122)
-    links = random_vehicle(rng, ["revolute"] * 3)
+    links, recordings = laboratory()
     plan = [links[0], *(replace(one, mass=float(k * one.mass)) for one, k in zip(links[1:], drawn, strict=True))]
     (root / "arm.urdf").write_text(to_urdf(plan).replace('effort="1"', 'effort="60"'))
     made = ["init", str(root / "v"), "--base", "fixed", "--urdf", str(root / "arm.urdf"), "--encoder", "recorded"]
@@ -57,8 +72,8 @@ def recorded(root: Path, gains: np.ndarray, drawn: np.ndarray) -> Path:
     mapping = (root / "v" / "import.toml").read_text().replace('column = "t"', 'column = "time"')
     mapping = re.sub(r'column = "joint_link_(\d)_torque"', r'column = "tau\1"', mapping)
     (root / "v" / "import.toml").write_text(re.sub(r'column = "joint_link_(\d)"', r'column = "q\1"', mapping))
-    for name, arm, began_s in (("empty", links, 100.0), ("loaded", with_load(links), 7.0)):
-        path = write_csv(root / f"{name}.csv", arm, rng, began_s, gains)
+    for name, began_s in (("empty", 100.0), ("loaded", 7.0)):
+        path = write_csv(root / f"{name}.csv", recordings[name], began_s, gains)
         assert cli.main(["import", str(root / "v" / "import.toml"), str(path), "-o", str(root / "logs")]) == cli.OK
     return root
 

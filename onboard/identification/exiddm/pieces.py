@@ -37,7 +37,7 @@ class Pieces:
         self.state, self.transition, self._active = state, np.eye(len(state))[:, active], active
         self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
         self.residual = np.zeros((ticks, lines))
-        self._done, self._left = 0, -(-ticks // PIECE)  # pieces
+        self._done, self._left, self._first = 0, -(-ticks // PIECE), True  # ticks, pieces
 
     @property
     def squares(self) -> FloatArray:
@@ -76,9 +76,12 @@ class Pieces:
         self.normal = self.normal.plus(seen)
         self.residual[first : self._done] = residual
         self.state, self.transition[changing] = predicted.state, predicted.transition @ self.transition
+        self._first = False
         return self._done - first
 
     def _by_first(self, by_state: FloatArray, changing: IndexArray, stays: BoolArray) -> FloatArray:
         """``X T``: a derivative by the state at a piece's first tick, (..., p), by the unknowns, (..., a)."""
+        if self._first:
+            return by_state[..., self._active]
         kept = np.where(stays, by_state[..., self._active], 0.0)
         return np.asarray(kept + by_state[..., changing] @ self.transition[changing], np.float64)
