@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 
 from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, complain
 
+_SHARED = "__main__", "common", "controller", "lines", "messages"  # modules that are no commands
 _COLLECTED_EVERY = 20_000  # objects made more than given back
 
 __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main", "parser"]
@@ -32,7 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
-    arguments = parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    arguments = parser(*argv[:1]).parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command
     try:
         if str(getattr(arguments, "json", None)) != "-":
@@ -76,8 +78,8 @@ def _sentence(error: OSError | ValueError) -> str:
     return str(error)
 
 
-def parser() -> argparse.ArgumentParser:
-    """Of the command line, with every command."""
+def parser(command: str = "") -> argparse.ArgumentParser:
+    """Of the command line, with one command, or with every one where there is none of that name."""
     made = argparse.ArgumentParser(
         prog="heft",
         description="Identify the payload of a free-flying servicer's arm: acquisition, log, inertial estimation.",
@@ -85,9 +87,9 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--version", action="version", version=f"heft {_version()}")
     commands = made.add_subparsers(required=True, metavar="COMMAND")
-    for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        if found not in ("__main__", "common", "controller", "lines", "messages"):
-            importlib.import_module(f"{__name__}.{found}").add(commands)
+    every = {one.name.rstrip("_"): one.name for one in pkgutil.iter_modules(__path__) if one.name not in _SHARED}
+    for name in [command] if command in every else sorted(every):
+        importlib.import_module(f"{__name__}.{every[name]}").add(commands)
     return made
 
 
