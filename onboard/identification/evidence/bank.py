@@ -205,14 +205,16 @@ class Bank:
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
         self._inside = self.at[:, None] * len(sigma) + self.at  # their covariance in that of the state
         self._slopes = [one.along / sigma[one.at, None] ** 2 for one in suspects]
-        widths = np.diff(ends)
-        self._alone = [  # those of as many columns: their numbers, (n,), and columns, (n, r)
-            (which := np.flatnonzero(widths == r), np.array(ends)[which, None] + np.arange(r))
-            for r in dict.fromkeys(widths.tolist())
+        shapes = [one.along.shape for one in suspects]
+        self._alone = [
+            _Alike.of(
+                [k for k, one in enumerate(shapes) if one == shape], suspects, self._slopes, self._columns, len(sigma)
+            )
+            for shape in dict.fromkeys(shapes)
         ]
         fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner, self._inside]
         fixed += [part for one in suspects for part in (one.at, one.along)]
-        for part in (*fixed, *self._slopes, *(part for pair in self._alone for part in pair)):
+        for part in (*fixed, *self._slopes, *(part for alike in self._alone for part in alike[1:])):
             part.setflags(write=False)  # a checkpoint names it
 
     def freed(self, known: Known, which: Sequence[int]) -> Known:
@@ -241,40 +243,43 @@ class Bank:
             stated: what is known if nothing is wrong.
         """
         x, P = stated
-        U = self._of_all
-        M, slope = self._inner - U.T @ (P.take(self._inside) @ U), U.T @ x[self.at]  # of all suspects at once
-        found = [Hypothesis(None, (), 1.0, 0.0, 0.0, *_NONE), *self._each(M, slope)]
-        logs = [0.0, *self._log_weights(found[1:])]
-        first = int(np.argmax(logs))
-        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and 0.0 < found[first].size < FARTHEST_SIZE:
-            pairs, more = self._pairs(first - 1, found[first], M, slope)
-            found, logs = found + pairs, logs + [logs[first] + one for one in more]
-        weights = np.exp(np.array(logs) - max(logs))
-        each = zip(found, (weights / weights.sum()).tolist(), strict=True)
-        return Weighed(stated, tuple(one._replace(weight=weight) for one, weight in each))
+        M = [alike.inner - alike.slopes_T @ (P.take(alike.inside) @ alike.slopes) for alike in self._alone]
+        slope = [(x[alike.at][:, None] @ alike.slopes)[:, 0] for alike in self._alone]
+        found, pairs = self._each(M, slope), list[Hypothesis]()
+        logs = np.append(0.0, self._log_weights(found))
+        first = int(np.argmax(logs)) - 1
+        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and first >= 0 and found[first].size < FARTHEST_SIZE:
+            pairs, more = self._pairs(first, found[first], M, slope, P)
+            logs = np.append(logs, logs[1 + first] + np.array(more))
+        weights = np.exp(logs - logs.max())
+        none, *each = (weights / weights.sum()).tolist()
+        every = [Hypothesis(None, (), none, 0.0, 0.0, *_NONE)]
+        for k, (one, weight, slopes) in enumerate(zip(found, each, self._slopes, strict=False)):
+            every.append(Hypothesis(self.suspects[k], (k,), weight, one.nats, one.size, slopes, one.whiten, one.g))
+        every += [one._replace(weight=weight) for one, weight in zip(pairs, each[len(found) :], strict=True)]
+        return Weighed(stated, tuple(every))
 
-    def _each(self, M: FloatArray, slope: FloatArray) -> list[Hypothesis]:
-        """Each suspect by itself, not yet weighed, by the matrix, (R, R), and the gradient, (R,), of all columns."""
-        found = dict[int, Hypothesis]()
-        for which, columns in self._alone:
-            told, V = np.linalg.eigh(M[columns[:, :, None], columns[:, None]])
+    def _each(self, M: Sequence[FloatArray], slope: Sequence[FloatArray]) -> list["_Alone"]:
+        """Each suspect by itself, by the matrices, (n, r, r), and the gradients, (n, r), of those that are alike."""
+        found = dict[int, _Alone]()
+        for alike, matrix, gradient in zip(self._alone, M, slope, strict=True):
+            told, V = np.linalg.eigh(matrix)
             scale = np.sqrt(np.maximum(told, 1.0))  # (n, r); below one by rounding
             whiten = V / scale[:, None]
-            g = (slope[columns][:, None] @ whiten)[:, 0]
+            g = (gradient[:, None] @ whiten)[:, 0]
             nats = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
             sizes = np.sqrt(((g / scale) ** 2).mean(axis=1))
-            for k, n, size, *parts in zip(which.tolist(), nats.tolist(), sizes.tolist(), whiten, g, strict=True):
-                found[k] = Hypothesis(self.suspects[k], (k,), 1.0, n, size, self._slopes[k], *parts)
+            found.update(zip(alike.which, map(_Alone, nats.tolist(), sizes.tolist(), whiten, g), strict=True))
         return [found[k] for k in range(len(found))]
 
-    def _log_weights(self, found: Sequence[Hypothesis]) -> list[float]:
+    def _log_weights(self, found: Sequence["_Alone"]) -> FloatArray:
         """Logarithms of the weights of suspects over that of none of them."""
         nats = np.array([one.nats for one in found])
         nats[self._alike] = nats[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
-        return [float(one) for one in nats + self._log_odds]
+        return np.asarray(nats + self._log_odds, np.float64)
 
     def _pairs(
-        self, first: int, alone: Hypothesis, M: FloatArray, slope: FloatArray
+        self, first: int, alone: "_Alone", M: Sequence[FloatArray], slope: Sequence[FloatArray], P: FloatArray
     ) -> tuple[list[Hypothesis], list[float]]:
         """A suspect with each other that is likelier wrong than half of not; logarithms of weights over the first's.
 
@@ -282,10 +287,13 @@ class Bank:
         complement in M), so that the evidence of both is the sum of the two. What nothing shows to be wrong is not
         taken for wrong besides another: a cell's scale, where the base's mass is wrong, would widen every answer.
         """
-        one, own = self.suspects[first], self._columns[first]
-        onto = M[:, own] @ alone.whiten
-        given, pairs, logs = self._each(M - onto @ onto.T, slope - onto @ alone.g), list[Hypothesis](), list[float]()
-        for k, (two, log) in enumerate(zip(given, self._log_weights(given), strict=True)):
+        one, own, U = self.suspects[first], self._columns[first], self._of_all
+        onto = (self._inner[:, own] - U.T @ (P.take(self._inside) @ U[:, own])) @ alone.whiten  # (R, r) of all columns
+        of_each = [onto[alike.columns] for alike in self._alone]
+        left = [matrix - part @ part.swapaxes(1, 2) for matrix, part in zip(M, of_each, strict=True)]
+        given = self._each(left, [each - part @ alone.g for each, part in zip(slope, of_each, strict=True)])
+        pairs, logs = list[Hypothesis](), list[float]()
+        for k, (two, log) in enumerate(zip(given, self._log_weights(given).tolist(), strict=True)):
             if k == first or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
                 continue
             other, r = self.suspects[k], len(alone.g)
@@ -293,10 +301,43 @@ class Bank:
             whiten = block_diag(alone.whiten, two.whiten)
             whiten[:r, r:] = -alone.whiten @ onto[self._columns[k]].T @ two.whiten
             both = Suspect(name, at, block_diag(one.along, other.along), one.odds * other.odds)
-            parts = block_diag(alone.slopes, two.slopes), whiten, np.concatenate([alone.g, two.g])
+            parts = block_diag(self._slopes[first], self._slopes[k]), whiten, np.concatenate([alone.g, two.g])
             pairs.append(Hypothesis(both, (first, k), 1.0, alone.nats + two.nats, max(alone.size, two.size), *parts))
             logs.append(log)
         return pairs, logs
+
+
+class _Alone(NamedTuple):
+    """A suspect by itself, not weighed: see :class:`Hypothesis`."""
+
+    nats: float
+    size: float
+    whiten: FloatArray  # (r, r)
+    g: FloatArray  # (r,)
+
+
+class _Alike(NamedTuple):
+    """n suspects of as many constants and columns each, for which all is done at once."""
+
+    which: list[int]  # their numbers
+    columns: IndexArray  # (n, r) among all suspects'
+    at: IndexArray  # (n, k) places of the constants in the state
+    inside: IndexArray  # (n, k, k) places of their covariances in that of the state
+    slopes: FloatArray  # (n, k, r) U
+    slopes_T: FloatArray  # noqa: N815 - (n, r, k) U'
+    inner: FloatArray  # (n, r, r) 1 + D' U
+
+    @staticmethod
+    def of(
+        which: list[int], suspects: Sequence[Suspect], slopes: Sequence[FloatArray], columns: Sequence[slice], size: int
+    ) -> "_Alike":
+        """Some of all suspects, in a state of this size."""
+        at, along = (np.array(part) for part in zip(*((suspects[k].at, suspects[k].along) for k in which), strict=True))
+        U = np.array([slopes[k] for k in which])
+        own = np.array([np.arange(columns[k].start, columns[k].stop) for k in which])
+        U_T = np.ascontiguousarray(U.swapaxes(1, 2))
+        inner = np.eye(U.shape[2]) + along.swapaxes(1, 2) @ U
+        return _Alike(which, own, at, at[:, :, None] * size + at[:, None], U, U_T, inner)
 
 
 _NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)

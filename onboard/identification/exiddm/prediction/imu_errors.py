@@ -15,6 +15,7 @@ the whole sensor has, which is ``exp(-hat)``) and ``sym(c)`` the symmetric one, 
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -149,7 +150,12 @@ def _turned(m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Rodrigues' formula; Sola, Deray, Atchuthan: A micro Lie theory for state estimation in robotics, 2018, equation 145.
     """
-    H, square = hat(m), float(m @ m)
+    return _turned_by(*m.tolist())
+
+
+@lru_cache(maxsize=16)  # a gain and its derivatives are asked for one after the other
+def _turned_by(x: float, y: float, z: float) -> tuple[FloatArray, FloatArray]:
+    H, square = hat(np.array([x, y, z])), x * x + y * y + z * z
     angle = math.sqrt(square)
     if square < _SMALL:
         a, b, c = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
@@ -157,7 +163,10 @@ def _turned(m: FloatArray) -> tuple[FloatArray, FloatArray]:
         sine = math.sin(angle)
         a, b, c = sine / angle, (1.0 - math.cos(angle)) / square, (angle - sine) / (angle * square)
     HH = H @ H
-    return np.eye(3) - a * H + b * HH, np.eye(3) - b * H + c * HH
+    R, J = np.eye(3) - a * H + b * HH, np.eye(3) - b * H + c * HH
+    R.setflags(write=False)
+    J.setflags(write=False)
+    return R, J
 
 
 def _sym(c: FloatArray) -> FloatArray:
