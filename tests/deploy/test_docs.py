@@ -60,7 +60,7 @@ def test_every_command_shown_exists_with_its_options(page: Path) -> None:
 
 def test_a_command_that_does_not_exist_is_noticed() -> None:
     commands = _commands()
-    assert _unknown("heft weigh LOG", commands) == "weigh"
+    assert _unknown("heft ponder LOG", commands) == "ponder"
     assert _unknown("heft info LOG --clock PNG", commands) == "--clock"
     assert _unknown("heft fly vehicle.toml [--live] [--quiet|--json-lines]", commands) == ""
 

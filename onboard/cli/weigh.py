@@ -1,0 +1,148 @@
+"""``heft weigh`` weighs a tool by a wrist force-torque sensor in static poses."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from onboard.cli.common import FAILED, OK, Commands, add_json, busy, console, load_vehicle, show, write_json
+
+if TYPE_CHECKING:
+    from onboard.offline.weigh.columns import Meaning
+    from onboard.offline.weigh.weigh import Answer, Known
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    weigh = commands.add_parser(
+        "weigh",
+        help="weigh a tool by a wrist force-torque sensor in static poses: mass, centre of mass, zeros",
+        description="From a table with an orientation and a wrench a row; docs/weigh.md tells how.",
+    )
+    weigh.add_argument("poses", type=Path, nargs="+", metavar="POSES", help="CSV or text; more: columns side by side")
+    weigh.add_argument("--columns", metavar="NAME,...", help="names of the columns, - for those that are not meant")
+    weigh.add_argument(
+        "--orientation", default="", metavar="KIND", help="xyzw, wxyz, matrix, rotvec, or Euler angles: xyz, ZYX, ..."
+    )
+    weigh.add_argument(
+        "--sense", choices=("sensor-in-base", "base-in-sensor"), help="whose orientation it is (the likelier one)"
+    )
+    weigh.add_argument("--axes", choices=("sensor", "base"), help="whose axes the wrench is in (the likelier ones)")
+    weigh.add_argument(
+        "--sign", choices=("weight", "reaction"), help="whether it is what acts on the sensor (the likelier one)"
+    )
+    weigh.add_argument("--turned", default="", metavar="AXIS,...", help="axes whose sign is wrong: fx,mz")
+    weigh.add_argument("--force-unit", default="", metavar="UNIT", help="N, kN, kgf, lbf ... (by the names, else N)")
+    weigh.add_argument("--moment-unit", default="", metavar="UNIT", help="Nm, Nmm, mNm ... (by the names, else N m)")
+    weigh.add_argument("--angle-unit", default="", metavar="UNIT", help="deg or rad (by the names, else by size)")
+    weigh.add_argument("--urdf", type=Path, metavar="FILE", help="columns are joint angles of this arm")
+    weigh.add_argument("--link", default="", metavar="LINK", help="of --urdf, that the sensor is on (the last)")
+    weigh.add_argument("--gravity", default="0,0,-1", metavar="X,Y,Z", help="downwards in the base's axes (0,0,-1)")
+    weigh.add_argument("--latitude-deg", type=float, help="of the place, for gravity; without it 0.15 %% are added")
+    weigh.add_argument("--height-m", type=float, default=0.0, help="above the sea (0)")
+    weigh.add_argument(
+        "--scale-percent", type=float, default=1.0, help="1 sigma of an axis' scale, of the sensor's data sheet (1)"
+    )
+    weigh.add_argument("--tilt-deg", type=float, default=5.0, help="1 sigma of the base's tilt (5)")
+    weigh.add_argument("--vehicle", metavar="FILE", help="vehicle.toml: its load cells get the zeros (offset_N)")
+    weigh.add_argument("--dry-run", action="store_true", help="show what would change in the file, and leave it")
+    weigh.add_argument("--plot", type=Path, metavar="FILE", help="the figure (.png, .svg, .pdf)")
+    add_json(weigh)
+    weigh.set_defaults(command=_weigh)
+
+
+def _weigh(arguments: argparse.Namespace) -> int:
+    from onboard.identification.verdict import Level
+    from onboard.offline.weigh import tare, view
+    from onboard.offline.weigh.further import further
+    from onboard.offline.weigh.judge import judge
+    from onboard.offline.weigh.weigh import weigh
+
+    with busy("the table is read") as tell:
+        meaning = _meaning(arguments)
+        known = _known(arguments)
+        answer = weigh(meaning, known, tell)
+        tell("further poses")
+        more = further(answer)
+    judged = judge(answer)
+    judged = judged._replace(notes=(*meaning.said, *judged.notes))
+    show(view.render(answer, judged, more, f"weighed: {', '.join(path.name for path in arguments.poses)}"))
+    if arguments.plot is not None:
+        view.draw(answer, arguments.plot)
+        print(arguments.plot)
+    refused = judged.verdict.level is Level.DO_NOT_USE
+    written = {"tare": {one.name: one.zero for one in answer.axes}}
+    if arguments.vehicle is not None:
+        written["vehicle"] = _tare(arguments, answer, refused)
+    else:
+        print("zeros, for the tables of the sensor's axes:\n" + tare.lines(answer))
+    write_json(arguments.json, view.as_json(answer, judged, more) | written)
+    return FAILED if refused else OK
+
+
+def _meaning(a: argparse.Namespace) -> "Meaning":
+    import numpy as np
+
+    from onboard.offline.weigh import arm, columns, table
+    from onboard.offline.weigh.errors import PosesError
+
+    read = table.read(a.poses)
+    if a.columns:
+        names = tuple(name.strip() for name in a.columns.split(","))
+        if len(names) != read.values.shape[1]:
+            raise PosesError(f"--columns has {len(names)} names, the table {read.values.shape[1]} columns: name each")
+        read = read._replace(names=names)
+    of = arm.arm(a.urdf.read_text(encoding="utf-8"), str(a.urdf), a.link) if a.urdf else None
+    units = columns.Units(a.force_unit, a.moment_unit, a.angle_unit)
+    found = columns.understood(read, units, of.joints if of else (), a.orientation)
+    signs = np.ones(6)
+    for axis in filter(None, a.turned.split(",")):
+        if axis not in (known := [f"{kind}{end}" for kind in "fm" for end in "xyz"]):
+            raise PosesError(f"--turned {axis}: name axes of {', '.join(known)}")
+        signs[known.index(axis)] = -1.0
+    found = found._replace(wrench=signs * found.wrench)
+    return arm.posed(found, of) if of else found
+
+
+def _known(a: argparse.Namespace) -> "Known":
+    import math
+
+    from onboard.offline.calibrate.place import place
+    from onboard.offline.weigh.conventions import Said
+    from onboard.offline.weigh.weigh import Known
+
+    try:
+        x, y, z = (float(part) for part in a.gravity.split(","))
+    except ValueError as error:
+        raise ValueError(f"--gravity {a.gravity}: write three numbers, 0,0,-1 for instance") from error
+    if not 0.0 < math.hypot(x, y, z) < math.inf:
+        raise ValueError(f"--gravity {a.gravity}: it has no direction; write 0,0,-1 for instance")
+    for name, value in (("scale-percent", a.scale_percent), ("tilt-deg", a.tilt_deg)):
+        if not 1e-3 <= value <= 90.0:
+            raise ValueError(f"--{name} {value:g}: give 1 sigma, from 0.001 to 90")
+    where = place(a.latitude_deg, a.height_m)
+    said = Said(a.sense, a.axes, a.sign)
+    return Known(where, (x, y, z), 1e-2 * a.scale_percent, math.radians(a.tilt_deg), said=said)
+
+
+def _tare(a: argparse.Namespace, answer: "Answer", refused: bool) -> dict[str, Any]:
+    """Write the zeros, or show what would change; a weighing that is not to be used changes nothing."""
+    from onboard.offline.calibrate import vehicle_file
+    from onboard.offline.weigh import tare
+
+    vehicle = load_vehicle(a.vehicle)
+    found = tare.changes(vehicle, answer)
+    text = vehicle_file.changed(vehicle, found)
+    if a.dry_run or refused:
+        sys.stdout.write(vehicle_file.difference(vehicle, text))
+    else:
+        vehicle_file.replace(vehicle, text)
+    told = (
+        "would be changed"
+        if a.dry_run
+        else "are as they were: the weighing is not to be used"
+        if refused
+        else "changed"
+    )
+    console().print(f"{vehicle.label}: {len(found)} keys {told}", soft_wrap=True, markup=False)
+    return {"file": vehicle.label, "changes": [one._asdict() | {"table": ".".join(one.table)} for one in found]}

@@ -1,0 +1,405 @@
+"""A tool weighed by a wrist force-torque sensor in static poses: mass, centre of mass, zeros, scales, mounting.
+
+In pose k the sensor, whose axes are M R_k' of the robot's base, feels the weight of all beyond it::
+
+    d_k = M R_k' T g                                   gravity in sensor axes, m/s^2
+    force_k  = (1 + S + X) m d_k + X' (p x d_k) / L + b_k     N: S scales of the axes, X, X' cross-talk, b zeros
+    moment_k = (1 + S + X) (p x d_k) + X' L m d_k + b_k       N m: the same of the moments; p = m c
+
+L is a moment over a force. M is the mounting of the sensor on the frame whose pose is given, T the tilt of the base.
+Zeros are constants with a random walk from pose to pose (sensors warm up, cables creep). In the cosine transform
+(DCT-II) over the poses such a walk is white: coefficient j > 0 has the variance ``sigma^2 + q^2 / (4 sin^2(pi j /
+2n))``, and coefficient 0 is all that a constant zero changes, so it is left out (derived here). Noise and walk of each
+axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a common spread, over which the
+answer is a mixture: the axes themselves tell how well they agree, and an error that all of them share cannot be seen.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
+from scipy.spatial.transform import Rotation
+from scipy.special import stdtr
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import CalibrationError
+
+FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
+UNKNOWNS = 45  # the mass is the first
+_OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
+REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
+_FEWEST = 4  # poses: fewer leave nothing over that could show noise
+_WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
+SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
+_OCTAVE = np.log(2.0)  # 1 sigma of the logarithm of the spread: data sheets state it to a factor of two
+_WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zero from pose to pose, over the noise
+_POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
+_ROUNDS = 25
+_CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
+_GLITCH = 1e-9  # chance of a pose's reading below which it is an outlier, as of a tick in flight
+_LOCAL = 9  # poses about one, whose median is the zero there
+
+
+class Prior(NamedTuple):
+    """What is known before.
+
+    Attributes:
+        gravity_m_s2: (3,) in base axes.
+        scale: 1 sigma of an axis' scale, relative.
+        tilt_rad: 1 sigma of the base's tilt about each horizontal axis.
+        mounting_rad: 1 sigma of the sensor's mounting about each axis.
+    """
+
+    gravity_m_s2: FloatArray
+    scale: float
+    tilt_rad: float
+    mounting_rad: float
+
+
+class Noise(NamedTuple):
+    """Of each of the six axes."""
+
+    sigma: FloatArray  # (6,) of a pose, N and N m
+    walk: FloatArray  # (6,) of the zero from one pose to the next
+    cross: float  # cross-talk, relative
+
+
+class State(NamedTuple):
+    """Where the model is linearised."""
+
+    mass: float
+    first_moment: FloatArray  # (3,)
+    mounting: FloatArray  # (3, 3) M
+    tilt: FloatArray  # (2,) rad, about the base's axes that are not gravity's
+    scales: FloatArray  # (6,)
+    cross: FloatArray  # (30,) X of forces and of moments without their diagonals, X' of forces and of moments
+
+    @property
+    def levers(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """1 + S + X of forces and of moments, X' of forces and of moments, (3, 3) each."""
+        own = np.diag(1.0 + self.scales[:3]), np.diag(1.0 + self.scales[3:])
+        for k in range(2):
+            own[k].flat[_OFF] = self.cross[6 * k : 6 * k + 6]
+        return (*own, self.cross[12:21].reshape(3, 3), self.cross[21:].reshape(3, 3))
+
+    @property
+    def sensitivity(self) -> FloatArray:
+        """Readings by gravity in sensor axes, (6, 3)."""
+        force, moment, of_moments, of_forces = self.levers
+        p = hat(self.first_moment)
+        return np.concatenate(
+            [self.mass * force + of_moments @ p / REACH_m, moment @ p + self.mass * REACH_m * of_forces]
+        )
+
+
+class Fit(NamedTuple):
+    """One fit.
+
+    Attributes:
+        state: the most likely one.
+        covariance: (45, 45) of mass, first moment, mounting and tilt (small turns), scales, cross-talk.
+        noise: estimated.
+        residual: (n, 6) readings less the model's, zeros and all, in the readings' units.
+        evidence: logarithm of the marginal likelihood; differences between fits of the same readings count.
+    """
+
+    state: State
+    covariance: FloatArray
+    noise: Noise
+    residual: FloatArray
+    evidence: float
+
+
+class Weighing(NamedTuple):
+    """A mixture of fits, by the spread of the scales."""
+
+    best: Fit
+    weights: FloatArray  # (k,)
+    fits: tuple[Fit, ...]
+    freedom: float  # degrees of it, of the noise
+    spread: float  # of the scales, the mean
+
+
+def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) -> Fit:
+    """The most likely state with the stated spread of the scales.
+
+    Args:
+        R: (n, 3, 3) of each pose: axes of the frame whose pose is given, in base axes.
+        wrench: (n, 6) force and moment on the sensor, in its axes.
+        prior: what is known.
+        rounds: at most; few tell fits apart that differ by more than some nats.
+
+    Raises:
+        CalibrationError: too few poses, or readings that are not finite.
+    """
+    if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
+        raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
+    state = begun(R, wrench, prior)
+    residual = wrench - predicted(R, state, prior)
+    sigma = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0)
+    one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, 1e-9 * _largest(wrench)), np.zeros(6), prior.scale))
+    for _ in range(rounds):
+        noise = _noise(one, jacobian(R, one.state, prior), prior)
+        change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
+        one = _fit(R, wrench, prior, one.state, noise)
+        if change < _CLOSE:
+            break
+    return one
+
+
+def weigh(R: FloatArray, wrench: FloatArray, prior: Prior, first: Fit) -> Weighing:
+    """The mixture over the spread of the scales, about a first fit.
+
+    Args:
+        R: as of :func:`fit`.
+        wrench: likewise.
+        prior: its ``scale`` is the median of the spread.
+        first: by :func:`fit`.
+    """
+    fits = tuple(_fit(R, wrench, prior._replace(scale=prior.scale * k), first.state, first.noise) for k in SPREADS)
+    logs = np.array([one.evidence for one in fits]) - 0.5 * (np.log(SPREADS) / _OCTAVE) ** 2
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    best = fits[int(weights.argmax())]
+    freedom = max(1.0, 6.0 * (len(R) - 1) - 9.0)  # mass, first moment, mounting and tilt
+    return Weighing(best, weights, fits, freedom, float(prior.scale * (weights @ SPREADS)))
+
+
+def interval(
+    means: Sequence[float], sigmas: Sequence[float], weighing: Weighing, level: float
+) -> tuple[float, float, float, float]:
+    """Mean, sigma and both ends of the central interval of a mixture of Student's t.
+
+    Args:
+        means: of each fit.
+        sigmas: likewise.
+        weighing: their weights and degrees of freedom.
+        level: of the interval, 0.95 say.
+    """
+    mean, sigma = np.array(means), np.maximum(np.array(sigmas), 1e-300)
+    w = weighing.weights
+    middle = float(w @ mean)
+    whole = float(np.sqrt(w @ (sigma**2 + (mean - middle) ** 2)))
+
+    def end(chance: float) -> float:
+        low, high = middle - 1e3 * float(sigma.max()), middle + 1e3 * float(sigma.max())
+        for _ in range(80):  # bisection
+            at = 0.5 * (low + high)
+            below = float(w @ stdtr(weighing.freedom, (at - mean) / sigma))
+            low, high = (at, high) if below < chance else (low, at)
+        return 0.5 * (low + high)
+
+    return middle, whole, end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))
+
+
+def predicted(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+    """Readings without zeros, (n, 6)."""
+    return np.asarray(_in_frame(R, state, prior) @ (state.sensitivity @ state.mounting).T, np.float64)
+
+
+def outliers(R: FloatArray, wrench: FloatArray, prior: Prior) -> NDArray[np.bool_]:
+    """Poses with a reading that no noise makes, (n,): by the closed form of the three quarters that agree best.
+
+    Residuals are compared with the median of some neighbours, so that a zero that drifts makes no outlier.
+    """
+    n = len(R)
+    kept, z, level = np.arange(n), np.zeros_like(wrench), np.zeros_like(wrench)
+    for _ in range(10):  # concentration steps (Rousseeuw and Van Driessen 1999)
+        residual = wrench - predicted(R, begun(R[kept], (wrench - level)[kept], prior), prior)
+        level = _medians(residual)
+        left = residual - level
+        z = left / _scatter(left)
+        kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(_FEWEST, (3 * n) // 4)])
+    freedom = max(1.0, n - 4.0)
+    return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < _GLITCH).any(axis=1))
+
+
+def zeros(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Zeros of the axes at each pose, (n, 6), and their sigma at the last one, (6,).
+
+    The third is the sigma of what a zero has moved between the first and the last pose, (6,).
+    """
+    n = len(one.residual)
+    weights, variance, inflated = _walks(one, J)
+    share = np.concatenate(
+        [np.ones((len(_WALKS), 1)), 1.0 - 1.0 / inflated], axis=1
+    )  # of a coefficient that is the zero's
+    smooth = dct(one.residual, axis=0, norm="ortho")
+    each = idct(share[..., None] * smooth, axis=1, norm="ortho")  # (walks, n, 6)
+    value = np.einsum("ka,kna->na", weights, each)
+    last, first = (idct(np.eye(n), axis=0, norm="ortho")[k] for k in (-1, 0))
+    hangs = -np.einsum("j,kj,ka,jap->ap", last, share, weights, dct(J, axis=0, norm="ortho"))
+    spread = (each[:, -1] - value[-1]) ** 2 + variance * (share @ last**2)[:, None]
+    sigma = np.sqrt((weights * spread).sum(axis=0) + np.einsum("ap,pq,aq->a", hangs, one.covariance, hangs))
+    moved = each[:, -1] - each[:, 0]
+    gone = (moved - (value[-1] - value[0])) ** 2 + variance * (share @ (last - first) ** 2)[:, None]
+    return value, sigma, np.asarray(np.sqrt((weights * gone).sum(axis=0)), np.float64)
+
+
+def begun(R: FloatArray, wrench: FloatArray, prior: Prior) -> State:
+    """A closed form: mounting and mass by orthogonal Procrustes (Kabsch 1976), then the first moment."""
+    h = np.einsum("nba,b->na", R, prior.gravity_m_s2)
+    about, force = h - h.mean(axis=0), wrench[:, :3] - wrench[:, :3].mean(axis=0)
+    H = force.T @ about
+    H += 1e-3 * np.linalg.norm(H) * np.eye(3)  # where directions are few, the mounting nearest to none
+    U, S, Vt = np.linalg.svd(H)
+    way = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    M = (U * way) @ Vt
+    mass = float((S * way).sum() / max((about**2).sum(), 1e-300))
+    d = h @ M.T
+    d -= d.mean(axis=0)
+    A = -hats(d).reshape(-1, 3)  # p x d = -d x p
+    moment = (wrench[:, 3:] - wrench[:, 3:].mean(axis=0)).ravel()
+    p = np.linalg.lstsq(A, moment)[0]
+    return State(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
+
+
+def jacobian(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+    """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
+    d = _in_frame(R, state, prior) @ state.mounting.T
+    A, level = state.sensitivity, _level(prior.gravity_m_s2)
+    down = Rotation.from_rotvec(level @ state.tilt).apply(prior.gravity_m_s2)
+    J = np.zeros((len(R), 6, UNKNOWNS))
+    force, moment, of_moments, of_forces = state.levers
+    weight, moments, p_by = state.mass * d, d @ hat(state.first_moment).T, -hats(d)  # p x d = -d x p
+    J[:, :3, 0], J[:, 3:, 0] = d @ force.T, REACH_m * d @ of_forces.T
+    J[:, :3, FIRST_MOMENT], J[:, 3:, FIRST_MOMENT] = of_moments @ p_by / REACH_m, moment @ p_by
+    J[:, :, MOUNTING] = A @ p_by
+    J[:, :, TILT] = -A @ (state.mounting @ R.transpose(0, 2, 1) @ (hat(down) @ level))
+    J[:, np.arange(6), 9 + np.arange(6)] = np.concatenate([weight, moments], axis=1)
+    J[:, _OFF // 3, 15 + np.arange(6)] = weight[:, _OFF % 3]
+    J[:, 3 + _OFF // 3, 21 + np.arange(6)] = moments[:, _OFF % 3]
+    for axis in range(3):
+        J[:, axis, 27 + 3 * axis : 30 + 3 * axis] = moments / REACH_m
+        J[:, 3 + axis, 36 + 3 * axis : 39 + 3 * axis] = REACH_m * weight
+    return J
+
+
+def hat(v: FloatArray) -> FloatArray:
+    """(3, 3): ``hat(v) w = v x w``."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def hats(v: FloatArray) -> FloatArray:
+    """The same of many, (n, 3, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return out - out.transpose(0, 2, 1)
+
+
+def _in_frame(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+    """Gravity in the axes of the frame whose pose is given, (n, 3)."""
+    T = Rotation.from_rotvec(_level(prior.gravity_m_s2) @ state.tilt).as_matrix()
+    return np.asarray(np.einsum("nba,b->na", R, T @ prior.gravity_m_s2), np.float64)
+
+
+def _level(gravity: FloatArray) -> FloatArray:
+    """The two axes that a base tilts about, (3, 2): not the one nearest to gravity."""
+    along = int(np.abs(gravity).argmax())
+    return np.eye(3)[:, [axis for axis in range(3) if axis != along]]
+
+
+def _medians(values: FloatArray) -> FloatArray:
+    """Of the neighbours of each row, or of all rows where there are few."""
+    if len(values) < 3 * _LOCAL:
+        return np.broadcast_to(np.median(values, axis=0), values.shape)
+    half = _LOCAL // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    around = np.lib.stride_tricks.sliding_window_view(padded, _LOCAL, axis=0)
+    return np.asarray(np.median(np.delete(around, half, axis=-1), axis=-1), np.float64)
+
+
+def _scatter(values: FloatArray) -> FloatArray:
+    """Standard deviation of each column by the median of the absolute values, at least what rounding makes."""
+    return np.asarray(np.maximum(1.4826 * np.median(np.abs(values), axis=0), 1e-9 * _largest(values)), np.float64)
+
+
+def _largest(values: FloatArray) -> float:
+    return max(float(np.abs(values).max()), 1e-9)
+
+
+def prior_sigmas(wrench: FloatArray, prior: Prior, cross: float) -> FloatArray:
+    """Prior sigma of the unknowns, (45,)."""
+    g = float(np.linalg.norm(prior.gravity_m_s2))
+    force, moment = _largest(wrench[:, :3]), _largest(wrench[:, 3:])
+    wide = [_WIDE * force / g, *[_WIDE * max(moment, 0.1 * force) / g] * 3]
+    return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *[prior.scale] * 6, *[cross] * 30])
+
+
+def _values(state: State) -> FloatArray:
+    """The unknowns, (45,); of the mounting the rotation vector."""
+    turn = Rotation.from_matrix(state.mounting).as_rotvec()
+    return np.concatenate([[state.mass], state.first_moment, turn, state.tilt, state.scales, state.cross])
+
+
+def moved(state: State, step: FloatArray) -> State:
+    """A state after a step of the unknowns, (45,)."""
+    M = Rotation.from_rotvec(step[MOUNTING]).as_matrix() @ state.mounting
+    own = state.first_moment + step[FIRST_MOMENT], M, state.tilt + step[TILT], state.scales + step[SCALES]
+    return State(float(state.mass + step[0]), *own, state.cross + step[CROSS])
+
+
+def _eigenvalues(n: int) -> FloatArray:
+    """Of the walk's information, without the constant, (n - 1,)."""
+    return np.asarray(4.0 * np.sin(0.5 * np.pi * np.arange(1, n) / n) ** 2, np.float64)
+
+
+def variances(noise: Noise, n: int) -> FloatArray:
+    """Of the coefficients of the cosine transform, without the constant, (n - 1, 6)."""
+    return np.asarray(noise.sigma**2 + noise.walk**2 / _eigenvalues(n)[:, None], np.float64)
+
+
+def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: Noise) -> Fit:
+    """Gauss-Newton to the most likely state with a given noise."""
+    spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
+    for _ in range(_ROUNDS):
+        residual, J = wrench - predicted(R, state, prior), jacobian(R, state, prior)
+        r = dct(residual, axis=0, norm="ortho")[1:] / np.sqrt(spread)
+        A = (dct(J, axis=0, norm="ortho")[1:] / np.sqrt(spread)[..., None]).reshape(-1, UNKNOWNS)
+        off = _values(state)
+        H = A.T @ A + np.diag(sigmas**-2.0)
+        unit = 1.0 / np.sqrt(np.diag(H))  # of very different units
+        root = np.linalg.inv(np.linalg.cholesky(H * np.outer(unit, unit))).T * unit[:, None]
+        step = root @ (root.T @ (A.T @ r.ravel() - off / sigmas**2))
+        size = float(np.abs(step @ np.linalg.solve(root.T, np.eye(UNKNOWNS))).max())
+        if size < _CLOSE:
+            break
+        state = moved(state, step)
+    squares = float((r**2).sum() + ((off / sigmas) ** 2).sum())
+    volume = float(np.log(np.abs(np.diag(np.linalg.cholesky(root @ root.T)))).sum())
+    evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
+    return Fit(state, root @ root.T, noise, residual, evidence)
+
+
+def _noise(one: Fit, J: FloatArray, prior: Prior) -> Noise:
+    """One step of expectation maximisation: noise and walk of each axis, and cross-talk."""
+    weights, variance, _ = _walks(one, J)
+    sigma = np.sqrt((weights * variance).sum(axis=0))
+    walk = np.sqrt((weights * variance * _WALKS[:, None] ** 2).sum(axis=0))
+    sigma = np.maximum(sigma, np.repeat([1e-9 * _largest(one.residual[:, k : k + 3]) for k in (0, 3)], 3))
+    crossed = float((one.state.cross**2).sum() + np.trace(one.covariance[CROSS, CROSS]))
+    cross = np.sqrt((prior.scale**2 + crossed) / (1.0 + 30.0))
+    return Noise(sigma, walk, float(cross))
+
+
+def _walks(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Probability of each walk, variance with it, (walks, 6), and what it multiplies variances by, (walks, n - 1).
+
+    A walk that does not show may still be there, so all of them are kept.
+    """
+    n = len(one.residual)
+    own = dct(J, axis=0, norm="ortho")[1:]
+    squares = dct(one.residual, axis=0, norm="ortho")[1:] ** 2
+    squares = squares + np.einsum("jap,pq,jaq->ja", own, one.covariance, own, optimize=True)
+    pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
+    inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)
+    count = n - 1 + _POOLED
+    variance = (np.einsum("ja,kj->ka", squares, 1.0 / inflated) + _POOLED * pooled) / count
+    likelihood = -0.5 * (count * np.log(variance) + np.log(inflated).sum(axis=1)[:, None])
+    others = likelihood @ np.kron(np.eye(2), 0.5 * (1.0 - np.eye(3)))  # half of what the two of its kind say
+    likelihood = likelihood + others
+    weights = np.exp(likelihood - likelihood.max(axis=0))
+    return weights / weights.sum(axis=0), variance, inflated
