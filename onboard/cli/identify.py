@@ -49,6 +49,7 @@ def add(commands: Commands) -> None:
     )
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
+    identify.add_argument("--budget", action="store_true", help="show what the interval of each answer is made of")
     add_json(identify)
     identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
     identify.set_defaults(command=_identify)
@@ -94,6 +95,8 @@ def _identify_with(
         made = tuple((log, predict(found.vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)
     show(identify_view.render(found))
+    if arguments.budget:
+        show(identify_view.budgets(found))
     write_json(arguments.json, found.as_json())
     if arguments.report:
         from onboard.offline.report import identified

@@ -220,6 +220,18 @@ class JackknifeEstimate:
         """Change of ``weights @ chi`` by one sigma of each considered parameter, or column of the root, (r, k)."""
         return np.asarray(np.atleast_2d(np.asarray(weights, np.float64)) @ self._common[:, :-1], np.float64)
 
+    def parts(self, weights: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Sigma of ``weights @ chi`` by scatter of the rows, the prior, and doubt in the regressor's noise, (r,) each.
+
+        What considered parameters add is :meth:`causes`.
+        """
+        w = np.atleast_2d(np.asarray(weights, np.float64))
+        prior = np.linalg.norm(w @ self._prior_half, axis=1)
+        rows = ((self._moves @ w.T) ** 2).sum(axis=0) * self._rows_weight()
+        if self.floored:
+            rows = np.maximum(rows, self.formal_variance(w) - prior**2)
+        return np.sqrt(rows), prior, np.abs(w @ self._common[:, -1])
+
     def formal_variance(self, weights: ArrayLike) -> FloatArray:
         """Variance of ``weights @ chi`` under the stated sigmas of rows, regressor and prior alone, (r,)."""
         return np.asarray(((np.atleast_2d(np.asarray(weights, np.float64)) @ self._root) ** 2).sum(axis=1), np.float64)

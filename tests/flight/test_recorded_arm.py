@@ -92,7 +92,18 @@ def weighed(root: Path) -> tuple[dict[str, Any], str]:
     code = cli.main(["identify", "--vehicle", str(root / "v" / "vehicle.toml"), both, "--json", str(report)])
     whole = json.loads(report.read_text())
     assert any("[estimation.phases]" in said for said in whole["recorded"])
+    assert any(said.startswith("estimation.smoothing_ms: ") for said in whole["recorded"])
     told = whole["logs"][0]
+    assert not any(answer["name"] == "M_payload" for answer in told["quantities"])  # one mass, one number
+    held = next(link["body"] for link in told["links"] if link["link"] == "payload")
+    values = {answer["name"]: answer for answer in told["quantities"]}
+    mass = values["m_payload"]
+    assert held["mass_kg"] == pytest.approx(mass["value"], rel=1e-12)
+    parts = told["budget"]["m_payload"]
+    assert sum(part["share"] for part in parts) == pytest.approx(1.0)
+    assert [part["sigma"] for part in parts] == sorted((part["sigma"] for part in parts), reverse=True)
+    assert np.sqrt(sum(part["sigma"] ** 2 for part in parts)) == pytest.approx(mass["sigma"], rel=0.25)
+    assert any("scale_sigma" in part["cause"] for part in parts)
     assert code == cli.OK, told["verdict"]["text"]
     return {answer["name"]: answer for answer in told["quantities"]}, told["verdict"]["text"]
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.dynamics.errors import SignalError
+from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
@@ -55,6 +56,16 @@ class GraspedPayload:
         mean = self._w @ jackknife.mean
         return body_jacobian(mean) @ self._w if mean[0] > 0.0 else np.full_like(self._w, np.nan)
 
+    def body(self, jackknife: JackknifeEstimate) -> RigidBody | None:
+        """The likeliest body that can exist; None where there is none, or none was found."""
+        mean = self._w @ jackknife.mean
+        if not mean[0] > 0.0:
+            return None
+        try:
+            return possible_body(mean, self._w @ jackknife.covariance @ self._w.T)
+        except ConvergenceError:
+            return None
+
     def quantities(
         self, jackknife: JackknifeEstimate, prior_covariance: FloatArray, used: int, refused: int, why: str
     ) -> tuple[QuantityEstimate, ...]:
@@ -83,10 +94,9 @@ class GraspedPayload:
             )
         weak[4:] |= weak[1:4].any()
         found, estimated = jackknife.combination(self.weights(jackknife)), numbers_of(body_of(standard.mean))
-        try:
-            value = numbers_of(possible_body(standard.mean, self._w @ jackknife.covariance @ self._w.T))
-        except ConvergenceError:
-            value, weak[4:] = estimated, True
+        possible = self.body(jackknife)
+        value = estimated if possible is None else numbers_of(possible)
+        weak[4:] |= possible is None
         sigma = np.hypot(found.sigma, value - estimated)
         half = 0.5 * (found.high - found.low) * sigma / found.sigma
         numbers = np.column_stack([value, sigma, value - half, value + half])

@@ -38,18 +38,31 @@ def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
         blocks: the rows that were used.
         identifier: that used them: its prior, and its estimate of all of them.
     """
-    halves = [_half(blocks, later) for later in (False, True)]
-    if any(half is None for half in halves):
+    found = halves(blocks, identifier)
+    if found is None:
         return None
-    (earlier, early_noise), (later, late_noise) = (half for half in halves if half is not None)
-    reference = reference_of(identifier.model, identifier.base, later + earlier)
-    first, second = (_solved(*half, identifier) for half in ((earlier, early_noise), (later, late_noise)))
-    everything = identifier.block_jackknife().mean
+    earlier, later = found
+    everything, both = identifier.block_jackknife().mean, earlier.normal + later.normal
+    reference = reference_of(identifier.model, identifier.base, both)
     return HeldOut(
-        predicted(later, first, reference),
-        predicted(earlier, second, reference),
-        predicted(earlier + later, everything, reference),
+        predicted(later.normal, earlier.mean, reference),
+        predicted(earlier.normal, later.mean, reference),
+        predicted(both, everything, reference),
     )
+
+
+class Half(NamedTuple):
+    """Half of the rows."""
+
+    normal: FloatArray  # equations with the noise of the regressor in them, (p + 2, p + 2)
+    mean: FloatArray  # base parameters by these rows and the prior, (p,)
+
+
+def halves(blocks: RowBlocks, identifier: Identifier) -> tuple[Half, Half] | None:
+    """The earlier and the later half of the rows, as :func:`held_out` takes them; None with too few blocks to halve."""
+    parts = [_half(blocks, later) for later in (False, True)]
+    earlier, later = (None if part is None else Half(part[0], _solved(*part, identifier)) for part in parts)
+    return None if earlier is None or later is None else (earlier, later)
 
 
 def _half(blocks: RowBlocks, later: bool) -> tuple[FloatArray, FloatArray] | None:

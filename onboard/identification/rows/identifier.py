@@ -76,6 +76,7 @@ class Identifier:
 
     Attributes:
         recursion: of the rows.
+        payload: what is held, where its rows can tell all of it.
 
     Raises:
         UnknownFrameError: something considered that the model lacks, or an IMU frame that the base lacks.
@@ -113,7 +114,7 @@ class Identifier:
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
-        self._payload = grasped_payload(model, base)
+        self.payload = grasped_payload(model, base)
         self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
         self._instruments: Instruments | None = None
         if instruments_lag_s is None:
@@ -163,7 +164,7 @@ class Identifier:
     @property
     def quantity_names(self) -> tuple[str, ...]:
         """Of what is reported besides: the quantities, then the payload where the rows can tell it."""
-        return (*(quantity.name for quantity in self.quantities), *(self._payload.names if self._payload else ()))
+        return (*(quantity.name for quantity in self.quantities), *(self.payload.names if self.payload else ()))
 
     def triangle(self) -> FloatArray:
         """Square-root information ``[R z]`` of all parameters, considered ones included, (s, s)."""
@@ -283,14 +284,14 @@ class Identifier:
             return Findings(tuple(against), ())
         jackknife = self.block_jackknife()
         judged: list[tuple[Sequence[str], ...]]
-        judged = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
+        judged = [judged_fit(fit, self._inflation**2) for fit in self.fits(jackknife.mean)]
         judged += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
         scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
         corrections = errors.in_sigmas if (errors := self.fitted_errors) else {}
         judged += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
         for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
             texts.extend(more)
-        if self._payload and not too_large(scales) and (why := self._contradiction(jackknife)):
+        if self.payload and not too_large(scales) and (why := self._contradiction(jackknife)):
             against.append(why)
         return Findings(tuple(against), tuple(doubts), tuple(told))
 
@@ -309,7 +310,7 @@ class Identifier:
             self._taken = self.rows_used, self._stated.taken(self._as_stated, self.seen, mean, self._inflation**2)
         return self._taken[1]
 
-    def _fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
+    def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
         """How each instrument's rows stand to the estimate of all, ``mean``; none where that forgets."""
         if self.memory != FOR_EVER:
             return ()
@@ -322,11 +323,11 @@ class Identifier:
 
     def unexplained(self) -> float:
         """Share of an instrument's readings that the estimate leaves over, of the one that is explained worst."""
-        return max((fit.unexplained for fit in self._fits()), default=0.0)
+        return max((fit.unexplained for fit in self.fits()), default=0.0)
 
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
-        steps = [self._weights @ fit.step.suspected for fit in self._fits(jackknife.mean) if fit.step is not None]
+        steps = [self._weights @ fit.step.suspected for fit in self.fits(jackknife.mean) if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
@@ -358,7 +359,7 @@ class Identifier:
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
         jackknife, eye = self.block_jackknife(), np.eye(len(self.base.names))
-        payload = [self._payload.weights(jackknife)] if self._payload else []
+        payload = [self.payload.weights(jackknife)] if self.payload else []
         weights = np.vstack([eye, *(q.weights for q in self.quantities), *payload])
         return np.asarray(np.sqrt(jackknife.formal_variance(weights)), np.float64)
 
@@ -394,9 +395,9 @@ class Identifier:
             answered(quantity, own, bool(fine), cause, z, self.considered, jackknife.mean)
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
-        if self._payload:
+        if self.payload:
             of_rows = self.rows_used, self.refused[GateReason.RESIDUAL], self._contradiction(jackknife)
-            quantities += self._payload.quantities(jackknife, prior, *of_rows)
+            quantities += self.payload.quantities(jackknife, prior, *of_rows)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))
 

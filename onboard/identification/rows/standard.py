@@ -96,4 +96,7 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
         own = slice(10 * index, 10 * index + 10)
         if (F[:, own] @ root[own]).any():
             found.append(link_estimate(link, mean[own], covariance[own, own]))
+            held = link == model.vehicle.spec.payload_link and identifier.payload
+            if held and (body := held.body(jackknife)) is not None:  # one body, one number
+                found[-1] = found[-1]._replace(body=body)
     return tuple(found)

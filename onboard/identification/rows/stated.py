@@ -152,7 +152,7 @@ class StatedSigmas:
         X = np.concatenate([mean, np.zeros(len(self._rows))])
         n = len(self.stated)
         as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
-        parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, np.ones(n, np.bool_)
+        parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, ~self._common
         for _ in range(_PASSES):
             A, r = self._told(*self._equations(parts, X, correlation), X, many.width)
             many = self._settled(A, r, many.width, free)

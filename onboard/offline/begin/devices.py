@@ -134,6 +134,18 @@ torque_still_rad_s = 0.02      # below this rate friction is not known
 """
 
 
+class OfTorque(NamedTuple):
+    """1 sigma of what a joint's torque has in it besides the bodies'."""
+
+    rotor: float  # kg m^2
+    friction: float  # N m, Coulomb's; viscous at 1 rad/s
+    offset: float  # N m
+
+
+IN_GRAVITY, FREE = OfTorque(1.0, 5.0, 1.0), OfTorque(0.1, 0.5, 0.1)  # arms of 10 N m or some more
+OF_LARGEST = OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears of 100 and more lose as much
+
+
 def load_cell(kind: str, node: int, frame: str) -> NewDevice:
     """A load cell that feels the moment about z of ``frame``."""
     if kind == RECORDED:

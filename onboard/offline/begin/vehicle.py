@@ -186,9 +186,15 @@ def _bus(name: str, wanted: Wanted) -> str:
 
 
 # of a link in a fixed or prescribed arm: screws and cables are in no drawing
-_DRAWN = "{ mass_relative = 0.02, centre_m = 2e-3, inertia_relative = 0.02 }"
+_DRAWN = (
+    "{ mass_relative = 0.02, centre_m = 2e-3, inertia_relative = 0.02 }",
+    "as each was weighed, balanced and swung: yours",
+)
 # of a link in somebody's URDF: bodies of CAD without cables, of another revision, or guessed from a picture
-_TAKEN_OVER = "{ mass_relative = 0.3, centre_m = 0.03, inertia_relative = 0.5 }"
+_TAKEN_OVER = (
+    "{ mass_relative = 0.3, centre_m = 0.03, inertia_relative = 0.5 }",
+    "which somebody drew: less where you know it better",
+)
 _CALIBRATED = """
 [estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours. As it comes it is useless
 gyro_bias_rad_s = 2e-3         # here: an MPU-6050 is off by up to 0.3 rad/s and 0.8 m/s^2
@@ -228,16 +234,15 @@ delay_s = 1e-4
     first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
     sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
-    own |= _torque_sigmas(wanted, _IN_GRAVITY) if wanted.by_torque else {"bias_load_cell": 5.0}
+    own |= _torque_sigmas(wanted, devices.IN_GRAVITY) if wanted.by_torque else {"bias_load_cell": 5.0}
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
-    known, about = _DRAWN, "as each was weighed, balanced and swung: yours"
-    if wanted.recorded and wanted.drawn is not None:
-        known, about = _TAKEN_OVER, "which somebody drew: less where you know it better"
+    known, about = _TAKEN_OVER if wanted.recorded and wanted.drawn is not None else _DRAWN
     drawn = "".join(f"{json.dumps(link)} = {known}\n" for link in wanted.links)
     calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
+    mark, chooses = ("# ", "; silent: heft identify chooses") if wanted.recorded and wanted.by_torque else ("", "")
     return f"""
 [estimation]
-smoothing_ms = 100             # of both sides of every row
+{mark}smoothing_ms = 100             # of both sides of every row{chooses}
 row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
 [estimation.prior.link]        # 1 sigma about the URDF, {about}; where
@@ -250,32 +255,20 @@ row_noise = "by_frequency"     # what differentiated encoders add at high freque
 {held}"""
 
 
-class _OfTorque(NamedTuple):
-    """1 sigma of what a joint's torque has in it besides the bodies'."""
-
-    rotor: float  # kg m^2
-    friction: float  # N m, Coulomb's; viscous at 1 rad/s
-    offset: float  # N m
-
-
-_IN_GRAVITY, _FREE = _OfTorque(1.0, 5.0, 1.0), _OfTorque(0.1, 0.5, 0.1)  # arms of 10 N m or some more
-_OF_LARGEST = _OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears of 100 and more lose as much
-
-
-def _torque_sigmas(wanted: Wanted, usual: _OfTorque) -> dict[str, float]:
+def _torque_sigmas(wanted: Wanted, usual: devices.OfTorque) -> dict[str, float]:
     """Of what joints add to their torques, by the names of the columns; of a recorded arm by its largest torques."""
     own: dict[str, float] = {}
     for number, joint in enumerate(wanted.joints, 1):
         each, bias = usual, f"bias_{devices.device_of(number, joint)}_torque"
         if wanted.recorded:
-            each = _OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in _OF_LARGEST))
+            each = devices.OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in devices.OF_LARGEST))
         own |= {f"Ia_{joint}": each.rotor, f"Fv_{joint}": each.friction, f"Fc_{joint}": each.friction}
         own[bias] = each.offset
     return own
 
 
 def _of_torques(wanted: Wanted) -> str:
-    own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, _FREE).items())
+    own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, devices.FREE).items())
     return f"""
 [estimation.prior.absolute]    # 1 sigma about none: friction, rotor and offset in each joint's torque
 {own}"""

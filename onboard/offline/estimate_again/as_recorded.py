@@ -15,6 +15,7 @@ from onboard.config.estimation import Phases
 from onboard.devices.recorded import RecordedAngle, RecordedDevice, RecordedLoadCell, RecordedValue
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.stuck import StuckReadings
+from onboard.offline.estimate_again.smoothing_choice import chosen
 from onboard.recording.reader import LogReader
 
 IN_TURN = "recording"  # channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of
@@ -55,10 +56,11 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
         devices[IN_TURN] = RecordedValue(kind="recorded_value", period_ms=100.0)
         settings = settings.model_copy(update={"phases": held})
         said.append(f"the payload is held from the second recording on, by channel {IN_TURN!r}: [estimation.phases]")
-    if not said:
-        return Recorded(vehicle, ())
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
-    return Recorded(vehicle.model_copy(update={"file": file}), tuple(said))
+    found_so_far = vehicle.model_copy(update={"file": file})
+    if "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
+        return Recorded(found_so_far if said else vehicle, tuple(said))
+    return Recorded(choice.vehicle, (*said, choice.said))
 
 
 def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[RecordedDevice, list[str]]:

@@ -11,6 +11,7 @@ from onboard.dynamics.vehicle import STANDARD
 from onboard.identification.exiddm.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.rows.budget import Contribution
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.useful import Useful, sizes
@@ -81,6 +82,7 @@ class Identified:
     standings: Mapping[str, Standing] = field(default_factory=dict)  # of each answer that the data determine
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
+    budget: Mapping[str, tuple[Contribution, ...]] = field(default_factory=dict)  # what makes each answer so wide
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
@@ -120,6 +122,7 @@ class Identified:
             "held_out": _predictions(self.held_out),
             "misfit": self.misfit,
             "observable": _observability(self.observability),
+            "budget": {name: [one._asdict() for one in parts] for name, parts in self.budget.items()},
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
             "throw": self.throw.as_json() if self.throw else None,

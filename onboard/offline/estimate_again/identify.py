@@ -15,6 +15,7 @@ from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.vehicle import STANDARD
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_model
@@ -22,6 +23,7 @@ from onboard.flight.estimate.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
+from onboard.identification.rows.budget import budget
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
@@ -194,6 +196,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         held,
         observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
+        budget={} if thrown is not None else budget(who),
         links=links,
         standings=standings(answers, useful),
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
@@ -238,7 +241,10 @@ def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
 
 
 def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
-    """The last QUANTITY rows, with the bound of each."""
+    """The last QUANTITY rows, with the bound of each; of a payload that is told as a body, not its base parameters."""
+    link, held = who.model.vehicle.spec.payload_link, who.payload is not None
+    told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
+    twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()
     return tuple(
         Answer(
             printable(row["name"]),
@@ -251,6 +257,7 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
             float(bound),
         )
         for row, bound in zip(rows, who.bounds(), strict=True)
+        if printable(row["name"]) not in twice
     )
 
 

@@ -17,6 +17,7 @@ from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import Identification
 from onboard.offline.estimate_again.throws import LoadSummary
 
+_BAR, _LEAST_SHARE = 20, 0.01
 PER_KG_MM2 = 1e6
 _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE: "bold red"}
 
@@ -40,6 +41,24 @@ def render(found: Identification) -> RenderableType:
             f"{rotor.factor:.4f} ± {rotor.sigma:.4f} (sigma), misfit {100 * rotor.misfit:.2f} %; for the vehicle file:"
         )
         parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
+    return Group(*parts)
+
+
+def budgets(found: Identification) -> RenderableType:
+    """What each answer's interval is made of, the largest part first, with a bar of its share of the variance."""
+    parts: list[RenderableType] = []
+    for log in found.logs:
+        width = {one.name: one.high - one.value for one in log.answers if one.supported}
+        for name in (name for name in log.budget if name in width):
+            unit = next(one.unit for one in log.answers if one.name == name)
+            table = _table(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
+            for one in log.budget[name]:
+                if one.share >= _LEAST_SHARE:
+                    bar = "#" * max(1, round(_BAR * one.share))
+                    table.add_row(
+                        f"{one.share:4.0%} {bar:{_BAR}s}", f"{one.sigma:.2g}", Text(one.cause, justify="left")
+                    )
+            parts.append(table)
     return Group(*parts)
 
 

@@ -213,7 +213,7 @@ def test_a_row_weighs_what_its_motion_is_known_to(rng):
     one = identifier(considered=())
     one.rls.prior(one.base.value(one.model.chi), np.full(len(one.base.names), 1e-9))  # sure of the drawing
     one.update(part(exact, slice(100, 101)), held[100:101], np.zeros(1, np.int64))
-    row = one.blocks.normal[0]
+    row = one.recursion.blocks.normal[0]
     index = one.base.names.index("ZZ_arm")
     regressor = (signals.ddq[100, 0] + signals.motion.acceleration_rad_s2[100, 2]) / 0.04
     doubt = np.hypot(noise.ddq[100, 0], noise.acceleration[100, 0]) / 0.04

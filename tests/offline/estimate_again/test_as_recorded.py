@@ -21,7 +21,9 @@ SCALE_rad = 1e-8
 @pytest.fixture
 def vehicle(tmp_path: Path) -> config.Vehicle:
     make(Wanted("arm", "fixed", ("joint_1",), "none", "recorded"), tmp_path / "v")
-    return config.load(tmp_path / "v" / "vehicle.toml")
+    path = tmp_path / "v" / "vehicle.toml"
+    path.write_text(path.read_text().replace("# smoothing_ms = 100 ", "smoothing_ms = 100 "))
+    return config.load(path)
 
 
 def recorded(path: Path, angle_rad: np.ndarray, period_ms: float) -> LogReader:
@@ -70,6 +72,7 @@ def test_a_rounded_angle_that_is_slow_is_not_stuck_and_one_that_stands_still_in_
         assert angle_of(found).noise_rad == pytest.approx(1e-4 / 12.0**0.5)
         assert angle_of(found).period_ms == pytest.approx(10.0)
         assert any(one.startswith("noise_rad: ") and "device.joint_1" in one for one in said)
+        assert not any("smoothing_ms" in one for one in said)  # the file says it
         assert any(one.startswith("period_ms: samples are 10 ms apart, not 5") for one in said)
         rows = log.read("joint_1")
         watch = StuckWatch(roles_of(found).signals["joint_1"])
