@@ -104,11 +104,11 @@ def instrument_fits(
         recorded_apart: rows with the payload and those without are of different recordings.
     """
     v, *others = (np.concatenate([one, [-1.0, 0.0]]) for one in (mean, plain, drawn))
-    rows_of = {part: blocks.of(*part) for part in blocks.parts}
-    every = prior + sum(N[:, :-2, :-2].sum(axis=0) for N, _ in rows_of.values())
+    rows_of = {part: blocks.apart(*part) for part in blocks.parts}
+    judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
+    every = prior + sum(part.H.sum(axis=0) for part in judged.values())
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
-    judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
     begins = [
         min((part.times_s.min() for (held, _), part in judged.items() if held is own), default=np.inf)
         for own in (True, False)
@@ -119,10 +119,9 @@ def instrument_fits(
         for held, own in blocks.parts:
             if own != number:
                 continue
-            (N, noise), left = rows_of[held, number], judged[held, number].left
-            of_rows = N - noise
+            (of_rows, noise), left = rows_of[held, number], judged[held, number].left
             signal, as_drawn = (_sums(of_rows, one) for one in (body, plan))
-            rows = float(N[:, -1, -1].sum())
+            rows = float((of_rows[:, -1, -1] + noise[:, -1, -1]).sum())
             readings = np.abs(of_rows[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
@@ -160,10 +159,10 @@ class _Part(NamedTuple):
     of_noise: FloatArray  # what makes it one of their stated noise, (b,)
 
 
-def _part(times_s: FloatArray, N: FloatArray, noise: FloatArray, v: FloatArray, correlation: float) -> _Part:
+def _part(times_s: FloatArray, of_rows: FloatArray, noise: FloatArray, v: FloatArray, correlation: float) -> _Part:
     """One instrument's blocks, with the payload or without, at the estimate ``v``, (p + 2,)."""
-    of_all = N @ v
-    scores, left = noise[:, :-2] @ v - of_all[:, :-2], np.maximum(of_all @ v, 0.0)
+    N, read = of_rows + noise, of_rows @ v
+    scores, left = -read[:, :-2], np.maximum((read + noise @ v) @ v, 0.0)
     return _Part(times_s, N[:, :-2, :-2], scores, left, correlation / N[:, -1, -1])
 
 

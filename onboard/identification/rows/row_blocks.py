@@ -75,9 +75,13 @@ class RowBlocks:
 
     def of(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
         """Normal equations of each block with the noise of their regressor, and that noise, (b, p + 2, p + 2) each."""
+        normal, noise = self.apart(held, instrument)
+        return normal + noise, noise
+
+    def apart(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
+        """Normal equations of each block without that noise, and the noise: views of what further rows are added to."""
         blocks = self._blocks[held, instrument]
-        noise = blocks.noise_by_block
-        return blocks.normal + noise, noise
+        return blocks.normal, blocks.noise_by_block
 
     def total(self) -> FloatArray:
         """Normal equations of all rows, with the noise of their regressor, (p + 2, p + 2)."""

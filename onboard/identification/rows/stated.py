@@ -85,15 +85,14 @@ class _Part(NamedTuple):
     rows: float  # their number
     equations: FloatArray  # (b, p, p + 1) of each block without that noise: information, and its right-hand side
     information: FloatArray  # (p, p) sum of these
-    times_s: list[float]  # when each block begins, (b,)
+    times_s: FloatArray  # when each block begins, (b,)
 
 
 def _part(blocks: RowBlocks, held: bool, number: int) -> _Part:
-    N, noise = blocks.of(held, number)
-    own = N - noise
-    rows, p = float(N[:, -1, -1].sum()), N.shape[1] - 2
-    of_parameters = own[:, :p, :p].sum(axis=0)
-    return _Part(number, N.sum(axis=0), rows, own[:, :p, : p + 1], of_parameters, blocks.times_s(held, number).tolist())
+    own, noise = blocks.apart(held, number)
+    every, p = own.sum(axis=0), own.shape[1] - 2
+    whole = every + noise.sum(axis=0)
+    return _Part(number, whole, float(whole[-1, -1]), own[:, :p, : p + 1], every[:p, :p], blocks.times_s(held, number))
 
 
 class StatedSigmas:
@@ -195,13 +194,12 @@ class StatedSigmas:
             count[part.instrument] = count.get(part.instrument, 0.0) + part.rows
             parts.append((part, J, v[:-1]))
         loud = {k: max(1.0, correlation * left[k] / max(count[k], 1.0)) for k in left}  # of the noise, variance
-        H, scores = np.zeros((len(X), len(X))), dict[float, FloatArray]()
+        times_s = np.unique(np.concatenate([part.times_s for part in blocks]))
+        H, scores = np.zeros((len(X), len(X))), np.zeros((len(times_s), len(X)))
         for part, J, v in parts:
             H += J.T @ part.information @ J / loud[part.instrument]
-            own = -(part.equations @ v) @ J / loud[part.instrument]  # (b, p + k)
-            for time_s, score in zip(part.times_s, own, strict=True):
-                scores[time_s] = scores.get(time_s, 0.0) + score
-        return H, np.array(list(scores.values()))
+            scores[np.searchsorted(times_s, part.times_s)] -= (part.equations @ v) @ J / loud[part.instrument]
+        return H, scores
 
     def _told(
         self, H: FloatArray, scores: FloatArray, X: FloatArray, width: FloatArray
