@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from onboard.cli.common import OK, Commands, bus_and_url
 
 if TYPE_CHECKING:
+    from onboard.offline.begin.drawing import Drawn
     from onboard.offline.begin.vehicle import Wanted
 
 _QUESTIONS = (
@@ -64,6 +65,8 @@ def _init(arguments: argparse.Namespace) -> int:
         wanted = _wanted(arguments)
         files = vehicle.make(wanted, arguments.directory)
         notes = wanted.drawn.notes if wanted.drawn else ()
+        if wanted.drawn is not None:
+            notes += _of_payload(wanted.drawn, wanted.payload_link)
     for path in files:
         print(path)
     for note in notes:
@@ -73,6 +76,18 @@ def _init(arguments: argparse.Namespace) -> int:
     else:
         print(f"next: put your numbers in, then heft preflight {files[0]}")
     return OK
+
+
+def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
+    """Where what is held is told, and what else could be meant."""
+    if link in drawn.links:
+        return (
+            f"link {link} has a mass in the URDF: it is taken for what is held. Name one without, of the last link",
+        )
+    if link in drawn.frames:
+        return ()
+    others = f"; --payload-link {' or '.join(drawn.tips)} for one of the URDF's own frames" if drawn.tips else ""
+    return (f"what is held is told in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
 def _ask(arguments: argparse.Namespace) -> None:

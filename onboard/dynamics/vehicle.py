@@ -233,7 +233,7 @@ class VehicleModel:
             SignalError: a sigma that is negative or not finite.
         """
         if set(relative) != set(self.links):
-            raise UnknownFrameError(f"give a relative sigma for each of {', '.join(self.links)} and for nothing else")
+            raise UnknownFrameError(self._who_lacks(relative))
         wrong = [link for link, value in relative.items() if not 0.0 <= value < np.inf]
         if wrong:
             raise SignalError(f"the relative sigma of {', '.join(wrong)} is negative or not finite; give zero or more")
@@ -245,3 +245,12 @@ class VehicleModel:
             scale = np.array([mass, *[mass * length] * 3, *[half_trace] * 6])
             sigma[10 * index : 10 * index + 10] = relative[link] * scale
         return sigma
+
+    def _who_lacks(self, relative: dict[str, float]) -> str:
+        """Which links have no sigma, and which names are of no link."""
+        said = ["give a relative sigma for each of the links with inertia and for nothing else"]
+        if lacking := [link for link in self.links if link not in relative]:
+            said.append(f"none is given of {', '.join(lacking)}: {lacking[0]} = 1.0 in [estimation.prior.relative]")
+        if unknown := [link for link in relative if link not in self.links]:
+            said.append(f"{', '.join(unknown)} is none of {', '.join(self.links)}: take it out, or correct the name")
+        return "; ".join(said)

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 
+CUTS_OFF = 2.2  # Hz, over the width in s: 3 dB
 ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed for h'', is smooth
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5

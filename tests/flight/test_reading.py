@@ -154,7 +154,7 @@ def test_the_same_settings_make_the_same_answers_and_others_are_shown(
         ("[estimation]\nsmothing_ms = 3\n", "did you mean 'smoothing_ms'"),
         ("[estimation\n", "not TOML"),
         ("[device.load_cell]\nkind = 'cia406'\n", "load_cell"),
-        ("[estimation.prior.relative]\nnose = 0.1\n", "give a relative sigma for each of"),
+        ("[estimation.prior.relative]\nnose = 0.1\n", "nose is none of"),
     ],
 )
 def test_settings_that_do_not_fit_are_told_under_their_own_name(

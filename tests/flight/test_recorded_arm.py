@@ -99,6 +99,8 @@ def weighed(root: Path) -> tuple[dict[str, Any], str]:
     values = {answer["name"]: answer for answer in told["quantities"]}
     mass = values["m_payload"]
     assert held["mass_kg"] == pytest.approx(mass["value"], rel=1e-12)
+    for name, left in told["left_over"].items():  # behind the kernel, of white noise or of somebody's gears
+        assert 0.0 < left["rms"] < 0.5 * left["of_rms"], name
     parts = told["budget"]["m_payload"]
     assert sum(part["share"] for part in parts) == pytest.approx(1.0)
     assert [part["sigma"] for part in parts] == sorted((part["sigma"] for part in parts), reverse=True)

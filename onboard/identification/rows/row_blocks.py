@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.consistency import BlockScores
 
-Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray], None]
-"""Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1)."""
+Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None]
+"""Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1), and by which sigma (m,)."""
 
 
 class RowBlocks:
@@ -59,7 +59,7 @@ class RowBlocks:
             noise: (m, s, p + 1) of the motion, per sigma of a signal.
         """
         if self.listener is not None:
-            self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None])
+            self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None], sigma)
         rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
         wider = None
         if noise is not None:

@@ -34,6 +34,7 @@ class Drawn(NamedTuple):
         last: link of the last of the joints; the root without one.
         frames: all links.
         efforts: largest torque of each joint [N m, N]; none where the URDF says none, or zero.
+        tips: links without a mass at the end of it, at which a tool could be.
         notes: what was changed in the copy, or has to be.
     """
 
@@ -44,6 +45,7 @@ class Drawn(NamedTuple):
     last: str
     frames: tuple[str, ...]
     efforts: dict[str, float]
+    tips: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -90,10 +92,11 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
         text = with_bodies(text, {root: PLACEHOLDER})
         notes.append(f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct")
     model = VehicleModel(text, VehicleSpec(BaseKind(base), root))
-    last = whole.joints[measured[-1]].child if measured else root
+    last = _hand(whole, measured) if measured else root
+    tips = [link for link in whole.group(last) if not whole.below(link) and link not in model.links]
     largest = {joint.name: float(model.model.effortLimit[joint.v_index]) for joint in model.joints}
     efforts = {name: effort for name, effort in largest.items() if 0.0 < effort < np.inf}
-    return Drawn(text, root, tuple(measured), model.links, last, tuple(whole.links), efforts, tuple(notes))
+    return Drawn(text, root, tuple(measured), model.links, last, tuple(whole.links), efforts, tuple(tips), tuple(notes))
 
 
 def with_frame(drawn: Drawn, name: str, parent: str) -> str:
@@ -118,6 +121,15 @@ def _outwards(drawing: urdf_reading.Drawing) -> dict[str, ET.Element]:
             if joint.moves:
                 moving[joint.name] = joint.element
     return moving
+
+
+def _hand(drawing: urdf_reading.Drawing, measured: Sequence[str]) -> str:
+    """The link that a payload is held by: that of the last measured joint, or what a gripper's jaws hang on."""
+    joint = drawing.joints[measured[-1]]
+    for link, carried in ((link, drawing.below(link)) for link in drawing.links):
+        if joint in carried and sum(one.moves or one.element.find("mimic") is not None for one in carried) > 1:
+            return link
+    return joint.child
 
 
 def _without(error: DrawingError, measured: Sequence[str]) -> str:

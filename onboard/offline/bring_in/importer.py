@@ -276,7 +276,7 @@ def _counts(
     lost, size = (float(np.sqrt(np.mean(x**2))) if x.size else 0.0 for x in (exact - counts, exact))
     if quantity.values == "physical" and lost > _MOST_ROUNDED * size:
         kept = f"counts of {quantity.count:g} {quantity.unit} leave {1.0 - lost / size:.0%} of {names!r}"
-        raise SourceError(f"{source}: {kept}; give the mapping a smaller scale")
+        raise SourceError(f"{source}: {kept}; give the mapping a smaller scale in the table that names this column")
     if quantity.values == "counts" and (bad := counts != exact).any():
         raise SourceError(
             f'{source}: {names!r} is no whole count in row {_first(bad)}; say values = "physical" in the mapping'

@@ -16,7 +16,7 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Level, Standing, Verdict, standing
-from onboard.offline.estimate_again.residuals import Residuals
+from onboard.offline.estimate_again.residuals import LeftOver, Residuals
 from onboard.offline.estimate_again.throws import Throw, plain
 
 
@@ -83,6 +83,8 @@ class Identified:
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
     budget: Mapping[str, tuple[Contribution, ...]] = field(default_factory=dict)  # what makes each answer so wide
+    left_over: Mapping[str, LeftOver] = field(default_factory=dict)  # by instrument, in its unit
+    band_Hz: float | None = None  # noqa: N815  # which smoothed rows are of
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
@@ -123,6 +125,8 @@ class Identified:
             "misfit": self.misfit,
             "observable": _observability(self.observability),
             "budget": {name: [one._asdict() for one in parts] for name, parts in self.budget.items()},
+            "left_over": {name: one._asdict() for name, one in self.left_over.items()},
+            "band_Hz": self.band_Hz,
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
             "throw": self.throw.as_json() if self.throw else None,

@@ -16,6 +16,7 @@ from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
 from onboard.dynamics.vehicle import STANDARD
+from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_model
@@ -197,6 +198,8 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         budget={} if thrown is not None else budget(who),
+        left_over=kept.left_over(who.block_jackknife().mean) if roles_of(vehicle).cells else {},
+        band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
         standings=standings(answers, useful),
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),

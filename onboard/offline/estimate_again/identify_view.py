@@ -118,6 +118,9 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         later, earlier, fit = (f"{100 * one.relative_error:.1f} %" for one in log.held_out)
         yield "held out", f"later half predicted from the earlier to {later}, earlier from the later to {earlier}"
         yield "", f"left over by the fit of all: {fit}"
+    if log.left_over and log.band_Hz is not None:
+        each = (f"{name} {one.rms:.2g} of {one.of_rms:.2g}" for name, one in log.left_over.items())
+        yield "unweighted", f"rms below {log.band_Hz:.2g} Hz, in the unit of each: {', '.join(each)}"
     if log.misfit is not None:
         yield "misfit", f"{log.misfit:.2f} of the noise"
     if log.observability is not None:
@@ -133,6 +136,9 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
             moved = "; most likely possible body: the estimate is physically impossible" if one.away else ""
             yield one.link, said + moved
+    if log.refused.get("stuck"):
+        said = "readings repeat where they must change; where a recorder writes them more than once, say repeats = true"
+        yield "stuck", f"{said} in the [device] of its channel"
     left_out = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in log.refused.items())
     yield "rows", f"{log.rows_used} used; left out: {left_out or 'none'}"
 

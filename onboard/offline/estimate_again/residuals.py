@@ -5,6 +5,7 @@ likelihood not at all.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,17 @@ MOST = 60_000  # rows that are kept: the first
 Residuals = dict[str, FloatArray]  # by series, (ticks,) in sigmas; NaN where none was used
 
 
+class LeftOver(NamedTuple):
+    """Of an instrument, in its unit: N m of a torque."""
+
+    rms: float  # of what is left over
+    of_rms: float  # of what it read, both sides smoothed
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values * values)))
+
+
 class KeptRows:
     """Rows of an identifier.
 
@@ -25,20 +37,29 @@ class KeptRows:
 
     def __init__(self, instruments: Sequence[str]) -> None:
         self._instruments = instruments
-        self._kept: list[tuple[FloatArray, NDArray[np.intp], FloatArray]] = []
+        self._kept: list[tuple[FloatArray, NDArray[np.intp], FloatArray, FloatArray]] = []
         self._count = 0
 
-    def keep(self, times_s: FloatArray, instrument: NDArray[np.intp], rows: FloatArray) -> None:
-        """Rows ``[Y, y]`` (m, p + 1), whitened, with their times and instruments, (m,)."""
+    def keep(self, times_s: FloatArray, instrument: NDArray[np.intp], rows: FloatArray, sigma: FloatArray) -> None:
+        """Rows ``[Y, y]`` (m, p + 1), whitened by ``sigma``, with their times and instruments, (m,) each."""
         if self._count < MOST:
             self._count += len(rows)
-            self._kept.append((times_s, instrument, rows))
+            self._kept.append((times_s, instrument, rows, sigma))
+
+    def left_over(self, mean: FloatArray) -> dict[str, "LeftOver"]:
+        """What base parameters ``mean`` (p,) leave of each instrument's readings, every row alike."""
+        if not self._kept:
+            return {}
+        _, instrument, rows, sigma = (np.concatenate(part) for part in zip(*self._kept, strict=True))
+        left, read = (part * sigma for part in (rows @ np.append(-mean, 1.0), rows[:, -1]))
+        each = {name: instrument == number for number, name in enumerate(self._instruments)}
+        return {name: LeftOver(_rms(left[mine]), _rms(read[mine])) for name, mine in each.items() if mine.any()}
 
     def residuals(self, mean: FloatArray, period_s: float) -> Residuals:
         """Of base parameters ``mean`` (p,), ticks ``period_s`` apart; rows of one instrument at a tick by number."""
         if not self._kept:
             return {}
-        times_s, instrument, rows = (np.concatenate(part) for part in zip(*self._kept, strict=True))
+        times_s, instrument, rows, _ = (np.concatenate(part) for part in zip(*self._kept, strict=True))
         left = rows @ np.append(-mean, 1.0)
         tick = np.round((times_s - times_s[0]) / period_s).astype(np.int64)
         tick -= tick.min()

@@ -12,6 +12,7 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.rows.held_out import halves
@@ -24,7 +25,6 @@ WIDTHS_ms = (100.0, 200.0, 400.0, 800.0)
 _FEWEST_SAMPLES = 8  # under a kernel: a spline of order 8 has as many pieces
 _ROWS, _ROWS_TRIED = 10.0, 5.0  # in a width: as 100 Hz makes in 100 ms; enough to compare widths, for half the time
 _ALIKE = 1.02  # times the least error: as good; the narrowest of those tells most
-_CUTS_OFF = 2.2  # over the width: 3 dB (:mod:`onboard.estimation.smoothing`)
 
 
 class Choice(NamedTuple):
@@ -62,7 +62,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> Choice | None:
     errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
     best_ms = next(width_ms for width_ms, error in errors.items() if error <= _ALIKE * min(errors.values()))
     each = ", ".join(f"{error:.1%} by {width_ms:g} ms" for width_ms, error in errors.items())
-    band_Hz = 1e3 * _CUTS_OFF / best_ms
+    band_Hz = 1e3 * CUTS_OFF / best_ms
     said = (
         f"estimation.smoothing_ms: {best_ms:g}, for motion below {band_Hz:.2g} Hz; left over of the other half: {each}"
     )

@@ -152,3 +152,38 @@ def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_p
     sigma = np.sqrt(np.diag(identifier.base.covariance(identifier.taken.prior_root)))[told]
     assert sum(told) == 7
     np.testing.assert_allclose(np.std(np.array(found)[:, told], axis=0), sigma, rtol=0.12)
+
+
+_GRIPPER = """<robot name="a"><link name="world"/>
+<joint name="w" type="fixed"><parent link="world"/><child link="link_0"/></joint>{links}
+<joint name="j_1" type="revolute"><parent link="link_0"/><child link="link_1"/><axis xyz="0 1 0"/>
+<limit effort="87" velocity="2" lower="-2" upper="2"/></joint>
+<joint name="h" type="fixed"><parent link="link_1"/><child link="hand"/></joint>
+<joint name="f_1" type="prismatic"><parent link="hand"/><child link="jaw_1"/><axis xyz="0 1 0"/>
+<limit effort="20" velocity="0.2" lower="0" upper="0.04"/></joint>
+<joint name="f_2" type="prismatic"><parent link="hand"/><child link="jaw_2"/><axis xyz="0 -1 0"/>
+<mimic joint="f_1"/><limit effort="20" velocity="0.2" lower="0" upper="0.04"/></joint>
+<joint name="t" type="fixed"><parent link="hand"/><child link="tcp"/></joint><link name="tcp"/></robot>"""
+
+
+def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Somebody's arm with a gripper, whose jaws are its last joints, and a frame for its tool."""
+    link = (
+        '<link name="{}"><inertial><mass value="2"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    links = "".join(link.format(name) for name in ("link_0", "link_1", "hand", "jaw_1", "jaw_2"))
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(_GRIPPER.format(links=links))
+    asked = ["--base", "fixed", "--encoder", "recorded", "--urdf", str(urdf)]
+    for name, more, said in (
+        ("all", [], "in a new link 'payload' at the origin of hand; --payload-link tcp"),
+        ("arm", ["--joints", "j_1"], "in a new link 'payload' at the origin of link_1; --payload-link tcp"),
+        ("link", ["--payload-link", "hand"], "link hand has a mass in the URDF"),
+    ):
+        assert cli.main(["init", str(tmp_path / name), *asked, *more]) == cli.OK
+        assert said in capsys.readouterr().out
+    assert cli.main(["init", str(tmp_path / "tip"), *asked, "--payload-link", "tcp"]) == cli.OK
+    assert "what is held" not in capsys.readouterr().out
+    mount = (tmp_path / "all" / "vehicle.urdf").read_text().split("payload_mount")[1]
+    assert '<parent link="hand"/>' in mount.split("</joint>")[0]
