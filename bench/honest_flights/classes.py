@@ -118,6 +118,11 @@ def _scale(device: str) -> Draw:
     return made
 
 
+def _step(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    by, at_s = 0.01 * size * float(rng.choice([-1.0, 1.0])), float(rng.uniform(12.0, 24.0))
+    return {}, [fault("wrong", "load_cell", at_s, by)]
+
+
 def _late(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     del size
     return {}, [fault("delayed", str(rng.choice(JOINTS)), 0.0, 0.0025)]
@@ -155,6 +160,7 @@ CLASSES = {
     "IMU turned": Class("wrong file", "dymaflex", ("imu_base",), _turned),
     "cell 10 %": Class("scale of a cell", "dymaflex", ("load_cell",), _scale("load_cell"), 10.0),
     "cell 5 %": Class("scale of a cell", "dymaflex", ("load_cell",), _scale("load_cell"), 5.0),
+    "cell steps by 2 %": Class("scale of a cell", "dymaflex", ("load_cell",), _step, 2.0),
     "drag": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _DRAG_WRENCH),
     "leak": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _LEAK_WRENCH),
     "drag, no cell": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _DRAG_WRENCH, without="load_cell"),

@@ -25,6 +25,7 @@ from scipy.special import chdtrc
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.change import Change
+from onboard.identification.corrections import DOUBTFUL
 
 _IMPROBABLE = 1e-9  # chance of an instrument's innovation in a batch below which it is refused
 _CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
@@ -34,7 +35,7 @@ _HARDLY = 0.5  # share of the ticks in which the reference has to be there
 _ABSENT_BATCHES = 10  # in a row: it is left out
 _GAIN_WINDOWS = (5, 10, 20)  # batches
 _MISLED_BATCHES = 64  # for which a scale that is off may have misled the estimate before it shows
-_GAIN_SIGMAS, _GAIN_STATED = 6.0, 5.0  # of a window's scale error: of its standard error, and of the stated sigma
+_GAIN_SIGMAS = 6.0  # of a window's scale error, of its standard error; and DOUBTFUL stated sigmas
 
 
 class Accusation(NamedTuple):
@@ -226,7 +227,7 @@ class Fusion:
         for window in _GAIN_WINDOWS:
             if window <= len(sums):
                 along, squares = sums[window - 1]
-                if along**2 > _GAIN_SIGMAS**2 * squares and abs(along) > _GAIN_STATED * stated * squares:
+                if along**2 > _GAIN_SIGMAS**2 * squares and abs(along) > DOUBTFUL * stated * squares:
                     return window
         return 0
 
