@@ -48,6 +48,13 @@ class Interval(NamedTuple):
     high: FloatArray
 
 
+class NoiseScale(NamedTuple):
+    """How much larger the rows' noise is than stated."""
+
+    variance: float  # over the stated one
+    freedom: float  # degrees of freedom
+
+
 class BlockScores(TimeBlocks):
     """Normal equations per block of time, in constant memory.
 
@@ -148,6 +155,8 @@ class JackknifeEstimate:
         considered_sigma: standard deviations of the considered parameters, (k,); or a root of their covariance, (k, k).
         level: coverage of the two-sided intervals.
         noise_sigma: relative standard deviation of the stated power of the regressor's noise.
+        scale: of the rows' noise, by the scatter of all blocks and directions, which is known better than that of one:
+            no variance is below it, and its degrees of freedom count.
 
     Attributes:
         mean: the estimate, (p,), corrected for regressor noise.
@@ -159,6 +168,8 @@ class JackknifeEstimate:
         RowError: wrong number of considered sigmas, or a level outside (0, 1).
     """
 
+    _scale: NoiseScale | None = None
+
     def __init__(
         self,
         rls: SquareRootRls,
@@ -166,9 +177,11 @@ class JackknifeEstimate:
         considered_sigma: ArrayLike = (),
         level: float = 0.95,
         noise_sigma: float = 0.2,
+        scale: NoiseScale | None = None,
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)
         self.level, self.floored = level, True
+        self._scale = scale
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         self.mean, plain, T, R, noise, x, keep, signal, A0, shared = _corrected(rls, blocks)
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
@@ -205,15 +218,20 @@ class JackknifeEstimate:
         return (b - 1) / b if b else 0.0
 
     @property
+    def _least(self) -> float:
+        return 1.0 if self._scale is None else self._scale.variance
+
+    @property
     def covariance(self) -> FloatArray:
         """Covariance of the estimate with all corrections but Student's, (p, p); at least the formal one."""
         rows = self._moves.T @ self._moves * self._rows_weight() + self._prior_half @ self._prior_half.T
         if not self.floored:
             return np.asarray(rows + self._common @ self._common.T, np.float64)
-        # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below one.
+        # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below that of
+        # the noise.
         inverse = np.linalg.inv(self._root)
         values, vectors = np.linalg.eigh(inverse @ rows @ inverse.T)
-        half = self._root @ vectors * np.sqrt(np.maximum(values, 1.0))
+        half = self._root @ vectors * np.sqrt(np.maximum(values, self._least))
         return np.asarray(half @ half.T + self._common @ self._common.T, np.float64)
 
     def causes(self, weights: ArrayLike) -> FloatArray:
@@ -255,13 +273,40 @@ class JackknifeEstimate:
         share = np.maximum((w @ self._shares * w).sum(axis=2), 0.0)  # (b, r)
         total, squares = share.sum(axis=0), (share**2).sum(axis=0)
         freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
+        if self._scale is not None:
+            freedom = np.full_like(total, self._scale.freedom)
         variance = jackknife + prior
         if self.floored:
-            variance = np.maximum(variance, self.formal_variance(w))
+            variance = np.maximum(variance, self._least * self.formal_variance(w))
         t = stdtrit(freedom, 0.5 + 0.5 * self.level)
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
         half = np.sqrt(t**2 * variance + z**2 * common)
         return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half)
+
+
+def noise_scale(normal: FloatArray, scores: FloatArray, covariance: FloatArray) -> NoiseScale:
+    """How much larger the rows' noise is than stated, as a variance, by the scores of all blocks and directions.
+
+    A block's score has the covariance ``H_b - H_b C H_b`` where the noise is as stated, so with
+    ``num = sum s_b' C s_b`` and ``Q_b = C (H_b - H_b C H_b)`` the scale is ``num / sum tr Q_b``; its degrees of freedom
+    are ``(sum tr Q_b)^2 / sum tr Q_b^2`` (Satterthwaite, 1946).
+
+    Args:
+        normal: H_b of each block, (b, p, p).
+        scores: s_b of each at the estimate, (b, p).
+        covariance: C of the estimate at the stated noise, prior included, (p, p).
+
+    Returns:
+        As stated, with no degrees of freedom, where there is no information.
+    """
+    CH = covariance @ normal  # (b, p, p)
+    Q = CH - CH @ CH
+    expected = float(np.trace(Q, axis1=1, axis2=2).sum())
+    squares = float(np.einsum("bij,bji->", Q, Q))
+    if not expected > 0.0 or not squares > 0.0:
+        return NoiseScale(1.0, 0.0)
+    found = float(np.einsum("bi,ij,bj->", scores, covariance, scores))
+    return NoiseScale(found / expected, expected**2 / squares)
 
 
 class _Corrected(NamedTuple):

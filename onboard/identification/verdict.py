@@ -10,7 +10,8 @@ The rules, from worst to best; every applicable reason is listed:
 - *weak*: a requested quantity is not determined (it is named), or not known well enough
   (:mod:`onboard.identification.useful`); one half predicts the other with an error above 50 %; a correction lies three
   sigmas out; the log is too short to hold out a half.
-- *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are told with any level.
+- *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are told with any level, and so
+  is it where more than one row in twenty was refused because a reading repeats.
 
 Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
 rows: above four times the number of rows it is not noise. This alone is not a reason for refusal: friction and gears
@@ -141,7 +142,7 @@ def verdict(evidence: Evidence) -> Verdict:
         elif held_out.worst.relative_error >= WEAKLY_PREDICTED:
             reasons.append(said)
     level = Level.DO_NOT_USE if bad else Level.WEAK if weak or reasons else Level.GOOD
-    return Verdict(level, (*bad, *reasons, *evidence.findings.widened), weak)
+    return Verdict(level, (*bad, *reasons, *evidence.findings.widened, *_repeated(evidence)), weak)
 
 
 def _contradictions(evidence: Evidence) -> list[str]:
@@ -167,6 +168,18 @@ def _contradictions(evidence: Evidence) -> list[str]:
             "frames and units, and the sensors against each other"
         )
     return said
+
+
+def _repeated(evidence: Evidence) -> list[str]:
+    """What is told, at any level, of rows that were refused because a reading repeats."""
+    stuck = evidence.refused.get("stuck", 0)
+    share = stuck / (evidence.rows_used + stuck)
+    if share <= MOST_CONTRADICTED:
+        return []
+    return [
+        f"{share:.0%} of the rows were refused, as a reading repeats where it must change; if that is how it was "
+        "recorded, give its device repeats = true"
+    ]
 
 
 def _together(standings: Mapping[str, Standing], level: Level) -> list[str]:

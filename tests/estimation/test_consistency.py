@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
-from onboard.estimation.consistency import BlockScores, JackknifeEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate, NoiseScale, noise_scale
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.memory import RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
@@ -278,6 +279,43 @@ def test_bad_rows_are_refused(rows):
     with pytest.raises(RowError):
         store.add(*rows)
     assert store.count == 0
+
+
+def test_no_variance_is_below_that_of_the_noise_and_its_freedom_counts(rng):
+    at = np.arange(0, 6, PERIOD_S)
+    Y = motion(at)
+    y = Y @ TRUTH + 0.1 * rng.normal(size=at.size)
+    rls, blocks = SquareRootRls(3), BlockScores(3, 0.5)
+    rls.prior(*PRIOR)
+    rls.update(Y, y, np.full(at.size, 0.1))
+    blocks.add(at, Y, y, np.full(at.size, 0.1))
+    found = JackknifeEstimate(rls, blocks, scale=NoiseScale(25.0, 30.0))
+    interval = found.combination(np.eye(3))
+    np.testing.assert_allclose(interval.sigma, 5.0 * np.sqrt(found.formal_variance(np.eye(3))), rtol=1e-9)
+    np.testing.assert_allclose(interval.high - interval.mean, stdtrit(30.0, 0.975) * interval.sigma, rtol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), interval.sigma, rtol=1e-6)
+    low = JackknifeEstimate(rls, blocks, scale=NoiseScale(0.01, 30.0)).combination(np.eye(3))
+    own = JackknifeEstimate(rls, blocks).combination(np.eye(3))
+    assert (low.sigma <= own.sigma).all()
+    assert (low.sigma > 0.5 * own.sigma).all()
+
+
+def test_scores_tell_the_scale_of_the_noise(rng):
+    """Noise three times as large as stated, correlated within blocks or not: the variance of the blocks' scores."""
+    H = np.array([(A := rng.normal(size=(30, 3))).T @ A for _ in range(40)])
+    scales = []
+    for _ in range(200):
+        g = np.array([np.linalg.cholesky(one) @ rng.normal(size=3) for one in H]) * 3.0
+        C = np.linalg.inv(H.sum(axis=0))
+        scales.append(noise_scale(H, g - H @ (C @ g.sum(axis=0)), C))
+    assert np.mean([scale for scale, _ in scales]) == pytest.approx(9.0, rel=0.03)
+    freedom = scales[0][1]
+    assert 0.8 * 39 * 3 < freedom < 39 * 3  # blocks are not alike
+    assert np.var([scale for scale, _ in scales]) == pytest.approx(2.0 * 81.0 / freedom, rel=0.3)  # Satterthwaite's
+
+
+def test_no_rows_tell_no_scale():
+    assert noise_scale(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.eye(2)) == (1.0, 0.0)
 
 
 def test_no_rows_are_no_block():

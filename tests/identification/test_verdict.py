@@ -41,6 +41,17 @@ def test_good_data_are_good():
     assert found.text == "good"
 
 
+@pytest.mark.parametrize(("stuck", "told"), [(50, False), (60, True)])
+def test_readings_that_repeat_are_told_of_good_data_too(stuck, told):
+    """A count that is written twice looks stuck: of 1000 rows and these, one in twenty is 52."""
+    found = verdict(evidence(refused={"stuck": stuck}))
+    assert found.level is Level.GOOD
+    assert (found.text != "good") == told
+    if told:
+        assert found.text.startswith("good: 6% of the rows were refused, as a reading repeats")
+        assert "repeats = true" in found.text
+
+
 def test_what_is_not_determined_is_named():
     found = verdict(evidence(asked={"mass": True, "I_xx": False, "I_zz": False}))
     assert found.level is Level.WEAK

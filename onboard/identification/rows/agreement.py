@@ -75,7 +75,8 @@ class InstrumentFit(NamedTuple):
     instrument: str
     rows: float
     misfit: float  # residual sum over that of the noise at the estimate, of the kind of rows that is explained worst
-    unexplained: float  # share of these readings, bias aside, that the estimate leaves over
+    unexplained: float  # share of these readings, bias aside, that the estimate leaves over; of rows that read nothing,
+    # of what the known bodies alone leave over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
     still: float  # part of what is left over that was read while, by the encoders, nothing moved
     step: Step | None  # None where there is not enough to be cut
@@ -86,6 +87,7 @@ def instrument_fits(
     mean: FloatArray,
     plain: FloatArray,
     drawn: FloatArray,
+    known: FloatArray,
     physical: BoolArray,
     prior: FloatArray,
     correlation: float,
@@ -98,6 +100,7 @@ def instrument_fits(
         mean: the estimate, (p,).
         plain: that of the plain least squares, (p,).
         drawn: base parameters of the drawing, (p,).
+        known: those of the drawing without the unknown body, (p,): what it leaves of rows of a wrench that is zero.
         physical: which parameters are of bodies, and not of an instrument, (p,).
         prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
@@ -126,7 +129,8 @@ def instrument_fits(
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
             lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
-            unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
+            whole = left.sum() + sums[1] if sums[3] else _sums(of_rows + noise, known).sum()
+            unexplained = min(1.0, np.sqrt(left.sum() / whole)) if whole else 1.0
             of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
             expected = blocks.own(held, number) + correlation * min(of_motion[0], max(of_motion[1:]))
             misfit = float(left.sum() / expected)

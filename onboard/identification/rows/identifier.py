@@ -35,7 +35,7 @@ from onboard.identification.rows.drawing import answered, judged_drawing, unstat
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
-from onboard.identification.rows.prediction import prediction
+from onboard.identification.rows.prediction import prediction, without_unknown
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.scales import estimated_scales, fill_scales
 from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
@@ -140,7 +140,7 @@ class Identifier:
         self._corrections = FittedCorrections(p, considered, block_s, moved) if free and self._of_motion else None
         self.fits_errors = self._corrections is not None and memory == FOR_EVER  # the fit is of all times
         self._errors = ConsideredErrors(considered, model, self._fold, p)
-        if self._of_motion and not free and memory == FOR_EVER:
+        if self._of_motion and memory == FOR_EVER:
             self._errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
@@ -254,7 +254,9 @@ class Identifier:
         times = signals.time_s[at][tick]
         rows, y, sigma = rows[kept], y[kept], sigma[kept]
         doubt = None if doubt is None else doubt[kept]
-        mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(len(self.base.names))
+        # Of a free base with these rows taken in, as the estimate before them may be the prior's.
+        about = self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)
+        mean = about.solve().mean if self._of_motion else np.zeros(len(self.base.names))
         D = self._errors.factors(signals, at, use, attached)
         noisy = NoisyRows(rows, y, D, sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:
@@ -266,13 +268,9 @@ class Identifier:
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
         self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, own, doubt)
-        if self._corrections is not None and C is not None:
-            self._corrections.add(times, rows, y, sigma, C, doubt, mean)
+        if self._corrections is not None and noisy.C is not None:
+            self._corrections.add(times, rows, y, sigma, noisy.C, doubt, mean)
         self.rows_used += y.size
-
-    def _on_trial(self, rows: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
-        """The estimate, (p,); of a free base with these rows taken in, as that before them may be the prior's."""
-        return (self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)).solve().mean
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
@@ -317,7 +315,8 @@ class Identifier:
         if self._fitted is None or self._fitted[0] != self.rows_used:
             mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
-            asked = mean, plain, drawn, self._physical, prior, self._inflation**2, self._recorded_apart
+            bodies = drawn, without_unknown(self.model, self.base), self._physical
+            asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
             self._fitted = self.rows_used, instrument_fits(self.seen, *asked)
         return self._fitted[1]
 
@@ -338,9 +337,9 @@ class Identifier:
         if self._corrections is None or not self.fits_errors:
             return None
         if self._corrected is None or self._corrected[0] != self.rows_used:
-            left_over = prediction(self.seen, self.model, self.base, self.block_jackknife(exact=True).mean)
-            equations = self.rls.prior_equations()
-            self._corrected = self.rows_used, self._corrections.fitted(*equations, left_over.relative_error)
+            mean = self.block_jackknife(exact=True).mean
+            left_over = prediction(self.seen, self.model, self.base, mean).relative_error
+            self._corrected = self.rows_used, self._corrections.fitted(*self.rls.prior_equations(), left_over, mean)
         return self._corrected[1]
 
     def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate:
@@ -352,9 +351,10 @@ class Identifier:
         self._errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
-        if taken.rls is self.rls:
+        if self._instruments is not None:
             return self.recursion.block_jackknife(sigma, level)
-        return JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, level)
+        own = taken.rls, self.recursion.blocks, sigma, level
+        return JackknifeEstimate(*own, scale=None if fitted is None else fitted.noise)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

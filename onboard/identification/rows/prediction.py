@@ -41,8 +41,11 @@ def reference_of(model: RowModel, base: BaseParameters, normal: FloatArray) -> F
     Where all rows are of wrenches that are zero, nothing was measured; an error is compared with what the unknown body
     takes part in: the residual of the vehicle as drawn without the payload, or without its base if it has no payload.
     """
-    if normal[-2, -2] > 0.0:
-        return np.zeros(len(base.names))
+    return np.zeros(len(base.names)) if normal[-2, -2] > 0.0 else without_unknown(model, base)
+
+
+def without_unknown(model: RowModel, base: BaseParameters) -> FloatArray:
+    """Base parameters of the vehicle as drawn without the payload, or without its base if it has no payload, (p,)."""
     vehicle, chi = model.vehicle, model.chi.copy()
     unknown = vehicle.payload_columns()
     if unknown.stop == 0:

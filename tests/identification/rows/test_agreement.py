@@ -29,7 +29,7 @@ def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), np.full(n, sigma), None)
-    return instrument_fits(seen, mean, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    return instrument_fits(seen, mean, mean, drawn, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_honest_rows_have_nothing_against_them(rng):
@@ -59,7 +59,7 @@ def noisy_fits(rng, late_s, vibration, jump=0.06, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
-    return instrument_fits(seen, mean, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    return instrument_fits(seen, mean, mean, drawn, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_vibration_of_a_fast_sweep_hides_no_step_that_a_slow_one_shows():
@@ -93,7 +93,7 @@ def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
         rows.append((Y, y))
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
     physical = np.array([True, True, False, False])
-    fits = instrument_fits(seen, mean, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    fits = instrument_fits(seen, mean, mean, mean, np.zeros(4), physical, 1e-6 * np.eye(4), 1.0)
     for fit, sign in zip(fits, (-1.0, 1.0), strict=True):
         assert fit.step is not None
         assert fit.step.size == pytest.approx(0.1 * sign, rel=0.2)
@@ -137,7 +137,21 @@ def two_cells(rng, noises):
         seen.add(t, held, np.full(t.size, number), Y, y, 0.01 * one, 0.01 * one, None)
         rows.append((Y, y))
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
-    return instrument_fits(seen, mean, mean, mean, np.arange(4) < 2, 1e-6 * np.eye(4), 1.0)
+    return instrument_fits(seen, mean, mean, mean, np.zeros(4), np.arange(4) < 2, 1e-6 * np.eye(4), 1.0)
+
+
+def test_what_is_left_of_a_wrench_that_is_zero_is_a_share_of_what_the_known_bodies_leave(rng):
+    """Body and wheel balance, and nothing is read: a tenth of what the wheel alone leaves over is a tenth."""
+    t = 0.01 * np.arange(2000)
+    wheel = 2.0 * np.sin(5.0 * t)
+    Y, none, one = np.column_stack([-wheel / 0.5, wheel]), np.zeros(t.size), np.ones(t.size)
+    Y[:, 0] += 0.1 * np.sqrt(2.0) / 0.5 * rng.normal(size=t.size)
+    seen = RowBlocks(2, 0.5, ("base IMU",))
+    seen.add(t, np.zeros(t.size, np.bool_), np.zeros(t.size, np.intp), Y, none, 0.01 * one, 0.01 * one, None)
+    mean, known, physical = np.array([0.5, 1.0]), np.array([0.0, 1.0]), np.ones(2, np.bool_)
+    [fit] = instrument_fits(seen, mean, mean, mean, known, physical, 1e-6 * np.eye(2), 1.0)
+    assert fit.unexplained == pytest.approx(0.1, abs=0.005)
+    assert judged_fit(fit, 1.0) == ([], [])
 
 
 def test_what_the_other_cell_leaves_over_is_no_step_of_this_one():
@@ -156,7 +170,7 @@ def test_a_step_that_a_released_payload_would_take_up_is_none(rng):
     seen = RowBlocks(4, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, 0.002 * one, 0.002 * one, None)
     mean, physical = np.linalg.lstsq(Y, y, rcond=None)[0], np.array([True, True, True, False])
-    [fit] = instrument_fits(seen, mean, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    [fit] = instrument_fits(seen, mean, mean, mean, np.zeros(4), physical, 1e-6 * np.eye(4), 1.0)
     assert fit.step is None or abs(fit.step.time_s - 10.0) > 0.5
     assert judged_fit(fit, 1.0)[0] == []
 
@@ -171,7 +185,7 @@ def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     mean = np.linalg.lstsq(Y / sigma[:, None], y / sigma, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
-    fit = instrument_fits(seen, mean, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, mean, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.step is not None
     if scale == 1.0:
         assert judged_fit(fit, 1.0) == ([], [], [])
@@ -210,7 +224,9 @@ def test_rows_that_read_nothing_have_no_gain(rng):
     Y = np.column_stack([np.sin(5.0 * t), np.sin(5.0 * t) * np.where(t > 3.0, 1.4, 1.0) + 0.1, np.full(n, 0.1)])
     seen = RowBlocks(3, 0.5, ("base IMU",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, np.zeros(n), np.full(n, sigma), np.full(n, sigma), None)
-    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)
+    [fit] = instrument_fits(
+        seen, np.array([1.0, -0.9, 0.5]), TRUTH, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0
+    )
     assert fit.step is None
     assert np.isnan(fit.response)
 
@@ -236,7 +252,7 @@ def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
     wide, own = np.full(t.size, noise * 100.0), np.full(t.size, 0.002)
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, wide, own, doubt)
-    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.misfit == pytest.approx(0.5 * 0.4**2 / (own[0] ** 2 + (noise * TRUTH[0]) ** 2), rel=0.05)
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -251,7 +267,7 @@ def test_rows_without_the_payload_are_judged_by_themselves(rng):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), np.full(t.size, 0.002), None)
-    fit = instrument_fits(seen, mean, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, mean, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.unexplained > 0.4
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -266,7 +282,7 @@ def test_a_parameter_that_ran_away_lets_the_noise_of_the_motion_explain_nothing(
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, own, own, doubt)
     away = TRUTH + np.array([0.0, 40.0, 0.0])
-    fit = instrument_fits(seen, away, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, away, TRUTH, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.misfit > 100.0
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -279,7 +295,7 @@ def test_a_kind_of_rows_that_noise_explains_hides_none_that_it_does_not(rng):
     y = Y @ TRUTH + np.where(held, 0.5 * (np.sin(5.0 * t - 0.5) - np.sin(5.0 * t)), 0.0) + 0.002 * rng.normal(size=4000)
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, own, own, None)
-    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
 

@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
+from onboard.identification.rows import fitted_corrections
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.fitted_corrections import FittedCorrections
 
 TOLD = Considered("scale of a", "cell", "scale", 0.1)
 HIDDEN = Considered("scale of b", "cell", "scale", 0.1)  # its effect is the first parameter's
 PRIOR = 1e-6 * np.eye(2), np.zeros(2)
+
+
+def factors(C):
+    """Of effects that no parameter changes, (m, k (2 + 1))."""
+    return np.stack([np.zeros_like(C), np.zeros_like(C), C], axis=2).reshape(len(C), -1)
 
 
 def fitted(rng, size, ticks=400):
@@ -18,16 +24,15 @@ def fitted(rng, size, ticks=400):
     C = np.column_stack([np.sin(3.0 * time_s), Y[:, 0]])
     y = Y @ chi + C @ [size, 0.05] + 0.05 * rng.normal(size=ticks)
     one = FittedCorrections(2, (TOLD, HIDDEN), 0.1)
-    one.add(time_s, Y, y, np.full(ticks, 0.05), C, None, chi)
-    return one.fitted(*PRIOR, 0.02)
+    one.add(time_s, Y, y, np.full(ticks, 0.05), factors(C), None, chi)
+    return one.fitted(*PRIOR, 0.02, chi)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1, -0.3])
 def test_an_error_that_rows_tell_is_as_large_as_it_is(rng, size):
     found = fitted(rng, size)
     rms = np.sqrt(np.diag(found.root @ found.root.T))
-    of_40_blocks = 2.0227 / 1.96  # Student's t
-    assert rms[0] == pytest.approx(of_40_blocks * np.hypot(size, 0.006), abs=0.006)  # of its fit: 0.05 / sqrt(400 / 2)
+    assert rms[0] == pytest.approx(np.hypot(size, 0.006), abs=0.006)  # of its fit: 0.05 / sqrt(400 / 2)
     assert set(found.in_sigmas) == {TOLD.name}
 
 
@@ -44,3 +49,36 @@ def test_what_is_left_of_it_covers_it_as_often_as_it_should():
         size = 0.1 * rng.normal()
         squares.append(size**2 / (fitted(rng, size, 60).root ** 2)[0].sum())
     assert 0.4 < np.mean(squares) < 1.05
+
+
+def test_noise_beyond_what_is_stated_widens_what_is_left():
+    """Rows three times as noisy as their sigma: nine times the variance, by the scatter of the blocks."""
+    scales = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        time_s = 0.01 * np.arange(400)
+        Y, C = rng.normal(size=(400, 2)), np.sin(3.0 * time_s)[:, None]
+        one = FittedCorrections(2, (TOLD,), 0.1)
+        y = Y @ [2.0, -1.0] + 0.15 * rng.normal(size=400)
+        one.add(time_s, Y, y, np.full(400, 0.05), factors(C), None, np.ones(2))
+        found = one.fitted(*PRIOR, 0.02, np.ones(2))
+        assert found.noise is not None
+        scales.append(found.noise[0])
+        assert 20.0 < found.noise[1] < 120.0  # 40 blocks, three directions
+    assert np.mean(scales) == pytest.approx(9.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("kept", "size"), [(10**6, 0.2), (0, 0.1)])
+def test_an_effect_is_taken_at_the_last_estimate_while_its_rows_are_kept(rng, monkeypatch, kept, size):
+    """Twice the parameter is half the error: rows were added with the parameter at twice its value."""
+    monkeypatch.setattr(fitted_corrections, "_MOST_KEPT", kept)
+    time_s, chi = 0.01 * np.arange(400), np.array([2.0, -1.0])
+    Y, wave = rng.normal(size=(400, 2)), np.sin(3.0 * time_s)
+    D = np.stack([wave, 0.0 * wave, 0.0 * wave], axis=1)  # of one error, on the first parameter
+    y = Y @ chi + 0.2 * (D @ [*chi, 1.0]) + 0.001 * rng.normal(size=400)
+    one = FittedCorrections(2, (Considered("scale of a", "cell", "scale", 1.0),), 0.1)
+    for first in range(0, 400, 100):
+        part = slice(first, first + 100)
+        one.add(time_s[part], Y[part], y[part], np.full(100, 0.001), D[part], None, 2.0 * chi)
+    [[rms]] = one.fitted(*PRIOR, 0.001, chi).root
+    assert rms == pytest.approx(size, rel=0.03)

@@ -257,6 +257,9 @@ def test_real_throws_are_within_the_bars(logs: list[Path], record_property) -> N
         assert summary.mean_percent <= 1.6
         assert summary.worst_percent <= 4.0
         assert summary.within_bars
+        thrown = [log.throw for log in found.logs if log.throw and log.throw.load.name == name]
+        alone = [(one.high - one.moments) / one.moments for throw in thrown if (one := throw.principal)]
+        assert np.median(alone) <= {"config_a": 0.095, "config_b": 0.08}[name]
         assert summary.together is not None
         assert (pooled := summary.together.principal) is not None
         assert np.median((pooled.high - pooled.moments) / pooled.moments) <= 0.06
@@ -284,6 +287,7 @@ def test_spoilt_copies_of_real_throws_are_not_good_and_wrong(logs: list[Path]) -
     for name in (
         "gyro x 1.03",
         "gyro x 1.1",
+        "gyro x 0.9",
         "gyro x sign",
         "accel yz swapped",
         "wheel 10 ms late",
