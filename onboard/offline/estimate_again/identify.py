@@ -182,7 +182,11 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
     useful = useful_of(vehicle)
-    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown, useful))
+    findings = who.findings()
+    if load is not None:
+        unlike = throws.unlike_the_carrier(vehicle, load, estimate)
+        findings = findings._replace(doubts=(*findings.doubts, *unlike))
+    evidence = evidence._replace(findings=findings, standings=_standings(estimate, thrown, useful))
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(

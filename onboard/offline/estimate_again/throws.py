@@ -17,9 +17,11 @@ import tomli_w
 
 from onboard import config
 from onboard.dynamics.inertia import RigidBody, elements, symmetric
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.corrections import contradicted
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.free_body import (
     FREE_BODY,
+    INERTIA,
     KnownBody,
     PrincipalMoments,
     RotorCalibration,
@@ -199,6 +201,26 @@ def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) ->
     whole = whole_body(identifier, mass)
     found = without_carrier(whole, carrier, section.rotor_sigma)
     return Throw(load, *found, whole_estimate(vehicle.file.vehicle.base_link, whole, section.rotor_sigma))
+
+
+def unlike_the_carrier(vehicle: config.Vehicle, load: config.Load, estimate: Estimate) -> tuple[str, ...]:
+    """Reason to doubt a throw of the carrier alone: its body is not that of the vehicle file; empty where it is.
+
+    No other witness has the signs of an accelerometer: with all turned, the centre of mass is on the other side.
+    """
+    carrier, section = carrier_of(vehicle), vehicle.file.free_body
+    if carrier is None or section is None or load.role != "carrier":
+        return ()
+    known = [*carrier.body.centre_of_mass_m, *elements(carrier.body.inertia_kg_m2)]
+    stated = dict(zip(FREE_BODY, zip(known, carrier.sigma, strict=True), strict=True))
+    scale = dict.fromkeys(INERTIA, section.rotor_sigma)
+    away = {}
+    for one in estimate.quantities:
+        if one.shrinkage <= SUPPORTED_SHRINKAGE:
+            value, sigma = stated[one.name]
+            spread = math.hypot(one.sigma, sigma, scale.get(one.name, 0.0) * value)
+            away[f"{one.name} of the carrier"] = float(one.mean - value) / spread
+    return contradicted(away)
 
 
 def summaries(throws: Sequence[Throw], together: Mapping[str, Throw]) -> list[LoadSummary]:

@@ -300,6 +300,9 @@ def test_spoilt_copies_of_real_throws_are_not_good_and_wrong(logs: list[Path]) -
     assert all(one.off < 1.0 for one in recorded)
     assert all(one.level is Level.GOOD or (one.level is Level.WEAK and "as wide as" in one.text) for one in recorded)
     assert any(one.level is Level.GOOD for one in recorded)
+    turned = spoilt_throws.judge(TUDELFT, chosen, ways["accel sign"])
+    assert not [one for one in turned if one.level is Level.GOOD]
+    assert "contradicts what is stated of com_x of the carrier" in turned[0].text
     late = spoilt_throws.judge(TUDELFT, chosen, ways["wheel 20 ms late"])
     assert all(one.level is Level.DO_NOT_USE for one in late)
 
