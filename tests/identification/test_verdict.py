@@ -197,7 +197,7 @@ def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
     for part in np.array_split(np.arange(t.size), 37):
         seen.add(t[part], held[part], np.zeros(part.size, np.intp), Y[part], y[part], sigma[part], sigma[part], None)
         identifier.rls.update(Y[part], y[part], sigma[part])
-        identifier.blocks.add(t[part], Y[part], y[part], sigma[part])
+        identifier.recursion.blocks.add(t[part], Y[part], y[part], sigma[part])
     found = held_out(seen, identifier)
     first = t < t[t.size // 2]
     information, right = identifier.rls.prior_equations()
@@ -265,7 +265,7 @@ def test_standard_parameters_are_the_posterior_of_the_prior_and_what_is_told(rng
     Y = rng.normal(size=(4000, len(base.names)))
     chi = model.chi + 0.01 * rng.normal(size=model.chi.size)
     identifier.rls.update(Y, Y @ base.value(chi), np.full(4000, 1e-6))
-    identifier.blocks.add(0.01 * np.arange(4000), Y, Y @ base.value(chi), np.full(4000, 1e-6))
+    identifier.recursion.blocks.add(0.01 * np.arange(4000), Y, Y @ base.value(chi), np.full(4000, 1e-6))
     links = identified_links(identifier)
     assert len(links) > 0
     assert {one.link for one in links} <= set(model.vehicle.links)

@@ -114,7 +114,8 @@ def test_a_gain_that_changed_between_two_recordings_is_told_and_refuses_nothing(
         seen.add(t, held, np.full(t.size, number), Y, y, 0.01 * one, 0.01 * one, None)
         rows.append((Y, y))
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
-    fits = instrument_fits(seen, mean, mean, mean, np.ones(2, np.bool_), 1e-6 * np.eye(2), 1.0, recorded_apart=True)
+    asked = mean, mean, mean, np.zeros(2), np.ones(2, np.bool_), 1e-6 * np.eye(2), 1.0
+    fits = instrument_fits(seen, *asked, recorded_apart=True)
     against, doubts, told = judged_fit(fits[1], 1.0)
     assert fits[1].step is not None
     assert fits[1].step.between is between
@@ -151,7 +152,7 @@ def test_what_is_left_of_a_wrench_that_is_zero_is_a_share_of_what_the_known_bodi
     mean, known, physical = np.array([0.5, 1.0]), np.array([0.0, 1.0]), np.ones(2, np.bool_)
     [fit] = instrument_fits(seen, mean, mean, mean, known, physical, 1e-6 * np.eye(2), 1.0)
     assert fit.unexplained == pytest.approx(0.1, abs=0.005)
-    assert judged_fit(fit, 1.0) == ([], [])
+    assert judged_fit(fit, 1.0) == ([], [], [])
 
 
 def test_what_the_other_cell_leaves_over_is_no_step_of_this_one():
