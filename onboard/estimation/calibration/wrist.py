@@ -33,12 +33,15 @@ REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of t
 _FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
 SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
-_OCTAVE = np.log(2.0)  # 1 sigma of the logarithm of the spread: data sheets state it to a factor of two
+_SPREAD_FACTOR = np.log(
+    3.0
+)  # 1 sigma of the logarithm of the spread: data sheets give limits, by range, and not sigmas
 _WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zero from pose to pose, over the noise
 _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
 _ROUNDS = 25
 _CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
 _GLITCH = 1e-9  # chance of a pose's reading below which it is an outlier, as of a tick in flight
+_FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer than transducers resolve
 _LOCAL = 9  # poses about one, whose median is the zero there
 
 
@@ -138,10 +141,10 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) 
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
     state = begun(R, wrench, prior)
     residual = wrench - predicted(R, state, prior)
-    sigma = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0)
-    one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, 1e-9 * _largest(wrench)), np.zeros(6), prior.scale))
+    sigma, floor = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench)
+    one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
     for _ in range(rounds):
-        noise = _noise(one, jacobian(R, one.state, prior), prior)
+        noise = _noise(one, jacobian(R, one.state, prior), prior, floor)
         change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
         one = _fit(R, wrench, prior, one.state, noise)
         if change < _CLOSE:
@@ -159,7 +162,7 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Prior, first: Fit) -> Weighi
         first: by :func:`fit`.
     """
     fits = tuple(_fit(R, wrench, prior._replace(scale=prior.scale * k), first.state, first.noise) for k in SPREADS)
-    logs = np.array([one.evidence for one in fits]) - 0.5 * (np.log(SPREADS) / _OCTAVE) ** 2
+    logs = np.array([one.evidence for one in fits]) - 0.5 * (np.log(SPREADS) / _SPREAD_FACTOR) ** 2
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     best = fits[int(weights.argmax())]
@@ -210,7 +213,7 @@ def outliers(R: FloatArray, wrench: FloatArray, prior: Prior) -> NDArray[np.bool
         residual = wrench - predicted(R, begun(R[kept], (wrench - level)[kept], prior), prior)
         level = _medians(residual)
         left = residual - level
-        z = left / _scatter(left)
+        z = left / np.maximum(_scatter(left), _floor(wrench))
         kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(_FEWEST, (3 * n) // 4)])
     freedom = max(1.0, n - 4.0)
     return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < _GLITCH).any(axis=1))
@@ -313,8 +316,13 @@ def _medians(values: FloatArray) -> FloatArray:
 
 
 def _scatter(values: FloatArray) -> FloatArray:
-    """Standard deviation of each column by the median of the absolute values, at least what rounding makes."""
-    return np.asarray(np.maximum(1.4826 * np.median(np.abs(values), axis=0), 1e-9 * _largest(values)), np.float64)
+    """Standard deviation of each column by the median of the absolute values."""
+    return np.asarray(1.4826 * np.median(np.abs(values), axis=0), np.float64)
+
+
+def _floor(wrench: FloatArray) -> FloatArray:
+    """The least noise of each axis, (6,)."""
+    return _FINEST * np.repeat([_largest(wrench[:, :3]), _largest(wrench[:, 3:])], 3)
 
 
 def _largest(values: FloatArray) -> float:
@@ -365,21 +373,23 @@ def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: N
         root = np.linalg.inv(np.linalg.cholesky(H * np.outer(unit, unit))).T * unit[:, None]
         step = root @ (root.T @ (A.T @ r.ravel() - off / sigmas**2))
         size = float(np.abs(step @ np.linalg.solve(root.T, np.eye(UNKNOWNS))).max())
+        state = moved(state, step)
         if size < _CLOSE:
             break
-        state = moved(state, step)
+    residual, off = wrench - predicted(R, state, prior), _values(state)
+    r = dct(residual, axis=0, norm="ortho")[1:] / np.sqrt(spread)
     squares = float((r**2).sum() + ((off / sigmas) ** 2).sum())
     volume = float(np.log(np.abs(np.diag(np.linalg.cholesky(root @ root.T)))).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
     return Fit(state, root @ root.T, noise, residual, evidence)
 
 
-def _noise(one: Fit, J: FloatArray, prior: Prior) -> Noise:
+def _noise(one: Fit, J: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
     """One step of expectation maximisation: noise and walk of each axis, and cross-talk."""
     weights, variance, _ = _walks(one, J)
     sigma = np.sqrt((weights * variance).sum(axis=0))
     walk = np.sqrt((weights * variance * _WALKS[:, None] ** 2).sum(axis=0))
-    sigma = np.maximum(sigma, np.repeat([1e-9 * _largest(one.residual[:, k : k + 3]) for k in (0, 3)], 3))
+    sigma = np.maximum(sigma, floor)
     crossed = float((one.state.cross**2).sum() + np.trace(one.covariance[CROSS, CROSS]))
     cross = np.sqrt((prior.scale**2 + crossed) / (1.0 + 30.0))
     return Noise(sigma, walk, float(cross))

@@ -40,6 +40,7 @@ _ORIENTATION = (
     ("angles?", r"(?:.*[^a-z])?r([xyz])$", "xyz"),
     ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
     ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
+    ("quaternion", r"^([wxyz])$", "wxyz"),
 )
 
 
@@ -87,7 +88,7 @@ def split_name(text: str) -> Column:
         # `force_m`, `q_s`: single letters are units only where they cannot be a part of the name
         if plain in _UNITS and plain not in ("m", "s") and _plain(tail[1]):
             name, unit = tail[1], tail[2]
-    return Column(_marked(name), _plain(unit))
+    return Column(_marked(re.sub(r"(?i)[\s_.-]+(mean|avg|average)$", "", name)), _plain(unit))
 
 
 def _plain(text: str) -> str:
@@ -272,14 +273,19 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
             off = np.abs(nine @ nine.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
             if np.nanmedian(off) < 1e-2:
                 kinds.append(("matrix", first, 9))
-    if joints or len(kinds) != 1 or width - kinds[0][1] - kinds[0][2] != 6:
+    if orientation and orientation not in ("xyzw", "wxyz", "matrix"):  # three angles before the wrench, as is said
+        kinds = [("angles", width - 9, 3)]
+    if joints or len(kinds) != 1 or kinds[0][1] < 0 or width - kinds[0][1] - kinds[0][2] != 6:
         raise PosesError(f"{table.label} has {width} columns without names: {remedy}")
     kind, first, count = kinds[0]
     said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
     names = [Column("", "")] * width
     last = range(first + count, width)
     wrench, named = _scaled(table, names, last[:3], last[3:], units, said)
-    return Meaning(_said_kind(table, kind, orientation), values[:, first : first + count], wrench, tuple(said), named)
+    found = values[:, first : first + count]
+    if kind == "angles":
+        found = found * _angle(found, [], units.angle, said)
+    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
 
 
 def _shown(names: Sequence[str]) -> str:

@@ -126,11 +126,9 @@ def draw(answer: Answer, path: Path) -> None:
         )
         down /= np.linalg.norm(down, axis=1, keepdims=True)
         ball.scatter(np.rad2deg(np.arctan2(down[:, 1], down[:, 0])), np.rad2deg(np.arcsin(down[:, 2])), s=9)
-        ball.set_xlabel("azimuth")
-        ball.set_ylabel("elevation")
         ball.set_xlim(-185, 185)
         ball.set_ylim(-95, 95)
-        ball.set_title("gravity in sensor axes, deg")
+        ball.set_title("gravity in sensor axes: azimuth, elevation, deg")
         for axes, first, unit in ((forces, 0, "N"), (moments, 3, "N m")):
             for k in range(first, first + 3):
                 of = answer.zeros[:, k]

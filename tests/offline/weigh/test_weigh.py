@@ -89,6 +89,16 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
             + tuple(f"wrench.{kind}.{c}" for kind in ("force", "torque") for c in "xyz"),
             "\t",
         ),
+        (
+            (
+                "w",
+                "x",
+                "y",
+                "z",
+                *(f"{name}_mean [{'Nm' if name[0] == 'T' else 'N'}]" for name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")),
+            ),
+            ",",
+        ),
         (("q0", "q1", "q2", "q3", "FX", "FY", "FZ", "MX", "MY", "MZ"), " "),
         ((), ","),
     ],
@@ -178,6 +188,20 @@ def test_joint_angles_and_a_urdf(one, tmp_path):
         assert code == OK
         assert all(holds(answer, one.true).values())
     assert weighed(tmp_path, rows, "--urdf", str(urdf), "--link", "hand", header=(*names, *WRENCH))[0] == BAD_INPUT
+
+
+def test_readings_without_noise_and_three_angles_without_names(tmp_path):
+    """Of a simulation, say; with ``--orientation`` the three columns before the wrench are angles."""
+    rng, rows = np.random.default_rng(7), []
+    for _ in range(20):
+        v = rng.uniform(-2.0, 2.0, 3)
+        weight = 2.0 * turn(v).T @ [0.0, 0.0, -GRAVITY]
+        rows.append([0.4, 0.5, 0.6, *v, *weight, *np.cross([0.01, -0.02, 0.08], weight)])
+    assert weighed(tmp_path, rows, header=())[0] == BAD_INPUT
+    code, answer = weighed(tmp_path, rows, "--orientation", "rotvec", header=())
+    assert code == OK
+    assert answer["quantities"][0]["value"] == pytest.approx(2.0, rel=1e-4)
+    assert answer["quantities"][3]["value"] == pytest.approx(0.08, rel=1e-3)
 
 
 def test_conventions_are_found(one, tmp_path):
