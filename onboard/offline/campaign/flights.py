@@ -3,6 +3,7 @@
 The world is made by a function that the command line hands over: nothing here knows the simulator.
 """
 
+import gc
 import importlib
 import json
 import tempfile
@@ -62,6 +63,8 @@ def done(item: Item, expected: str, make_world: MakeWorld) -> Done:
             result = _result(item, log, make_world)
         except Exception:  # noqa: BLE001 - whatever fails in a flight is kept with the campaign, which goes on
             return Done(None, traceback.format_exc(), {} if item.keep == "none" else _files(log))
+        finally:
+            gc.collect()  # a world refers to itself: the arrays of seventy flights, 2.7 GB, waited for a collection
         stays = item.keep == "all" or (item.keep == "wrong" and result.nonsense)
         return Done(result, kept=_files(log) if stays else {})
 

@@ -2,6 +2,7 @@
 
 import os
 import time
+import weakref
 from typing import Any
 
 import numpy as np
@@ -26,3 +27,18 @@ def drawn(seed: int, settings: dict[str, Any]) -> FlightResult:
     interval = {"value": value, "low": value - 1.96 * sigma, "high": value + 1.96 * sigma, "sigma": sigma}
     told = Answer("m", "kg", truth, **interval, bound=0.9 * sigma, supported=True, level=settings.get("level", "good"))
     return FlightResult((told,), faults=tuple(settings.get("faults", ())), unseen=settings.get("unseen", False))
+
+
+class World:
+    """One that refers to itself, as simulated worlds do."""
+
+    last: "weakref.ref[World]"
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def in_a_world(seed: int, settings: dict[str, Any]) -> FlightResult:
+    """As :func:`drawn`, in a world."""
+    World.last = weakref.ref(World())
+    return drawn(seed, settings)
