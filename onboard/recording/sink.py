@@ -140,16 +140,16 @@ class FileSink:
     def taken(self) -> Taken | None:
         """See ``Sink``; of a file that was cut off nothing after that is kept, so that no hole is read as rows."""
         self._look_at_size()
-        about = os.fstat(self._descriptor)
+        try:
+            there = self._path.lstat()
+        except OSError:
+            there = None
+        about = os.fstat(self._descriptor)  # after the path: a file removed in between was not renamed
         if about.st_nlink == 0:
             return Taken("removed", 0)
         if self._cut >= 0:
             os.ftruncate(self._descriptor, self._cut)
             return Taken(f"cut off after {self._cut} of {self._size} bytes", self._cut)
-        try:
-            there = self._path.lstat()
-        except OSError:
-            there = None
         if there is not None and (there.st_dev, there.st_ino) == (about.st_dev, about.st_ino):
             return None
         now = Path(f"/proc/self/fd/{self._descriptor}").readlink()

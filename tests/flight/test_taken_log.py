@@ -44,7 +44,7 @@ def test_a_rehearsal_whose_log_is_removed_says_what_is_lost_and_keeps_the_rest(
 ) -> None:
     code, out, err, log = rehearse(tmp_path, take=take)
     assert code == cli.FAILED
-    assert "of the log: flown.mcap was removed: " in err
+    assert "of the log: flown.mcap was removed: " in err, out
     assert "goes on in flown_001.mcap" in err
     assert "Traceback" not in err
     answered = [line for line in out.splitlines() if line.startswith(" m4 (arm), g")]

@@ -4,11 +4,12 @@ import errno
 import io
 import os
 import stat
+from pathlib import Path
 
 import pytest
 from mcap.reader import SeekingReader
 
-from onboard.recording.sink import FileSink
+from onboard.recording.sink import FileSink, Taken
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import READING, FailingSink, MemorySink, reading_rows
 from tests.recording.stock_readers import stock_rows
@@ -117,3 +118,17 @@ def test_file_sink_goes_on_after_a_short_write(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="no bytes"):
         full.write_at(0, b"x")
     full.close()
+
+
+def test_a_file_removed_while_it_is_looked_for_was_not_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, lstat = tmp_path / "a.mcap", Path.lstat
+    sink = FileSink(path)
+    sink.write_at(0, b"rows")
+
+    def removed_first(self: Path) -> os.stat_result:
+        self.unlink(missing_ok=True)
+        return lstat(self)
+
+    monkeypatch.setattr(Path, "lstat", removed_first)
+    assert sink.taken() == Taken("removed", 0)
+    sink.close()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from onboard import config
 from onboard.config.estimation import Phases
-from onboard.devices.recorded import RecordedAngle, RecordedDevice, RecordedLoadCell, RecordedValue
+from onboard.devices.recorded import RecordedDevice
+from onboard.devices.registry import DEVICES
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.stuck import StuckReadings
 from onboard.offline.estimate_again.smoothing_choice import chosen
@@ -53,7 +54,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     said = [f"{text} ({', '.join(f'device.{name}' for name in names)})" for text, names in found.items()]
     held = _held(vehicle, log)
     if held is not None:
-        devices[IN_TURN] = RecordedValue(kind="recorded_value", period_ms=100.0)
+        devices[IN_TURN] = DEVICES["recorded_value"].model_validate({"kind": "recorded_value", "period_ms": 100.0})
         settings = settings.model_copy(update={"phases": held})
         said.append(f"the payload is held from the second recording on, by channel {IN_TURN!r}: [estimation.phases]")
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
@@ -72,16 +73,17 @@ def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[Recorded
     if period_ms > 0.0 and abs(period_ms / device.period_ms - 1.0) > _OTHER_PERIOD:
         found["period_ms"] = period_ms
         said.append(f"period_ms: samples are {period_ms:.4g} ms apart, not {device.period_ms:g}")
-    if not isinstance(device, RecordedAngle | RecordedLoadCell):
+    stated = device.model_dump()
+    if "quantum_counts" not in stated:
         return device.model_copy(update=found), said
     raw = rows["value_raw"].astype(np.float64)
-    if (quantum := quantum_of(raw)) > device.quantum_counts:
+    if (quantum := quantum_of(raw)) > stated["quantum_counts"]:
         found["quantum_counts"] = quantum
         rounding = quantum * float(rows["scale"][0]) / 12.0**0.5
-        if isinstance(device, RecordedAngle) and rounding > device.noise_rad:
+        if rounding > stated.get("noise_rad", np.inf):
             found["noise_rad"] = rounding
-            said.append(f"noise_rad: angles are rounded, {rounding:.2g} rad rms, not {device.noise_rad:g}")
-    if isinstance(device, RecordedAngle) and not device.repeats and _repeats(raw / quantum):
+            said.append(f"noise_rad: angles are rounded, {rounding:.2g} rad rms, not {stated['noise_rad']:g}")
+    if not stated.get("repeats", True) and "noise_rad" in stated and _repeats(raw / quantum):
         found["repeats"] = True
         said.append("repeats: the recorder writes readings more than once, true")
     return device.model_copy(update=found), said
