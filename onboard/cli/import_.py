@@ -24,4 +24,6 @@ def _import(arguments: argparse.Namespace) -> int:
     write_json(arguments.json, imported)
     for one in imported:
         print(f"{one.path}  {one.rows} rows")
+        for text in one.left_out:
+            print(f"note: {text}")
     return OK

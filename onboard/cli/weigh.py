@@ -20,7 +20,9 @@ def add(commands: Commands) -> None:
         description="From a table with an orientation and a wrench a row; docs/weigh.md tells how.",
     )
     weigh.add_argument("poses", type=Path, nargs="+", metavar="POSES", help="CSV or text; more: columns side by side")
-    weigh.add_argument("--columns", metavar="NAME,...", help="names of the columns, - for those that are not meant")
+    weigh.add_argument(
+        "--columns", metavar="NAME,...", help="names of the columns, - for those that are not meant; or NAME=NUMBER"
+    )
     weigh.add_argument(
         "--orientation", default="", metavar="KIND", help="xyzw, wxyz, matrix, rotvec, or Euler angles: xyz, ZYX, ..."
     )
@@ -88,9 +90,7 @@ def _meaning(a: argparse.Namespace) -> "Meaning":
 
     read = table.read(a.poses)
     if a.columns:
-        names = tuple(name.strip() for name in a.columns.split(","))
-        if len(names) != read.values.shape[1]:
-            raise PosesError(f"--columns has {len(names)} names, the table {read.values.shape[1]} columns: name each")
+        names = table.named(a.columns, read.values.shape[1])
         read = read._replace(names=names)
     of = arm.arm(a.urdf.read_text(encoding="utf-8"), str(a.urdf), a.link) if a.urdf else None
     units = columns.Units(a.force_unit, a.moment_unit, a.angle_unit)

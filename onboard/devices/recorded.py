@@ -8,12 +8,16 @@ from drivers.records import IMU, SCALAR
 from onboard.devices import roles
 from onboard.devices.base import DeviceSection, ImuDevice, Surroundings
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
-from onboard.section import NotNegative, Positive
+from onboard.section import NotNegative, Positive, Real
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
 Quantum = Annotated[
     float, Field(gt=0.0, description="Counts between readings that differ least; heft identify finds it in the log.")
+]
+
+Delay = Annotated[
+    Real, Field(description="Of its samples against the joints'; negative: they are stamped before they were taken.")
 ]
 
 
@@ -97,6 +101,7 @@ class RecordedLoadCell(RecordedDevice, LoadCellKeys):
     about_role = "load cell"
     records = SCALAR
     kind: Literal["recorded_load_cell"]
+    delay_ms: Delay = 0.0
     repeats: Repeats = False
     quantum_counts: Quantum = 1.0
 

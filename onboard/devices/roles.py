@@ -105,7 +105,10 @@ class TorqueKeys(Section):
         NotNegative, Field(description="Presliding length of Coulomb friction after a reversal (Dahl); 0: none.")
     ] = 0.0
     still_rad_s: Annotated[NotNegative, Field(description="Joint rate below which the row is left out.")] = 0.0
-    delay_ms: NotNegative = 0.0
+    delay_ms: Annotated[
+        Real,
+        Field(description="Of its samples against the joints'; negative: they are stamped before they were taken."),
+    ] = 0.0
     delay_sigma_ms: NotNegative = 0.0
 
     @property
@@ -270,5 +273,5 @@ def force(keys: LoadCellKeys, period_s: float) -> SmoothedChannel:
     return scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(
         limit=keys.capacity_N,
         corrections=corrections(keys.gain, keys.offset_N),
-        inflation=filtered_inflation(keys.delay_ms * 1e-3, period_s),
+        inflation=filtered_inflation(max(keys.delay_ms, 0.0) * 1e-3, period_s),
     )

@@ -62,6 +62,26 @@ def write_csv(path: Path, of: tuple[np.ndarray, np.ndarray, np.ndarray], began_s
     return path
 
 
+def delayed(root: Path, delay_ms: float) -> Path:
+    """The loaded recording alone, its torques stamped that much later (earlier where negative) than they were taken."""
+    links, recordings = laboratory()
+    (root / "arm.urdf").write_text(to_urdf(links).replace('effort="1"', 'effort="60"'))
+    made = ["init", str(root / "v"), "--base", "fixed", "--urdf", str(root / "arm.urdf"), "--encoder", "recorded"]
+    assert cli.main(made) == cli.OK
+    t, q, torque = recordings["loaded"]
+    late = np.column_stack([np.interp(t, t + 1e-3 * delay_ms, of) for of in torque.T])
+    write_csv(root / "late.csv", (t, q, late), 1.0, np.ones(3))
+    for path in (root / "v" / "import.toml", root / "v" / "vehicle.toml"):
+        text = path.read_text().replace('column = "t"', 'column = "time"')
+        text = re.sub(r'column = "joint_link_(\d)_torque"', r'column = "tau\1"', text)
+        text = re.sub(r'column = "joint_link_(\d)"', r'column = "q\1"', text)
+        text = text.replace("still_rad_s = 0.02", f"still_rad_s = 0.02\ndelay_ms = {delay_ms}")
+        path.write_text(text)
+    logs = root / "logs"
+    assert cli.main(["import", str(root / "v" / "import.toml"), str(root / "late.csv"), "-o", str(logs)]) == cli.OK
+    return root
+
+
 def recorded(root: Path, gains: np.ndarray, drawn: np.ndarray) -> Path:
     """``v/``, as init made it of a URDF with masses that are ``drawn`` times the arm's, and two recordings as logs."""
     links, recordings = laboratory()
@@ -120,6 +140,20 @@ def test_what_it_holds_is_weighed_by_an_empty_and_a_loaded_recording(lab: Path) 
         assert found[name]["low"] <= value <= found[name]["high"], name
     assert "contradict" not in said
     assert found["m_payload"]["sigma"] < 0.05 * LOAD_kg  # as one of the gains is known
+
+
+@pytest.mark.parametrize("delay_ms", [-35.0, 35.0])
+def test_a_torque_stamped_early_or_late_by_a_stated_delay_is_as_good(tmp_path: Path, delay_ms: float) -> None:
+    """What the model leaves of the torques is that of the recording without a delay; unstated it is far more."""
+    root = delayed(tmp_path, delay_ms)
+    vehicle, log = root / "v" / "vehicle.toml", str(root / "logs" / "late.mcap")
+    left = []
+    for text in (vehicle.read_text(), re.sub(r"delay_ms = \S+", "delay_ms = 0", vehicle.read_text())):
+        vehicle.write_text(text)
+        cli.main(["identify", "--vehicle", str(vehicle), log, "--json", str(root / "a.json")])
+        told = json.loads((root / "a.json").read_text())["logs"][0]["left_over"]
+        left.append(sum(one["rms"] ** 2 for one in told.values()) ** 0.5)
+    assert left[0] < 0.25 * left[1]
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def write_long_header(path):
     [
         ("npz", write_long_header, "t.npy has a header of 600000000 bytes"),
         ("csv", lambda path: os.truncate(path, 1_500_000_000), "a line of more than 1048576 characters"),
-        ("csv", lambda path: path.write_text("c" + ",c" * 99_999 + "\n"), "has no column 't'; it has 'c'"),
+        ("csv", lambda path: path.write_text("c" + ",c" * 99_999 + "\n"), "has no column 't'; it has 'c (1)'"),
         ("csv", lambda path: path.write_text("\n".join(["t,f", *["1,2,3"] * 600_000])), "row 1 has 3 cells"),
     ],
     ids=["header", "NUL", "columns", "cells"],

@@ -103,4 +103,4 @@ def _longest(signal: SmoothedChannel, row: np.void) -> float | None:
     steps = [signal.quantum_counts * abs(scale) for scale in scales]
     counts = [noise / step if step else math.inf for noise, step in zip(signal.noise, steps, strict=True)]
     delay_s = max(signal.delays_s)
-    return longest_run(counts, math.exp(-signal.period_s / delay_s) if delay_s else 0.0)
+    return longest_run(counts, math.exp(-signal.period_s / delay_s) if delay_s > 0.0 else 0.0)

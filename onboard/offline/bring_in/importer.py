@@ -5,22 +5,19 @@ deterministic to the byte.
 """
 
 import hashlib
-from collections.abc import Iterator
-from collections.abc import Mapping as Columns
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from drivers import records
-from drivers.records import Rows, SampleStatus, Severity
-from onboard.offline.bring_in import foreign, mapping
+from drivers.records import Rows, Severity
+from onboard.offline.bring_in import channel_rows, foreign, mapping
 from onboard.offline.bring_in.errors import SourceError
-from onboard.offline.bring_in.foreign import Values
-from onboard.offline.bring_in.mapping import NS_PER, ImuChannel, Mapping, Scalar, ScalarChannel, Time, VectorMapping
-from onboard.recording.decode import FARTHEST_NS
+from onboard.offline.bring_in.mapping import ImuChannel, Mapping
+from onboard.offline.bring_in.text_rows import Recording
 from onboard.recording.writer import LogWriter
 
 MAPPING_ATTACHMENT = "mapping.toml"
@@ -28,17 +25,15 @@ IMPORT_METADATA = "import"
 EVENT_CHANNEL = "import_event"
 
 _BLOCK_ROWS = 256  # rows per channel before the next channel's rows follow
-_MOST_ROUNDED = 0.1  # rms of what rounding takes away, of the rms of the values
-_HUGE = 2.0**62  # larger values are refused: they may overflow int64
-_RAILS = np.iinfo(np.int16)
 
 
 class ImportedLog(NamedTuple):
-    """A log made by the import: path, source, number of rows."""
+    """A log made by the import: path, source, number of rows, and what was left out, in words."""
 
     path: Path
     source: Path
     rows: int
+    left_out: tuple[str, ...] = ()
 
 
 def import_recordings(
@@ -79,29 +74,45 @@ def _sources(source: Path, suffix: str) -> list[Path]:
 
 
 def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
-    files: dict[Path, foreign.Recording] = {}
+    files: dict[Path, Recording] = {}
     channels: dict[str, Rows] = {}
+    told: list[str] = []  # of what was left out
+    skipped: dict[str, int] = {}  # rows by channel
+    skip = chosen.file.mapping.bad_rows == "skip"
     for name, channel in chosen.file.channel.items():
         path = source if channel.file is None else source.parent / channel.file
         if path not in files:
-            files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format)
-        columns = files[path].columns
-        host_ns = _host_ns(path, columns, channel.time or chosen.file.time, _first_column(channel))
+            files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format, skip=skip)
+            told += _of_file(path, files[path])
+        columns, time = files[path].columns, channel.time or chosen.file.time
+        if skip:
+            columns, skipped[name] = channel_rows.without_bad_rows(path, columns, channel, time)
+        host_ns = channel_rows.times_ns(path, columns, time, channel_rows.columns_of(channel)[0])
         channels[name] = (
-            _imu(path, columns, channel, host_ns)
+            channel_rows.imu(path, columns, channel, host_ns)
             if isinstance(channel, ImuChannel)
-            else _scalar(path, columns, channel, host_ns)
+            else channel_rows.scalar(path, columns, channel, host_ns)
         )
+    for count in sorted(set(skipped.values()) - {0}):
+        names = ", ".join(name for name, own in skipped.items() if own == count)
+        told.append(f"{count} rows left out: a cell that is no number, or a time that does not rise: {names}")
     unfinished = log.with_name(f".{log.name}.unfinished")
     try:
-        _write(chosen, files, unfinished, channels)
+        _write(chosen, files, unfinished, channels, told)
         unfinished.replace(log)  # an earlier log of this name stays as it is until this one is whole
     finally:
         unfinished.unlink(missing_ok=True)
-    return ImportedLog(log, source, sum(map(len, channels.values())))
+    return ImportedLog(log, source, sum(map(len, channels.values())), tuple(told))
 
 
-def _write(chosen: Mapping, files: dict[Path, foreign.Recording], log: Path, channels: dict[str, Rows]) -> None:
+def _of_file(path: Path, one: Recording) -> Iterator[str]:
+    if one.truncated:
+        yield f"{path.name}: {one.truncated}"
+    if one.ragged:
+        yield f"{path.name}: {one.ragged} rows left out: another number of cells than the others"
+
+
+def _write(chosen: Mapping, files: Iterable[Path], log: Path, channels: dict[str, Rows], told: Sequence[str]) -> None:
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
             "source": ", ".join(path.name for path in files),
@@ -115,7 +126,7 @@ def _write(chosen: Mapping, files: dict[Path, foreign.Recording], log: Path, cha
         for name, rows in channels.items():
             writer.register(name, rows.dtype)
         _write_by_time(writer, channels)
-        said = [_event(0, "truncated", f"{path.name}: {one.truncated}") for path, one in files.items() if one.truncated]
+        said = [_event(0, "truncated" if "cut off" in text else "bad_rows", text) for text in told]
         said += _pauses(channels)
         writer.register(EVENT_CHANNEL, records.EVENT)
         for number, rows in enumerate(said):
@@ -163,122 +174,3 @@ def _pauses(channels: dict[str, Rows]) -> Iterator[Rows]:
 
 def _event(at_ns: int, code: str, text: str) -> Rows:
     return records.event(at_ns, Severity.WARNING, code, "import", text).rows
-
-
-def _first_column(channel: ImuChannel | ScalarChannel) -> str:
-    """A column that has a value for every sample."""
-    if isinstance(channel, ScalarChannel):
-        return next(iter(channel.value.terms))
-    return channel.gyro.column or (channel.gyro.columns or ("",))[0]
-
-
-def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: str) -> NDArray[np.int64]:
-    """Times (n,) of the samples, ns; evenly spaced by the number of ``sampled`` if the recording has none."""
-    if time.column is None:
-        assert time.rate_Hz is not None
-        count = foreign.length(columns, sampled)  # a missing column is reported when its values are read
-        start_ns = time.offset * NS_PER[time.unit]
-        return np.asarray(np.rint(start_ns + np.arange(count) * (1e9 / time.rate_Hz)), np.int64)
-    values = foreign.numbers(source, columns, time.column)
-    per_unit = NS_PER[time.unit]
-    approximate = (values.astype(np.float64) + time.offset) * per_unit
-    if (bad := ~((approximate >= 0) & (approximate < _HUGE))).any():
-        raise SourceError(
-            f"{source}: {time.column!r} is no time from 0 on in row {_first(bad)}; remove the row, or give an offset"
-        )
-    if values.dtype.kind == "f":
-        host_ns = np.rint(approximate).astype(np.int64)
-    else:
-        host_ns = values.astype(np.int64) * per_unit + round(time.offset * per_unit)
-    if (back := np.diff(host_ns) <= 0).any():
-        raise SourceError(f"{source}: {time.column!r} does not increase after row {_first(back)}; sort the recording")
-    if (far := np.diff(host_ns) > FARTHEST_NS).any():
-        raise SourceError(f"{source}: {time.column!r} jumps by years after row {_first(far)}; correct its unit")
-    return host_ns
-
-
-def _first(bad: NDArray[np.bool_]) -> int:
-    """Number of the first row of ``bad`` (n, ...), counted from 1, that is true anywhere."""
-    return int(np.argmax(bad.reshape(len(bad), -1).any(axis=1))) + 1
-
-
-def _rows(host_ns: NDArray[np.int64], dtype: np.dtype[np.void]) -> Rows:
-    rows = np.zeros(len(host_ns), dtype)
-    rows["host_ns"] = host_ns
-    rows["sequence"] = rows["tick"] = np.arange(len(host_ns))
-    return rows
-
-
-def _imu(source: Path, columns: Columns[str, Values], channel: ImuChannel, host_ns: NDArray[np.int64]) -> Rows:
-    rows = _rows(host_ns, records.IMU)
-    for name, vector in (("accel", channel.accel), ("gyro", channel.gyro)):
-        counts = _vector_counts(source, columns, vector, len(rows))
-        railed = ((counts <= _RAILS.min) | (counts >= _RAILS.max)).any(axis=1)
-        signs = np.array([1 if axis[0] == "+" else -1 for axis in vector.axes])
-        turned = counts[:, ["xyz".index(axis[1]) for axis in vector.axes]] * signs
-        rows[f"{name}_raw"] = np.clip(turned, _RAILS.min, _RAILS.max)  # -(-32768) is not an int16: clipped to the limit
-        rows["status"][railed] = SampleStatus.SATURATED
-    rows["accel_scale_m_s2"], rows["gyro_scale_rad_s"] = channel.accel.si_count, channel.gyro.si_count
-    return rows
-
-
-def _vector_counts(source: Path, columns: Columns[str, Values], vector: VectorMapping, count: int) -> NDArray[np.int64]:
-    """Counts (n, 3) in the recorded axes, within int16."""
-    if vector.columns is None:
-        assert vector.column is not None
-        names = vector.column
-        values = foreign.numbers(source, columns, names, 3)
-    else:
-        names = ", ".join(vector.columns)
-        values = np.stack([foreign.numbers(source, columns, name) for name in vector.columns], axis=1)
-    counts = _counts(source, names, vector, values, count)
-    if (beyond := (counts < _RAILS.min) | (counts > _RAILS.max)).any():
-        raise SourceError(
-            f"{source}: {names!r} does not fit 16 bits in row {_first(beyond)}; give the mapping a larger scale"
-        )
-    return counts
-
-
-def _scalar(source: Path, columns: Columns[str, Values], channel: ScalarChannel, host_ns: NDArray[np.int64]) -> Rows:
-    rows = _rows(host_ns, records.SCALAR)
-    value = channel.value
-    parts = {name: foreign.numbers(source, columns, name) for name in value.terms}
-    lengths = {name: len(part) for name, part in parts.items()}
-    if len(set(lengths.values())) > 1:
-        raise SourceError(f"{source}: columns of a sum differ in length: {lengths}; they must be of the same samples")
-    names = " + ".join(parts)
-    values: Values = next(iter(parts.values()))
-    if value.sum is not None:
-        values = np.column_stack(list(parts.values())).astype(np.float64) @ np.array(list(value.sum.values()))
-    counts = _counts(source, names, value, values, len(rows))
-    rows["value_raw"] = counts if value.sign == "+" else -counts
-    rows["scale"] = value.si_count
-    rows["unit"] = value.si_unit.encode()
-    return rows
-
-
-def _counts(
-    source: Path, names: str, quantity: VectorMapping | Scalar, values: Values, count: int
-) -> NDArray[np.int64]:
-    """``values`` as whole counts."""
-    if len(values) != count:
-        raise SourceError(
-            f"{source}: {names!r} has {len(values)} rows and its time column {count}; name the time it goes with"
-        )
-    if quantity.values == "counts" and values.dtype.kind in "iu":
-        return values.astype(np.int64)
-    exact = values.astype(np.float64)
-    if quantity.values == "physical":
-        exact /= quantity.count
-    counts = np.rint(exact)
-    if (bad := ~(np.abs(counts) < _HUGE)).any():
-        raise SourceError(f"{source}: {names!r} is no usable number in row {_first(bad)}; remove the row")
-    lost, size = (float(np.sqrt(np.mean(x**2))) if x.size else 0.0 for x in (exact - counts, exact))
-    if quantity.values == "physical" and lost > _MOST_ROUNDED * size:
-        kept = f"counts of {quantity.count:g} {quantity.unit} leave {1.0 - lost / size:.0%} of {names!r}"
-        raise SourceError(f"{source}: {kept}; give the mapping a smaller scale in the table that names this column")
-    if quantity.values == "counts" and (bad := counts != exact).any():
-        raise SourceError(
-            f'{source}: {names!r} is no whole count in row {_first(bad)}; say values = "physical" in the mapping'
-        )
-    return counts.astype(np.int64)

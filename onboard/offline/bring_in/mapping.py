@@ -4,12 +4,17 @@
 
     [mapping]
     name = "bench_2024"
-    format = "csv"                  # or "npz"
+    format = "csv"                  # or "npz", ...
+    bad_rows = "refuse"             # or "skip": those with a cell that is no number are left out and counted
 
     [csv]                           # only for csv; these are the defaults
-    delimiter = ","
+    delimiter = ","                 # " ": blanks, as many as there are
     decimal = "."                   # or ",", as 0,25: with another delimiter
+    header = true                   # false: columns have no names, and are numbered from 1
     header_line = 1                 # the line that names the columns
+    # rows_from = 3                 # the first line of numbers, where it is not the next one
+    # comment = "#"                 # lines that begin so are passed over
+    encoding = "utf-8"
 
     [time]
     column = "t"
@@ -69,12 +74,19 @@ UNITS = {
     "rad": ("rad", 1.0),
     "deg": ("rad", math.pi / 180),
     "rev": ("rad", 2 * math.pi),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "m/s": ("m/s", 1.0),
+    "mm/s": ("m/s", 1e-3),
     "N": ("N", 1.0),
     "N m": ("N m", 1.0),
+    "N mm": ("N m", 1e-3),
     "A": ("A", 1.0),
+    "mA": ("A", 1e-3),
 }
 NS_PER = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
+Column = Annotated[str, BeforeValidator(lambda name: str(name) if type(name) is int else name)]  # or its number from 1
 _Positive = Annotated[float, Field(gt=0)]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
@@ -88,6 +100,7 @@ class About(_Section):
 
     name: str
     format: Literal["csv", "npz"]
+    bad_rows: Literal["refuse", "skip"] = "refuse"
 
 
 class Csv(_Section):
@@ -95,19 +108,27 @@ class Csv(_Section):
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
+    header: bool = True
     header_line: Annotated[int, Field(ge=1)] = 1
+    rows_from: Annotated[int, Field(ge=1)] | None = None
+    comment: Annotated[str, Field(min_length=1, max_length=4)] | None = None
+    encoding: Literal["utf-8", "latin-1", "utf-16"] = "utf-8"
 
     @model_validator(mode="after")
     def _check_marks(self) -> Self:
         if self.delimiter == self.decimal:
             raise ValueError(f"`delimiter` and `decimal` are both {self.decimal!r}: name the one between the cells")
+        if not self.header and self.header_line != 1:
+            raise ValueError("`header = false` has no `header_line`: say `rows_from`, the first line of numbers")
+        if self.header and self.rows_from is not None and self.rows_from <= self.header_line:
+            raise ValueError("`rows_from`, the first line of numbers, stands below `header_line`")
         return self
 
 
 class Time(_Section):
     """The recording's own clock: a column of times, or the nominal rate of evenly spaced samples."""
 
-    column: str | None = None
+    column: Column | None = None
     unit: Literal["ns", "us", "ms", "s"] = "s"
     rate_Hz: _Positive | None = None  # noqa: N815  (a key ends in its SI symbol)
     offset: float = 0
@@ -161,8 +182,8 @@ class _Quantity(_Section):
 class VectorMapping(_Quantity):
     """A quantity with three axes."""
 
-    column: str | None = None
-    columns: tuple[str, str, str] | None = None
+    column: Column | None = None
+    columns: tuple[Column, Column, Column] | None = None
     axes: tuple[Axis, Axis, Axis] = ("+x", "+y", "+z")
 
     @model_validator(mode="after")
@@ -189,7 +210,7 @@ class AngularRate(VectorMapping):
 class Scalar(_Quantity):
     """A quantity of one value."""
 
-    column: str | None = None
+    column: Column | None = None
     sum: Annotated[dict[str, float], Field(min_length=1)] | None = None
     sign: Literal["+", "-"] = "+"
 

@@ -50,6 +50,26 @@ def read(paths: Sequence[Path]) -> Table:
     return Table(names, np.hstack([one.values for one in tables]), tables[0].lines, label)
 
 
+def named(text: str, width: int) -> tuple[str, ...]:
+    """Names of the columns as a person gives them: each in turn, or ``qx=4,qy=5``, by their numbers from 1.
+
+    Raises:
+        PosesError: another number of names than columns, or no such column.
+    """
+    given = [one.strip() for one in text.split(",")]
+    if not any("=" in one for one in given):
+        if len(given) != width:
+            raise PosesError(f"--columns has {len(given)} names, the table {width} columns: name each, or NAME=NUMBER")
+        return tuple(given)
+    names = ["-"] * width
+    for one in given:
+        name, _, number = one.partition("=")
+        if not number.strip().isdecimal() or not 1 <= int(number) <= width:
+            raise PosesError(f"--columns {one}: write NAME=NUMBER, the number from 1 to {width}")
+        names[int(number) - 1] = name.strip()
+    return tuple(names)
+
+
 def _one(path: Path) -> Table:
     if path.stat().st_size > LARGEST_BYTES:
         raise PosesError(f"{path} has more than {LARGEST_BYTES >> 20} MB: average the readings of each pose first")

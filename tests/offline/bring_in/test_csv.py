@@ -5,7 +5,7 @@ import pytest
 
 from drivers import records
 from drivers.records import SampleStatus
-from onboard.offline.bring_in import foreign
+from onboard.offline.bring_in import text_rows
 from onboard.offline.bring_in.errors import MappingError, SourceError
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.bring_in.mapping import Csv
@@ -120,9 +120,9 @@ def test_a_long_csv_is_read_in_blocks_as_it_is_at_once(tmp_path, monkeypatch, bl
     """Whole numbers, numbers of which a late one has a point, text that begins late, and a last row that is cut."""
     rows = [f"{n},{n if n < 30 else n + 0.5},{'x' if n > 35 else n}" for n in range(50)]
     (tmp_path / "run.csv").write_text("a,b,c\n" + "\n".join(rows) + "\n51,5", encoding="utf-8")
-    whole = foreign.read_csv(tmp_path / "run.csv", Csv())
-    monkeypatch.setattr(foreign, "_BLOCK", block)
-    parts = foreign.read_csv(tmp_path / "run.csv", Csv())
+    whole = text_rows.read_csv(tmp_path / "run.csv", Csv())
+    monkeypatch.setattr(text_rows, "_BLOCK", block)
+    parts = text_rows.read_csv(tmp_path / "run.csv", Csv())
     assert whole.truncated == parts.truncated == "row 51, the last one, is cut off: left out"
     for name, kind in (("a", "i"), ("b", "f"), ("c", "U")):
         assert whole.columns[name].dtype.kind == parts.columns[name].dtype.kind == kind

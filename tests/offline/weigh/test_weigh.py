@@ -109,6 +109,17 @@ def test_names_of_columns(one, tmp_path, names, between):
     assert all(holds(answer, one.true).values())
 
 
+def test_columns_by_their_numbers(one, tmp_path, capsys):
+    rows = np.hstack([np.arange(len(one.rows))[:, None], one.rows[:, ::-1]])
+    given = ",".join(f"{name}={11 - k}" for k, name in enumerate(HEADER))
+    code, answer = weighed(tmp_path, rows, "--columns", given, header=())
+    assert code == OK
+    assert all(holds(answer, one.true).values())
+    for wrong in ("qw=12", "qw=0", "qw=x", "qw=1,qx"):
+        assert weighed(tmp_path, rows, "--columns", wrong, header=())[0] == BAD_INPUT
+        assert "write NAME=NUMBER" in capsys.readouterr().err
+
+
 def test_two_files_decimal_commas_and_other_columns(one, tmp_path):
     rows = [[str(float(value)).replace(".", ",") for value in row] for row in one.rows]
     poses = write(tmp_path / "p.csv", [["0", *row[:4], "1,5"] for row in rows], ("t", *HEADER[:4], "speed"), ";")
