@@ -11,6 +11,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
+from onboard.identification.evidence.policy import ODDS
 from onboard.identification.leaning import PART
 from onboard.identification.quantities import Leaning, Quantity, QuantityEstimate
 from onboard.identification.rows.considered import Considered
@@ -121,6 +122,15 @@ def unstated(
             if abs(lever) > _COMMON * abs(off.found):
                 found.append(moved * beyond / lever)
     return np.array(found).reshape(len(found), body.size)
+
+
+def off_drawing(quantities: Sequence[Quantity], jackknife: JackknifeEstimate) -> float:
+    """Sum of squares of sigmas between what the drawing knows and what was found; zero of what is not determined.
+
+    It is no more than what makes it likelier that an instrument's scale or the drawing is wrong, by their odds.
+    """
+    every = [_off(quantity, jackknife).sigmas for quantity in quantities if quantity.known is not None]
+    return min(float(sum(sigmas**2 for sigmas in every if np.isfinite(sigmas))), -2.0 * float(np.log(ODDS)))
 
 
 def judged_drawing(

@@ -9,11 +9,9 @@ with the payload released, and still held. Rules:
   (*do not use*). This stays so when they draw nearer: the rows of the one that lies are not forgotten.
 - Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
   instrument named. It stays left out while two contradict each other, until of exactly one other nothing is doubtful.
-- A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
-  it is, or when the payload's estimated mass is near zero (the arm moves as before), if the one with it leaves little
-  of any instrument's readings over: a body so large that its noise would explain them contradicts nothing. Where an
-  instrument lies, those without one decide: accepted, or rejected, is what exactly one of them finds with nothing that
-  is doubtful, and none is rejected while one of them agrees with it.
+- A release is accepted, or rejected, when the evidence of the rows (:mod:`onboard.identification.rows.likelihood`)
+  leaves less than the policy's least weight to the other, one report in a hundred being false beforehand. Where
+  instruments are redundant, of those hypotheses that find nothing doubtful, and where these agree.
 """
 
 import copy
@@ -25,16 +23,16 @@ import numpy as np
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
+from onboard.identification.evidence.policy import LEAST_WEIGHT, ODDS
 from onboard.identification.quantities import Estimate, Findings
-from onboard.identification.rows.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.likelihood import nats
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.signals import Signals
 
 _JUDGED_ROWS = 50  # between decisions
 _FEWEST_ROWS = 100  # after a reported release, before the decision
 _APART, _DOUBTFUL_APART = 5.0, 3.3  # sigmas between two answers that contradict each other
-_NOTHING = 0.2  # of the payload's mass in the drawing: not released
 
 
 class Member(NamedTuple):
@@ -193,20 +191,22 @@ class Hypotheses:
 
     def _judge_release(self, findings: dict[Member, Findings]) -> None:
         """Accepts or rejects the reported release, or leaves it undecided."""
-        told, held = findings[_AS_TOLD], findings[Member(still_held=True)]
-        alone = [member for member in findings if member.left_out and not member.still_held]
-        agree = [one for one in alone if self._is_clean(one, findings[one])]
-        gone = {one: self._payload_share(one) for one in (_AS_TOLD, *alone)}
-        without = [one for one in agree if gone[one] >= _NOTHING and findings[one._replace(still_held=True)].against]
-        moves_on = [one for one in alone if gone[one] < _NOTHING and self._agrees_held(one, findings)]
-        doubted = any(not gone[one] < _NOTHING for one in agree)
-        explained = not held.against and self._members[Member(still_held=True)].unexplained() < MOST_UNEXPLAINED
-        if (held.against and not told.against) or len(without) == 1:
-            accepted = True
-        elif len(moves_on) != 1 and (doubted or not explained or not (told.against or gone[_AS_TOLD] < _NOTHING)):
+        told = [member for member in findings if not member.still_held]
+        found = set[bool]()
+        for member in told:
+            held = member._replace(still_held=True)
+            better = self._nats(member, held)  # that the arm has let go
+            likelier = member if better > 0.0 else held
+            if len(told) > 1 and not self._is_clean(likelier, findings[likelier]):
+                continue  # an instrument lies that others stand beside
+            if better - np.log(ODDS) > -np.log(LEAST_WEIGHT):
+                found.add(True)
+            elif better - np.log(ODDS) < np.log(LEAST_WEIGHT):
+                found.add(False)
+        if len(found) != 1:
             return
-        else:
-            accepted = False
+        accepted = found.pop()
+        if not accepted:
             self._note("release_contradicted", "the arm moves as before")
         kept = {
             member._replace(still_held=False): identifier
@@ -220,20 +220,10 @@ class Hypotheses:
         if not accepted:
             self._contradiction = ""  # of answers that took it for true
 
-    def _agrees_held(self, member: Member, findings: dict[Member, Findings]) -> bool:
-        """Whether nothing is doubtful where the same instruments hold the payload still."""
-        held = member._replace(still_held=True)
-        return self._is_clean(held, findings[held])
-
-    def _payload_share(self, member: Member) -> float:
-        """Mass of what was released, by one that takes the release as reported, in that drawn; NaN: not known."""
-        identifier = self._members[member]
-        payload = identifier.model.vehicle.spec.payload_link
-        drawn = identifier.base.value(identifier.model.chi)
-        for quantity, found in zip(identifier.quantities, identifier.estimate().quantities, strict=False):
-            if quantity.name == f"m_{payload}" and found.supported:
-                return float(found.mean / (quantity.weights @ drawn))
-        return np.nan
+    def _nats(self, one: Member, other: Member) -> float:
+        """Log of the evidence for one over that for another."""
+        first, second = self._members[one], self._members[other]
+        return nats(first.rows_seen, second.rows_seen, first.correlation)
 
     def _apart(self, members: Sequence[Member]) -> tuple[float, str]:
         """Sigmas between the answers of two that leave one instrument out each, where most, and what they say."""

@@ -31,10 +31,11 @@ from onboard.identification.quantities import (
 from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, of_motion
 from onboard.identification.rows.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.drawing import answered, judged_drawing, unstated
+from onboard.identification.rows.drawing import answered, judged_drawing, off_drawing, unstated
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
+from onboard.identification.rows.likelihood import RowsSeen
 from onboard.identification.rows.prediction import prediction, without_unknown
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.scales import estimated_scales, fill_scales
@@ -320,9 +321,16 @@ class Identifier:
             self._fitted = self.rows_used, instrument_fits(self.seen, *asked)
         return self._fitted[1]
 
-    def unexplained(self) -> float:
-        """Share of an instrument's readings that the estimate leaves over, of the one that is explained worst."""
-        return max((fit.unexplained for fit in self.fits()), default=0.0)
+    @property
+    def correlation(self) -> float:
+        """How many neighbouring rows say the same thing: the square of their sigmas' inflation."""
+        return self._inflation**2
+
+    @property
+    def rows_seen(self) -> RowsSeen:
+        """All rows so far, those included that contradict the estimate, and what is drawn."""
+        taken, refused = self.taken, self.refused[GateReason.RESIDUAL] * self.gate.threshold**2
+        return RowsSeen.of(taken.rls, taken.considered, refused, off_drawing(self.quantities, self.block_jackknife()))
 
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
