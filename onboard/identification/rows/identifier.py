@@ -19,20 +19,19 @@ from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.change import Change
-from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import (
-    MOST_CONTRADICTED,
     SUPPORTED_FREEDOM,
     SUPPORTED_SHRINKAGE,
     Estimate,
     Findings,
     Quantity,
 )
-from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
+from onboard.identification.rows.agreement import InstrumentFit, instrument_fits
 from onboard.identification.rows.considered import Considered, check, of_motion
 from onboard.identification.rows.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.drawing import answered, judged_drawing, off_drawing, unstated
+from onboard.identification.rows.drawing import answered, off_drawing, unstated
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
+from onboard.identification.rows.found import found
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.likelihood import RowsSeen
@@ -275,29 +274,16 @@ class Identifier:
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
-        said = against, doubts, told = list[str](), list[str](), list(self.taken.said)
-        share = (residual := self.refused[GateReason.RESIDUAL]) / max(self.rows_used + residual, 1)
-        if share > MOST_CONTRADICTED:
-            against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
-        if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
-            return Findings(tuple(against), ())
-        jackknife = self.block_jackknife()
-        judged: list[tuple[Sequence[str], ...]]
-        judged = [judged_fit(fit, self._inflation**2) for fit in self.fits(jackknife.mean)]
-        judged += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
-        scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
-        corrections = errors.in_sigmas if (errors := self.fitted_errors) else {}
-        judged += [(too_large(one), doubtful(one)) for one in (corrections, scales)]
-        for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
-            texts.extend(more)
-        if self.payload and not too_large(scales) and (why := self._contradiction(jackknife)):
-            against.append(why)
-        return Findings(tuple(against), tuple(doubts), tuple(told))
+        return found(self)
 
-    def _contradiction(self, jackknife: JackknifeEstimate) -> str:
+    def contradiction(self, jackknife: JackknifeEstimate) -> str:
         """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""
         drawn = self.base.value(self.model.chi), self._as_stated.covariance
         return "" if self._stated else contradiction(self.base.names, jackknife, *drawn)
+
+    def scales(self, jackknife: JackknifeEstimate) -> dict[str, float]:
+        """Scales of cells that are estimated, by name, in their stated sigmas."""
+        return estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
 
     @property
     def taken(self) -> Taken:
@@ -404,7 +390,7 @@ class Identifier:
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:
-            of_rows = self.rows_used, self.refused[GateReason.RESIDUAL], self._contradiction(jackknife)
+            of_rows = self.rows_used, self.refused[GateReason.RESIDUAL], self.contradiction(jackknife)
             quantities += self.payload.quantities(jackknife, prior, *of_rows)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))
