@@ -136,6 +136,9 @@ class Twins:
     def produced(self) -> dict[str, int]:
         """Samples made so far, per channel of the flight log."""
         counts: dict[str, int] = {}
+        for bus in self._buses.values():
+            if isinstance(bus, CanBus):
+                bus.look()
         for twin, made in self._produced:
             counts |= dict.fromkeys(twin.channels, made())
         for name, table in self._scenario.bus.items():

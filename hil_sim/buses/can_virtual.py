@@ -7,18 +7,15 @@ import contextlib
 import errno
 import queue
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from itertools import repeat
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import can
 from can.interfaces import BACKENDS
 from can.interfaces.virtual import VirtualBus
 
 from drivers.ports import CanFrame
-from hil_sim.devices.canopen.sync_train import WireFrame
 
-_frame_of: Final = cast(Callable[[tuple[Any, ...]], CanFrame], partial(tuple.__new__, CanFrame))  # faster than it
+_looks: Final[dict[str, Callable[[], None]]] = {}  # by channel: what is to come is there afterwards
 _away: set[str] = set()  # channels whose adapter is pulled out
 
 
@@ -33,6 +30,8 @@ class PulledBus(VirtualBus):
     """
 
     def __init__(self, channel: str = "channel-0", **options: Any) -> None:
+        self._look = _looks.get(channel, lambda: None)
+        self._look()
         if channel in _away:
             raise can.CanInitializationError(f"no adapter {channel}", error_code=errno.ENODEV)
         super().__init__(channel, **options)
@@ -47,9 +46,9 @@ class PulledBus(VirtualBus):
         """
         self._check_if_open()
         waiting = self.queue.queue
-        if self._filters is not None or not all(type(one) is WireFrame for one in waiting):
+        if self._filters is not None or not all(type(one) is CanFrame for one in waiting):
             return None
-        frames = list(map(_frame_of, zip(*zip(*waiting, strict=True), repeat(False), strict=False))) if waiting else []
+        frames = list(waiting)
         waiting.clear()
         return frames
 
@@ -64,16 +63,18 @@ class PulledBus(VirtualBus):
         waiting, filtered = super()._recv_internal(timeout)
         return self._message(waiting), filtered
 
-    def _message(self, waiting: can.Message | WireFrame | None) -> can.Message | None:
-        return _message(waiting, self.channel_id) if isinstance(waiting, WireFrame) else waiting
+    def _message(self, waiting: can.Message | CanFrame | None) -> can.Message | None:
+        return _message(waiting, self.channel_id) if isinstance(waiting, CanFrame) else waiting
 
     def shutdown(self) -> None:
         """See ``can.BusABC``; also of one that was pulled."""
+        self._look()
         if self.queue not in self.channel:
             self.channel.append(self.queue)
         super().shutdown()
 
     def _check_if_open(self) -> None:
+        self._look()
         super()._check_if_open()
         if self.queue not in self.channel:
             raise can.CanOperationError(f"adapter {self.channel_id} was pulled out", error_code=errno.ENODEV)
@@ -101,6 +102,10 @@ class VirtualCan:
         self._channel = channel
         self._bus = VirtualBus(channel, preserve_timestamps=True)
 
+    def tell_looks(self, look: Callable[[], None]) -> None:
+        """Let buses of the channel that are opened from now on call ``look`` before they do anything."""
+        _looks[self._channel] = look
+
     @property
     def listening(self) -> bool:
         """Whether a bus is open on the channel."""
@@ -117,7 +122,7 @@ class VirtualCan:
                 frames.append((message.arbitration_id, content))
         return frames
 
-    def give(self, frames: Sequence[WireFrame]) -> None:
+    def give(self, frames: Sequence[CanFrame]) -> None:
         """Send frames with their stamps: what ``VirtualBus.send`` does, but for its deep copy of each message."""
         own = self._bus.queue
         for each in self._bus.channel:
@@ -143,11 +148,12 @@ class VirtualCan:
 
     def close(self) -> None:
         """Leave the channel."""
+        _looks.pop(self._channel, None)
         _away.discard(self._channel)
         self._bus.shutdown()
 
 
-def _message(frame: WireFrame, channel: Any) -> can.Message:
+def _message(frame: CanFrame, channel: Any) -> can.Message:
     """A frame as python-can has it."""
-    end_ns, identifier, data = frame
-    return can.Message(end_ns * 1e-9, identifier, is_extended_id=False, data=data, channel=channel)
+    host_ns, identifier, data, _ = frame
+    return can.Message(host_ns * 1e-9, identifier, is_extended_id=False, data=data, channel=channel)

@@ -32,7 +32,9 @@ class _CanPort(Port):
         self._link = VirtualCan(channel)
         self._installed = ExitStack()
         self._installed.enter_context(install_can())
-        super().__init__(CanBus(self._link, bit_rate, seed), f"can+virtual://{channel}?timestamps=monotonic")
+        bus = CanBus(self._link, bit_rate, seed)
+        self._link.tell_looks(bus.look)
+        super().__init__(bus, f"can+virtual://{channel}?timestamps=monotonic")
 
     def close(self) -> None:
         self._installed.close()

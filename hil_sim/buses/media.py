@@ -10,18 +10,23 @@ import socket
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import repeat
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, cast, runtime_checkable
 
 import numpy as np
 
+from drivers.ports import CanFrame
 from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, is_process_data
-from hil_sim.devices.canopen.sync_train import WireFrame, wire_frames
+from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _EDGE: Final = struct.Struct("<qI")  # edge_ns, line_sequence
+_LAZY_NS: Final = 50_000_000
+_frame_of: Final = cast(Callable[[tuple[Any, ...]], CanFrame], partial(tuple.__new__, CanFrame))  # faster than it
 _PROTOCOL_ERROR, _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x008, 0x040, 0x080, 0x100  # linux/can/error.h
 
 
@@ -140,8 +145,8 @@ class CanLink(Protocol):
     def listening(self) -> bool:
         """Whether the flight computer has its end open."""
 
-    def give(self, frames: Sequence[WireFrame]) -> None:
-        """Frames it receives, with the stamp of its kernel in ``end_ns``."""
+    def give(self, frames: Sequence[CanFrame]) -> None:
+        """Frames it receives, with the stamp of its kernel."""
 
 
 @runtime_checkable
@@ -150,6 +155,15 @@ class ReportsCanErrors(Protocol):
 
     def give_error(self, end_ns: int, classes: int) -> None:
         """An error frame, its classes as in linux/can/error.h."""
+
+
+@runtime_checkable
+class DrivesLine(Protocol):
+    """A node whose acts are seen elsewhere than on the bus: on the sync line."""
+
+    @property
+    def pulse_ns(self) -> int:
+        """Before when it drives no edge, CLOCK_MONOTONIC; NEVER where the line goes nowhere."""
 
 
 @runtime_checkable
@@ -197,7 +211,10 @@ class CanBus:
         self._bit_rate = bit_rate
         self._faults = NO_FAULTS
         self._late: deque[tuple[int, WireFrame]] = deque()  # frames on their way to us, by time of arrival
-        self._now_ns = 0
+        self._now_ns = self._reached_ns = 0
+        self._waits = False
+        self._drivers: list[DrivesLine] = []
+        self._wakes_ns = 0  # when it goes on though nobody looks
         self._last_stamp_ns = 0
         self._pulled = False  # the adapter out of the flight computer
 
@@ -207,12 +224,19 @@ class CanBus:
         return self._wire.due_ns
 
     def know_ahead(self, known_ns: Callable[[], int]) -> None:
-        """Let the answers to SYNCs be computed as far ahead as ``known_ns()``, before when the plant is known."""
+        """Let the answers to SYNCs be computed as far ahead as ``known_ns()``, before when the plant is known.
+
+        A bus without faults then goes on where the flight computer looks, by ``look``, before the sync line rises, or
+        where 50 ms have gathered: what comes is the same.
+        """
         self._wire.know_ahead(known_ns)
+        self._waits = True
 
     def add(self, node: CanTalker) -> None:
         """Connect a node."""
         self._wire.add(node, is_process_data)
+        if isinstance(node, DrivesLine):
+            self._drivers.append(node)
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.
@@ -236,6 +260,16 @@ class CanBus:
 
     def advance(self, now_ns: int) -> None:
         """Send what the flight computer sent since the last call, let nodes and wire go on, deliver what arrived."""
+        self._reached_ns = now_ns
+        if now_ns >= self._wakes_ns:
+            self._advance(now_ns)
+
+    def look(self) -> None:
+        """The flight computer does something with its end: all is to be as it is now."""
+        if self._now_ns < self._reached_ns:
+            self._advance(self._reached_ns)
+
+    def _advance(self, now_ns: int) -> None:
         self._pull(now_ns)
         sent = self._link.take()
         if not (self._faults and self._is_cut(self._now_ns)):
@@ -258,6 +292,8 @@ class CanBus:
         if frames:
             self.delivered += len(frames)
             self._link.give(self._stamped(frames))
+        if self._waits and not self._faults:
+            self._wakes_ns = min([now_ns + _LAZY_NS, *(driver.pulse_ns for driver in self._drivers)])
 
     def _pull(self, now_ns: int) -> None:
         """Pull the adapter out, or put it back in."""
@@ -306,14 +342,14 @@ class CanBus:
             if isinstance(self._link, ReportsCanErrors):
                 self._link.give_error(time_ns, classes)
 
-    def _stamped(self, frames: list[WireFrame]) -> list[WireFrame]:
+    def _stamped(self, frames: list[WireFrame]) -> list[CanFrame]:
         ends_ns, identifiers, data = zip(*frames, strict=True)
         share, places = self._rng.standard_exponential(len(frames)), np.arange(len(frames))
         late_ns = np.array(ends_ns) + self._latency_ns + (share * self._jitter_ns).astype(np.int64)
         late_ns[0] = max(int(late_ns[0]), self._last_stamp_ns + 1)
         stamps_ns = (np.maximum.accumulate(late_ns - places) + places).tolist()  # each later than the one before
         self._last_stamp_ns = stamps_ns[-1]
-        return wire_frames(stamps_ns, identifiers, data)
+        return list(map(_frame_of, zip(stamps_ns, identifiers, data, repeat(False), strict=False)))
 
 
 class EdgeLink(Protocol):

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from hil_sim.devices.canopen.sync_train import WireFrame
+from drivers.ports import CanFrame
 
 _OK: Final = b"\r"
 _NO: Final = b"\a"
@@ -88,14 +88,14 @@ class SlcanAdapter:
         sent, self._sent = self._sent, []
         return sent
 
-    def give(self, frames: Sequence[WireFrame]) -> None:
+    def give(self, frames: Sequence[CanFrame]) -> None:
         """Frames for the client; those that its queue cannot take are lost, counted, and flagged in ``F``."""
         if not self.is_open:
             return
-        for end_ns, identifier, data in frames:
+        for host_ns, identifier, data, _ in frames:
             line = b"t%03X%d%s" % (identifier, len(data), data.hex().upper().encode())
             if self._stamps:
-                line += b"%04X" % (end_ns // 1_000_000 % 60_000)
+                line += b"%04X" % (host_ns // 1_000_000 % 60_000)
             if len(self._output) + len(line) < _QUEUE_BYTES:
                 self._output += line + _OK
             else:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
-from hil_sim.devices.canopen.sync_train import WireFrame
+from drivers.ports import CanFrame
 from hil_sim.faults import NEVER
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
@@ -36,7 +36,7 @@ class SocketCan:
 
     def __init__(self, interface: str) -> None:
         self.lost = 0
-        self._burst: list[WireFrame] = []
+        self._burst: list[CanFrame] = []
         self._interface = interface.encode()
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
         try:
@@ -72,16 +72,16 @@ class SocketCan:
     @property
     def oldest_ns(self) -> int:
         """When the first of the frames that wait for ``flush`` ended on the simulated wire."""
-        return self._burst[0].end_ns if self._burst else NEVER
+        return self._burst[0].host_ns if self._burst else NEVER
 
-    def give(self, frames: Sequence[WireFrame]) -> None:
+    def give(self, frames: Sequence[CanFrame]) -> None:
         """Frames to send with the next ``flush``."""
         self._burst += frames
 
     def flush(self) -> None:
         """Send what waits."""
         burst, self._burst = self._burst, []
-        for _, identifier, data in burst:
+        for _, identifier, data, _ in burst:
             try:
                 self._socket.send(_FRAME.pack(identifier, len(data), data))
             except OSError:

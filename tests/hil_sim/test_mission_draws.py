@@ -22,8 +22,10 @@ def test_same_seed_same_bytes_and_another_seed_others() -> None:
 def test_data_do_not_hang_on_the_step_of_the_clock() -> None:
     scenario = load("rocksat", SHORT)
     fine, coarse = (Ground(scenario, 5, step_ns=step) for step in (1_000_000, 50_000_000))
-    for cob_id in (0x080, 0x182, 0x281, 0x183):
-        assert [data for _, data in fine.of(cob_id)][-300:] == [data for _, data in coarse.of(cob_id)][-300:]
+    assert fine.frames == coarse.frames
+    assert fine.edges == coarse.edges
+    assert len(fine.edges) > 10
+    assert len(fine.of(0x281)) > 400
 
 
 def test_nothing_hangs_on_how_far_the_plant_is_computed_ahead(monkeypatch) -> None:

@@ -112,6 +112,13 @@ class SyncBox:
         return min(self._sync_ns, self._cycles[0].down_ns) if self._cycles else self._sync_ns
 
     @property
+    def pulse_ns(self) -> int:
+        """Before when it drives no edge of the sync line; where a fault is to come, when it next acts."""
+        if self._is_faulty or not self._pins:
+            return self.due_ns if self._pins else NEVER
+        return self._sync_time_ns(max(self._next_pulse[0], self._sync))
+
+    @property
     def sync_number(self) -> int:
         """Number of the next SYNC since the box's power-up."""
         return self._sync

@@ -16,7 +16,6 @@ from hil_sim.buses.can_virtual import VirtualCan, install_can
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
-from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, SmallMission
 
@@ -267,9 +266,9 @@ def test_frames_arrive_a_few_microseconds_after_their_end_in_order():
     mission.advance(START_NS + 1000 * MS)
     frames = received(link)
     assert len(frames) == bus.delivered == 200 + 2  # SYNC 0 to 199, and SYNC 200 is still on the wire; two boot-ups
-    late_us = [(f.end_ns - START_NS) % (5 * MS) / 1e3 for f in frames if f.identifier == 0x080]
+    late_us = [(f.host_ns - START_NS) % (5 * MS) / 1e3 for f in frames if f.identifier == 0x080]
     assert 109 < min(late_us) < sum(late_us) / len(late_us) < 125
-    stamps = [f.end_ns for f in frames]
+    stamps = [f.host_ns for f in frames]
     assert stamps == sorted(set(stamps))
 
 
@@ -282,7 +281,7 @@ def test_what_the_host_sends_is_offered_at_the_time_of_its_last_step():
     mission.advance(START_NS + 104 * MS)
     (answer,) = received(link)
     assert answer.data == bytes.fromhex("4300100096010200")
-    assert 0.7 * MS < answer.end_ns - (START_NS + 102 * MS) < 1.3 * MS
+    assert 0.7 * MS < answer.host_ns - (START_NS + 102 * MS) < 1.3 * MS
     assert bus.due_ns == START_NS + 105 * MS
 
 
@@ -313,7 +312,7 @@ def test_virtual_channel_keeps_stamps_and_ignores_what_is_not_a_base_frame():
         near.send(can.Message(arbitration_id=0x601, data=b"\x41", is_extended_id=True))
         near.send(can.Message(arbitration_id=0x601, is_remote_frame=True, dlc=2, is_extended_id=False))
         assert far.take() == [(0x601, b"\x40"), (0x601, 2)]
-        far.give([WireFrame(123_456_789_012, 0x182, b"\x01\x02")])
+        far.give([CanFrame(123_456_789_012, 0x182, b"\x01\x02")])
         message = near.recv(0)
         assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x182, b"\x01\x02", False)
         assert round(message.timestamp * 1e9) == 123_456_789_012
@@ -321,30 +320,30 @@ def test_virtual_channel_keeps_stamps_and_ignores_what_is_not_a_base_frame():
 
 
 def test_a_port_in_this_process_gets_the_frames_themselves_and_in_order_with_what_is_none(clock):
-    frames = [WireFrame(123_456_789_012 + k, 0x182, bytes([k])) for k in range(5)]
+    frames = [CanFrame(123_456_789_012 + k, 0x182, bytes([k])) for k in range(5)]
     far = VirtualCan("heft-frames")
     with install_can(), can.Bus("heft-frames", interface="virtual", preserve_timestamps=True) as near:
         port, messages = open_can("can+virtual://heft-frames?timestamps=monotonic", clock), []
         far.give(frames[:2])
-        assert port.receive(0.0) == [CanFrame(*frame) for frame in frames[:2]]
+        assert port.receive(0.0) == frames[:2]
         assert port.receive(0.0) == []
         far.give(frames[2:3])
         far.give_error(123_456_789_020, 0x40)
         far.give(frames[3:4])
         assert [(f.host_ns, f.identifier, f.is_error) for f in port.receive(0.0)] == [
-            (frames[2].end_ns, 0x182, False),
+            (frames[2].host_ns, 0x182, False),
             (123_456_789_020, 0x40, True),
-            (frames[3].end_ns, 0x182, False),
+            (frames[3].host_ns, 0x182, False),
         ]
         clock.now_ns = 123_456_789_013
         far.give(frames[:2])
         port.mute()
         far.give(frames[4:])
-        assert port.receive(0.0) == [CanFrame(*frame) for frame in frames[:2]]
+        assert port.receive(0.0) == frames[:2]
         while (message := near.recv(0.01)) is not None:  # another reader, by python-can's own way
             messages.append(message)
         assert [round(message.timestamp * 1e9) for message in messages if not message.is_error_frame] == [
-            frame.end_ns for frame in (*frames[:4], *frames[:2], frames[4])
+            frame.host_ns for frame in (*frames[:4], *frames[:2], frames[4])
         ]
         assert bytes(messages[0].data) == b"\0"
         far.unplug()

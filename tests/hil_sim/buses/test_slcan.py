@@ -5,8 +5,8 @@ import os
 
 import pytest
 
+from drivers.ports import CanFrame
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.sync_train import WireFrame
 
 
 class Terminal:
@@ -93,7 +93,7 @@ def test_a_line_that_never_ends_is_forgotten(terminal):
 
 def test_frames_are_written_as_lines_with_stamps_when_asked(terminal):
     terminal.say(b"S6\rO\r")
-    frame = WireFrame(61_234_000_000, 0x0A1, b"\x0f\xf0")
+    frame = CanFrame(61_234_000_000, 0x0A1, b"\x0f\xf0")
     terminal.adapter.give([frame])
     assert terminal.hear() == b"t0A120FF0\r"
     terminal.say(b"Z1\r")
@@ -104,7 +104,7 @@ def test_frames_are_written_as_lines_with_stamps_when_asked(terminal):
 def test_a_client_that_does_not_read_loses_frames_and_is_told(terminal):
     terminal.say(b"S6\rO\r")
     for _ in range(20_000):
-        terminal.adapter.give([WireFrame(0, 0x281, bytes(4))])
+        terminal.adapter.give([CanFrame(0, 0x281, bytes(4))])
     assert terminal.adapter.lost > 1000
     lines = b""
     while data := terminal.hear():

@@ -10,11 +10,11 @@ import canopen
 import pytest
 import smbus2
 
+from drivers.ports import CanFrame
 from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
 
@@ -282,9 +282,9 @@ def test_slcan_opens_sends_and_receives(adapter):
         bus.send(can.Message(arbitration_id=0x000, data=b"\x01\x00", is_extended_id=False))
         bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
         assert adapter.take() == [(0x601, bytes.fromhex("4000100000000000")), (0, b"\x01\x00"), (0x080, b"")]
-        frames = [WireFrame(k, 0x180 + k, bytes(range(k % 9))) for k in range(200)]
+        frames = [CanFrame(k, 0x180 + k, bytes(range(k % 9))) for k in range(200)]
         adapter.give(frames)
-        assert receive_all(bus) == [frame[1:] for frame in frames]
+        assert receive_all(bus) == [frame[1:3] for frame in frames]
         assert adapter.lost == 0
     adapter.take()
     assert not adapter.is_open
@@ -299,7 +299,7 @@ def test_slcan_asks_for_version_and_serial_number(adapter):
 def test_slcan_at_another_bit_rate_hears_nothing(adapter):
     with can.Bus(adapter.path, interface="slcan", bitrate=250_000, sleep_after_open=0) as bus:
         adapter.take()
-        adapter.give([WireFrame(0, 0x80, b"\x01")])
+        adapter.give([CanFrame(0, 0x80, b"\x01")])
         bus.send(can.Message(arbitration_id=0x601, data=b"\x00", is_extended_id=False))
         assert adapter.take() == []
         assert receive_all(bus) == []
@@ -310,21 +310,21 @@ def test_slcan_listens_only(adapter):
         adapter.take()
         bus.send(can.Message(arbitration_id=0x601, data=b"\x00", is_extended_id=False))
         assert adapter.take() == []
-        adapter.give([WireFrame(0, 0x80, b"\x01")])
+        adapter.give([CanFrame(0, 0x80, b"\x01")])
         assert receive_all(bus) == [(0x80, b"\x01")]
 
 
 def test_slcan_a_client_that_comes_back_hears_nothing_old(adapter):
     with open_slcan(adapter):
         adapter.take()
-        adapter.give([WireFrame(0, 0x80, b"\x01")] * 50)
+        adapter.give([CanFrame(0, 0x80, b"\x01")] * 50)
     adapter.take()
     assert adapter.hung_up
-    adapter.give([WireFrame(0, 0x80, b"\x02")] * 50)
+    adapter.give([CanFrame(0, 0x80, b"\x02")] * 50)
     with open_slcan(adapter) as bus:
         adapter.take()
         assert not adapter.hung_up
-        adapter.give([WireFrame(0, 0x80, b"\x03")])
+        adapter.give([CanFrame(0, 0x80, b"\x03")])
         assert receive_all(bus) == [(0x80, b"\x03")]
 
 

@@ -65,7 +65,7 @@ def test_error_frames_lose_nothing():
 def test_a_bus_that_delays_keeps_the_order():
     _, link = can_with(Fault("delayed", "x", 0.02, 0.04, 0.012))
     assert [frame.data[0] for frame in link.frames] == list(range(1, 21))
-    times = [frame.end_ns - START_NS - 5 * MS * k for k, frame in enumerate(link.frames)]
+    times = [frame.host_ns - START_NS - 5 * MS * k for k, frame in enumerate(link.frames)]
     assert [time // MS for time in times] == [0] * 4 + [12] * 4 + [7, 2] + [0] * 10
 
 
@@ -79,7 +79,7 @@ def test_a_flood_starves_what_has_less_priority_and_nothing_else(identifier, hea
     bus, link = can_with(Fault("flood", "x", 0.019, 0.059, identifier))
     assert bus.heard[0x080] == heard + (identifier == 0x001)  # the newest of those that waited comes in the end
     assert bus.heard[identifier] > 0.85 * 40e6 / 250e3
-    assert [f.identifier for f in link.frames if f.identifier == identifier and f.end_ns > START_NS + 61 * MS] == []
+    assert [f.identifier for f in link.frames if f.identifier == identifier and f.host_ns > START_NS + 61 * MS] == []
 
 
 def test_a_babbler_leaves_no_room():
