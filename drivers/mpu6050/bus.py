@@ -48,10 +48,10 @@ class RegisterBus:
         """One register. Raises OSError when the last try fails."""
         return self.read(register).data[0]
 
-    def pop(self, register: int, count: int) -> bytes:
+    def pop(self, register: int, count: int) -> I2cReply:
         """``count`` bytes of a FIFO; repeated only if the device transferred no data. Raises OSError."""
         transfer = self._port.write_read
-        return self._tried(lambda: transfer(self._address, bytes((register,)), count), NOT_ACKNOWLEDGED).data
+        return self._tried(lambda: transfer(self._address, bytes((register,)), count), NOT_ACKNOWLEDGED)
 
     def write(self, register: int, value: int) -> None:
         """Write one register. Raises OSError when the last try fails."""

@@ -91,9 +91,9 @@ class Fifo:
         self._stream.cause = ""
         if not samples:
             return False
-        data, broke_off = self._pop(samples * PACKET_BYTES)
-        if broke_off is None:
-            try:  # checked again: it may have overflowed after the count
+        data, broke_off, popped_ns = self._pop(samples * PACKET_BYTES)
+        if broke_off is None and self._most(count, popped_ns - now_ns) > self.chip.fifo_bytes:
+            try:  # so late that it may have overflowed after the count
                 if self._bus.byte(reg.INT_STATUS) & reg.FIFO_OFLOW:
                     self._overflow(now_ns, samples + 1, count)
                     return True
@@ -155,26 +155,28 @@ class Fifo:
         Raises:
             OSError: EBADMSG, the count is impossible.
         """
-        fastest_ns = FASTEST * self._config.sample_period_ns
-        most = before + PACKET_BYTES * (2 + int(elapsed_ns / fastest_ns))
-        if not before <= count <= min(most, self.chip.fifo_bytes):
+        if not before <= count <= min(self._most(before, elapsed_ns), self.chip.fifo_bytes):
             raise OSError(errno.EBADMSG, f"FIFO counts {before} bytes, then {count}")
+
+    def _most(self, before: int, elapsed_ns: int) -> int:
+        """Bytes that it may have come to hold since there were so many."""
+        return before + PACKET_BYTES * (2 + int(elapsed_ns / (FASTEST * self._config.sample_period_ns)))
 
     def _is_over(self, count: int) -> bool:
         return count > self.chip.fifo_bytes - PACKET_BYTES
 
-    def _pop(self, left: int) -> tuple[bytes, OSError | None]:
-        """Read ``left`` bytes in transfers of whole packets; returns the bytes and the error that ended it, if any."""
+    def _pop(self, left: int) -> tuple[bytes, OSError | None, int]:
+        """Read ``left`` bytes in transfers of whole packets: the bytes, the error that ended it, the last one's end."""
         longest = self._config.max_transfer_bytes // PACKET_BYTES * PACKET_BYTES
-        pieces: list[bytes] = []
+        data, host_ns = b"", 0
         while left:
             size = min(left, longest)
             try:
-                pieces.append(self._bus.pop(reg.FIFO_R_W, size))
+                piece, host_ns = self._bus.pop(reg.FIFO_R_W, size)
             except OSError as error:
-                return b"".join(pieces), error
-            left -= size
-        return b"".join(pieces), None
+                return data, error, host_ns
+            data, left = data + piece, left - size
+        return data, None, host_ns
 
     def _overflow(self, now_ns: int, at_least: int, count: int) -> None:
         text = f"FIFO ran over, {count} bytes counted: it was reset; pump more often"

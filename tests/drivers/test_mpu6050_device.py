@@ -53,7 +53,7 @@ def set_up(device, clock):
 
 def test_set_up_and_a_drain_are_these_transactions(clock):
     packet = bytes.fromhex("0001 0002 0003 F0B0 0004 0005 0006")
-    script = [*SET_UP, (b"\x72", b"\x00\x1c"), (b"\x74", packet * 2), (b"\x3a", b"\x01")]
+    script = [*SET_UP, (b"\x72", b"\x00\x1c"), (b"\x74", packet * 2)]
     bus = ScriptedI2c(clock, script)
     device = Mpu6050(NAME, bus)
     assert codes(set_up(device, clock)) == ["started"]
