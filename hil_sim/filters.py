@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 import numpy as np
+from scipy.linalg.blas import dtbsv
 
 from hil_sim.arrays import FloatArray
 
@@ -56,26 +57,28 @@ def band_pass(band_Hz: tuple[float, float], rate_Hz: float) -> tuple[Section, Se
 
 
 def settled(section: Section) -> FloatArray:
-    """State of a section that has read ones for ever, (2,)."""
+    """State of a section that has read ones for ever, (4,)."""
     (b0, b1, b2), (_, a1, a2) = section
-    level = (b0 + b1 + b2) / (1.0 + a1 + a2)
-    return np.array([level - b0, b2 - a2 * level])
+    recursed = (b0 + b1 + b2) / (1.0 + a1 + a2) - b0
+    return np.array([1.0, 1.0, recursed, recursed])
 
 
 def filtered(section: Section, samples: FloatArray, state: FloatArray) -> FloatArray:
-    """A section's output for samples (n, k); ``state``, (2, k), goes on to the next of them."""
-    (b0, b1, b2), (_, a1, a2) = (part.tolist() for part in section)
-    out = np.empty(samples.shape)
-    for column, values in enumerate(samples.T.tolist()):
-        z0, z1 = state[:, column].tolist()
-        made = []
-        for x in values:
-            y = z0 + b0 * x
-            z0 = z1 + b1 * x - a1 * y
-            z1 = b2 * x - a2 * y
-            made.append(y)
-        out[:, column] = made
-        state[:, column] = z0, z1
+    """A section's output for samples (n, k); ``state``, (4, k), goes on to the next of them.
+
+    The output is b0 times the sample plus what the samples before leave, a recursion solved as a band matrix.
+    The state is the last two samples and the last two of what they leave.
+    """
+    (b0, b1, b2), (_, a1, a2) = section
+    read = np.concatenate([state[:2], samples])
+    band = np.empty((3, len(read)), order="F")
+    band[:] = [[1.0], [a1], [a2]]
+    band[1, 0] = 0.0  # the first two are as they were
+    left = np.concatenate([state[2:], (b1 - a1 * b0) * read[1:-1] + (b2 - a2 * b0) * read[:-2]])
+    for column in left.T:
+        column[:] = dtbsv(2, band, column, lower=1, diag=1)
+    state[:2], state[2:] = read[-2:], left[-2:]
+    out: FloatArray = left[2:] + b0 * samples
     return out
 
 
@@ -90,9 +93,9 @@ class Passing:
     def __init__(self, sections: Sequence[Section], columns: int) -> None:
         self._made = []  # by each sample of a block, and by the state before; the state after it by the same
         for section in sections:
-            state = np.hstack([np.zeros((2, _BLOCK)), np.eye(2)])
-            self._made.append((filtered(section, np.eye(_BLOCK, _BLOCK + 2), state), state))
-        self._states = [np.zeros((2, columns)) for _ in sections]
+            state = np.hstack([np.zeros((4, _BLOCK)), np.eye(4)])
+            self._made.append((filtered(section, np.eye(_BLOCK, _BLOCK + 4), state), state))
+        self._states = [np.zeros((4, columns)) for _ in sections]
 
     def take(self, samples: FloatArray) -> FloatArray:
         """Output for the next samples, (n, columns); n is whole blocks of 64, but of the last."""
@@ -101,7 +104,7 @@ class Passing:
         for k, (made, state) in enumerate(self._made):
             blocks = np.concatenate([samples, rest]).reshape(-1, _BLOCK, columns)
             after = state[:, :_BLOCK] @ blocks
-            before = np.zeros((len(blocks) + 1, 2, columns))
+            before = np.zeros((len(blocks) + 1, 4, columns))
             before[0] = self._states[k]
             for block in range(len(blocks)):
                 before[block + 1] = state[:, _BLOCK:] @ before[block] + after[block]
