@@ -1,17 +1,34 @@
 """``heft import`` converts foreign recordings to logs."""
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from onboard.cli.common import OK, Commands, add_json, progress, write_json
+from onboard.cli.common import OK, Commands, add_json, busy, load_vehicle, progress, write_json
+
+if TYPE_CHECKING:
+    from onboard.offline.bring_in.guess.propose import Names
 
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    importer = commands.add_parser("import", help="convert foreign recordings to logs")
-    importer.add_argument("mapping", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4")
-    importer.add_argument("source", type=Path, help="a recording, or a directory of them")
-    importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    importer = commands.add_parser(
+        "import",
+        help="convert foreign recordings to logs, or propose a mapping for one (--guess)",
+        description="Two steps: --guess FILE -o mapping.toml; look at it; then mapping.toml FILE -o logs.",
+    )
+    importer.add_argument(
+        "mapping", nargs="?", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4"
+    )
+    importer.add_argument("source", type=Path, nargs="?", help="a recording, or a directory of them")
+    importer.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="of the logs; the mapping's file with --guess"
+    )
+    importer.add_argument(
+        "--guess", type=Path, metavar="FILE", help="propose a mapping for a CSV, MAT, NPZ, ROS bag, MCAP or ULog"
+    )
+    importer.add_argument("--vehicle", metavar="FILE", help="with --guess: name the channels like its devices")
     add_json(importer)
     importer.set_defaults(command=_import)
 
@@ -19,6 +36,12 @@ def add(commands: Commands) -> None:
 def _import(arguments: argparse.Namespace) -> int:
     from onboard.offline.bring_in.importer import import_recordings
 
+    if arguments.guess is not None:
+        return _guess(arguments)
+    if arguments.mapping is None or arguments.source is None or arguments.output is None:
+        raise ValueError("give MAPPING SOURCE -o DIR, or --guess FILE for a mapping to begin with")
+    if arguments.vehicle is not None:
+        raise ValueError("--vehicle names the channels that --guess proposes: give it with --guess")
     with progress() as bar:
         imported = import_recordings(arguments.mapping, arguments.source, arguments.output, progress=bar)
     write_json(arguments.json, imported)
@@ -27,3 +50,40 @@ def _import(arguments: argparse.Namespace) -> int:
         for text in one.left_out:
             print(f"note: {text}")
     return OK
+
+
+def _guess(arguments: argparse.Namespace) -> int:
+    import os
+
+    from onboard.offline.bring_in.guess.propose import Names, propose
+
+    if arguments.mapping is not None:
+        raise ValueError("--guess FILE makes the mapping: give no other one")
+    named = _names(arguments.vehicle) if arguments.vehicle is not None else Names()
+    with busy(f"{arguments.guess} is looked at"):
+        found = propose(arguments.guess, named)
+    if arguments.output is None:
+        sys.stdout.write(found.text)
+    else:
+        mode = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+        with os.fdopen(os.open(arguments.output, mode, 0o666), "w", encoding="utf-8") as file:
+            file.write(found.text)
+        print(f"{arguments.output}: {len(found.channels)} channels: {', '.join(found.channels)}")
+        for doubt in found.doubts:
+            print(f"doubtful: {doubt}")
+        print(f"next: look at it, then heft import {arguments.output} {arguments.guess} -o logs")
+    write_json(arguments.json, found._asdict())
+    return OK
+
+
+def _names(vehicle: str) -> "Names":
+    from onboard.devices.roles import TorqueKeys
+    from onboard.flight.estimate.roles import roles_of
+    from onboard.offline.bring_in.guess.propose import Names
+
+    roles = roles_of(load_vehicle(vehicle))
+    return Names(
+        tuple(imu.channels[0] for imu in roles.imus),
+        tuple(joint.channel for joint in roles.joints if not joint.is_rate),
+        tuple(cell.channel for cell in roles.cells if isinstance(cell.keys, TorqueKeys)),
+    )

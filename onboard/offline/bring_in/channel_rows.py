@@ -80,7 +80,7 @@ def without_bad_rows(
         approximate, host_ns = _ns(foreign.numbers(source, columns, time.column), time)
         at = at[_is_time(approximate[at])]
         good[:] = False
-        good[at[_rising(host_ns[at])]] = True
+        good[at[rising(host_ns[at])]] = True
     left_out = int((~good).sum())
     if not left_out:
         return columns, 0
@@ -89,11 +89,11 @@ def without_bad_rows(
     return {name: one[good] if len(one) == len(good) else one for name, one in columns.items()}, left_out
 
 
-def _rising(times: NDArray[np.int64]) -> NDArray[np.intp]:
+def rising(times: Values) -> NDArray[np.intp]:
     """Places of a longest part of ``times`` that rises strictly (patience sorting)."""
     if (np.diff(times) > 0).all():
         return np.arange(len(times))
-    ends: list[int] = []  # the smallest last time of a part of each length
+    ends: list[float] = []  # the smallest last time of a part of each length
     at: list[int] = []  # its place
     before = np.full(len(times), -1)
     for k, time in enumerate(times.tolist()):

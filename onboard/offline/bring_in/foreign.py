@@ -1,8 +1,8 @@
-"""Reads columns of foreign files: text (``text_rows``) and NumPy's NPZ; a whole file is held in memory."""
+"""Reads columns of foreign files: text, NumPy's NPZ, MATLAB's, messages; a whole file is held in memory."""
 
 import re
 import stat
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from collections.abc import Mapping as Columns
 from pathlib import Path
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from onboard.npz import NpzError, arrays_of
 from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.mapping import Csv
+from onboard.offline.bring_in.matlab import read_mat
+from onboard.offline.bring_in.messages import read_messages
 from onboard.offline.bring_in.text_rows import LARGEST_BYTES, Recording, Values, read_csv
 
 _MOST_NAMED, _LONGEST_NAME = 20, 80  # columns in a message, characters of one
@@ -30,20 +32,38 @@ def read_npz(path: Path) -> Columns[str, Values]:
         raise SourceError(str(error)) from error
 
 
-def read(path: Path, layout: Csv, kind: str, *, skip: bool = False) -> Recording:
-    """The columns of a file of ``kind`` (csv or npz); see ``read_csv`` and ``read_npz``.
+def read(path: Path, layout: Csv, kind: str, *, skip: bool = False, names: Collection[str] | None = None) -> Recording:
+    """The columns of a file of ``kind``; see ``read_csv``, ``read_npz``, ``read_mat`` and ``read_messages``.
+
+    ``names``: of columns that are wanted; other topics need not be read.
 
     Raises:
         SourceError: as these; a pipe or a device, which may never end; more than a recording holds.
         OSError: as these.
     """
     about = path.stat()
-    if not stat.S_ISREG(about.st_mode):
+    if is_bag_directory(path) and kind == "bag":
+        sizes = [part.stat().st_size for part in path.iterdir()]
+    elif not stat.S_ISREG(about.st_mode):
         raise SourceError(f"{path} is no file, but a pipe, a device or a directory; give the path of a recording")
-    if about.st_size > LARGEST_BYTES:
+    else:
+        sizes = [about.st_size]
+    if sum(sizes) > LARGEST_BYTES:
         limit = f"{LARGEST_BYTES / 1e9:.1f} GB"
-        raise SourceError(f"{path} has {about.st_size / 1e9:.3g} GB; the limit is {limit}: divide it")
-    return read_csv(path, layout, skip=skip) if kind == "csv" else Recording(read_npz(path))
+        raise SourceError(f"{path} has {sum(sizes) / 1e9:.3g} GB; the limit is {limit}: divide it")
+    if kind == "csv":
+        return read_csv(path, layout, skip=skip)
+    if kind == "npz":
+        return Recording(read_npz(path))
+    if kind == "mat":
+        return Recording(read_mat(path))
+    topics = None if names is None else {name.partition(":")[0] for name in names}
+    return read_messages(path, kind, topics)
+
+
+def is_bag_directory(path: Path) -> bool:
+    """Whether it is a bag of ROS 2, which is a directory."""
+    return (path / "metadata.yaml").is_file()
 
 
 def _found(columns: Columns[str, Values], name: str) -> Values | None:

@@ -16,7 +16,7 @@ from drivers import records
 from drivers.records import Rows, Severity
 from onboard.offline.bring_in import channel_rows, foreign, mapping
 from onboard.offline.bring_in.errors import SourceError
-from onboard.offline.bring_in.mapping import ImuChannel, Mapping
+from onboard.offline.bring_in.mapping import ImuChannel, Mapping, MappingFile
 from onboard.offline.bring_in.text_rows import Recording
 from onboard.recording.writer import LogWriter
 
@@ -65,8 +65,9 @@ def import_recordings(
 
 
 def _sources(source: Path, suffix: str) -> list[Path]:
-    if not source.is_dir():
+    if not source.is_dir() or (suffix == "bag" and foreign.is_bag_directory(source)):
         return [source]
+    suffix = {"ulog": "ulg"}.get(suffix, suffix)
     found = sorted(source.glob(f"*.{suffix}"))
     if not found:
         raise SourceError(f"{source} holds no .{suffix} file, which is what the mapping reads; give another directory")
@@ -78,11 +79,11 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
     channels: dict[str, Rows] = {}
     told: list[str] = []  # of what was left out
     skipped: dict[str, int] = {}  # rows by channel
-    skip = chosen.file.mapping.bad_rows == "skip"
+    skip, wanted = chosen.file.mapping.bad_rows == "skip", _columns(chosen.file)
     for name, channel in chosen.file.channel.items():
         path = source if channel.file is None else source.parent / channel.file
         if path not in files:
-            files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format, skip=skip)
+            files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format, skip=skip, names=wanted)
             told += _of_file(path, files[path])
         columns, time = files[path].columns, channel.time or chosen.file.time
         if skip:
@@ -105,6 +106,22 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
     return ImportedLog(log, source, sum(map(len, channels.values())), tuple(told))
 
 
+def _columns(file: MappingFile) -> set[str]:
+    """All that the mapping names."""
+    times = [file.time, *(channel.time for channel in file.channel.values() if channel.time is not None)]
+    named = {time.column for time in times if time.column is not None}
+    return named.union(*(channel_rows.columns_of(channel) for channel in file.channel.values()))
+
+
+def _sha256(path: Path) -> str:
+    """Of a file, or of all files of a directory in the order of their names."""
+    parts = sorted(path.iterdir()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.read_bytes())
+    return digest.hexdigest()
+
+
 def _of_file(path: Path, one: Recording) -> Iterator[str]:
     if one.truncated:
         yield f"{path.name}: {one.truncated}"
@@ -116,7 +133,7 @@ def _write(chosen: Mapping, files: Iterable[Path], log: Path, channels: dict[str
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
             "source": ", ".join(path.name for path in files),
-            "sha256": ", ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files),
+            "sha256": ", ".join(_sha256(path) for path in files),
             "mapping": chosen.file.mapping.name,
             "host_ns": "the recording's own clock",
             "not_recorded": ", ".join(_absent(chosen)),

@@ -68,6 +68,7 @@ UNITS = {
     "1": ("1", 1.0),
     "m/s^2": ("m/s^2", 1.0),
     "g": ("m/s^2", 9.80665),  # standard gravity, CGPM 1901
+    "mg": ("m/s^2", 9.80665e-3),
     "rad/s": ("rad/s", 1.0),
     "deg/s": ("rad/s", math.pi / 180),
     "rev/min": ("rad/s", 2 * math.pi / 60),
@@ -99,7 +100,7 @@ class About(_Section):
     """Name of the mapping and format of its recordings."""
 
     name: str
-    format: Literal["csv", "npz"]
+    format: Literal["csv", "npz", "mat", "bag", "mcap", "ulog"]
     bad_rows: Literal["refuse", "skip"] = "refuse"
 
 

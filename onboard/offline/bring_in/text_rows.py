@@ -22,6 +22,7 @@ LARGEST_BYTES = 2 << 30  # of the arrays of one file
 _LONGEST_LINE = 1 << 20  # characters of a CSV
 _BLOCK = 1 << 20  # cells of a CSV that are text at a time
 _LONGEST_CELL = 80  # characters of one in a message
+_CLOCK = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d(\.\d{1,9})?)?Z?")
 
 
 class Recording(NamedTuple):
@@ -59,10 +60,10 @@ def read_csv(path: Path, layout: Csv, *, skip: bool = False, most_rows: int | No
         if skip:
             whole = [row for row in some if len(row) == len(names)]
             some, ragged = whole, ragged + len(some) - len(whole)
-        for number, row in enumerate(some, count + 1):
+        for place, row in enumerate(some, count + 1):
             if len(row) != len(names):
                 found = f"{len(row)} cells where the header names {len(names)}"
-                raise SourceError(f"{path}: row {number} has {found}; {_separated(names)}")
+                raise SourceError(f"{path}: row {place} has {found}; {_separated(names)}")
         if 8 * (count + len(some)) * len(names) > LARGEST_BYTES:
             raise SourceError(f"{path} has more numbers than {LARGEST_BYTES / 1e9:.1f} GB hold: divide it")
         for blocks, cells in zip(columns, zip(*some, strict=True), strict=bool(some)):
@@ -185,9 +186,23 @@ def _numbers(cells: Sequence[str], decimal: str, before: int, *, skip: bool) -> 
             return text.astype(kind)
         except (ValueError, OverflowError):
             continue
+    if (times := times_of(text.tolist())) is not None:
+        return times
     if skip:
         return np.array([number(cell) for cell in text.tolist()])
     return np.broadcast_to(np.array(_no_number(text.tolist(), before)), len(cells))
+
+
+def times_of(cells: list[str]) -> NDArray[np.int64] | None:
+    """Times of day or dates as in ISO 8601, ns since 1970 (of a time of day: since midnight); None if one is none."""
+    if not cells or not _CLOCK.fullmatch(cells[0].strip()):
+        return None
+    plain = [cell.strip().removesuffix("Z") for cell in cells]
+    days = [cell if "-" in cell else f"1970-01-01T{'0' * (cell[1:2] == ':')}{cell}" for cell in plain]
+    try:
+        return np.array(days, "datetime64[ns]").astype(np.int64)
+    except ValueError:
+        return None
 
 
 def number(cell: str) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from onboard.cli import BAD_INPUT, OK, main
-from onboard.offline.bring_in.channel_rows import _rising
+from onboard.offline.bring_in.channel_rows import rising
 from onboard.offline.bring_in.errors import MappingError, SourceError
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
@@ -142,7 +142,7 @@ def test_the_fewest_rows_are_left_out_so_that_times_rise(tmp_path):
     rng = np.random.default_rng(3)
     for _ in range(60):
         times = rng.integers(0, 8, rng.integers(1, 9))
-        kept = _rising(times)
+        kept = rising(times)
         assert (np.diff(kept) > 0).all()
         assert (np.diff(times[kept]) > 0).all()
         most = max(

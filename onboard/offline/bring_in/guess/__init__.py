@@ -1,0 +1,1 @@
+"""Proposes a mapping for a recording that nobody described (``heft import --guess``)."""
