@@ -164,7 +164,7 @@ def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
 
 
 def _stands(said: Table) -> bool:
-    return said.get("base") in ("fixed", "planar")
+    return said.get("base") in ("fixed", "planar", "pivot")
 
 
 def _add_device(out: Table, name: str, device: Table, sheets: Sheets) -> None:

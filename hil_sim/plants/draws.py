@@ -96,6 +96,8 @@ def let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
     """Velocity of the base at the start, MuJoCo's numbers."""
     rate = table.rate_rad_s * rng.uniform(-1.0, 1.0, 3) + np.asarray(table.spin_rad_s)
     velocity = table.velocity_m_s * rng.uniform(-1.0, 1.0, 3)
-    return {"free": np.concatenate([velocity, rate]), "planar": np.array([*velocity[:2], rate[2]])}.get(
-        base, np.zeros(0)
-    )
+    return {
+        "free": np.concatenate([velocity, rate]),
+        "planar": np.array([*velocity[:2], rate[2]]),
+        "pivot": np.asarray(rate, np.float64),
+    }.get(base, np.zeros(0))

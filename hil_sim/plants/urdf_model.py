@@ -12,7 +12,9 @@ from hil_sim.plants.urdf_drawing import PREFIX, Drawing
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
-BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3}
+BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3, "pivot": 3}
+_POSE = {"free": 7, "prescribed": 7, "fixed": 0, "planar": 3, "pivot": 4}  # numbers of the base's pose
+_JOINTS = {"free": 1, "prescribed": 1, "fixed": 0, "planar": 3, "pivot": 1}  # of MuJoCo's that let it go
 _LEAST_kg_m2 = 1e-12  # of a joint that carries nothing: MuJoCo factors the inertia matrix, and complains of a zero
 _SENSED = {
     "gyro": mujoco.mjtSensor.mjSENS_GYRO,
@@ -68,6 +70,7 @@ class UrdfModel:
         model: MuJoCo's.
         root: link that all others hang on.
         freedom: degrees of freedom of the base.
+        pose: numbers of its pose.
         joints: names of the joints in the order of MuJoCo's columns after the base's.
 
     Raises:
@@ -97,9 +100,8 @@ class UrdfModel:
         self.model.dof_damping[:] = self.model.dof_frictionloss[:] = 0.0
         self.model.dof_armature[:] = _LEAST_kg_m2
         self.root, self.freedom = drawing.root, BASE_FREEDOM[base]
-        self.pose = 7 if self.freedom == 6 else self.freedom  # numbers of the base's pose
-        first = {0: 0, 3: 3, 6: 1}[self.freedom]
-        self.joints = tuple(self.model.joint(index).name for index in range(first, self.model.njnt))
+        self.pose = _POSE[base]
+        self.joints = tuple(self.model.joint(index).name for index in range(_JOINTS[base], self.model.njnt))
         self._drawn = {link: self._read(link) for link in drawing.links}
 
     def _read(self, link: str) -> Body:
@@ -166,6 +168,8 @@ class UrdfModel:
 def _let_go(root: mujoco.MjsBody, base: str) -> None:
     if BASE_FREEDOM[base] == 6:
         root.add_freejoint()
+    elif base == "pivot":
+        root.add_joint(name="pivot", type=mujoco.mjtJoint.mjJNT_BALL)
     elif base == "planar":
         slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
         root.add_joint(name="table x", type=slide, axis=[1, 0, 0])

@@ -24,7 +24,7 @@ class VehicleTable(Table):
 
     urdf: str
     label: str
-    base: Literal["free", "prescribed", "fixed", "planar"]
+    base: Literal["free", "prescribed", "fixed", "planar", "pivot"]
     base_link: str
     payload_link: str | None = None
 
@@ -309,6 +309,13 @@ class TableTop(Table):
     pucks: tuple[str, ...] = ()
 
 
+class BearingTable(Table):
+    """``[bearing]`` of a base on a pivot: drag of the air, and what its jets turn it by, about the vertical."""
+
+    viscous_N_m_s: NonNegative = 0.0
+    turning_N_m: float = 0.0
+
+
 class VehicleScenario(Scenario):
     """A whole mission of a vehicle of one's own."""
 
@@ -323,6 +330,7 @@ class VehicleScenario(Scenario):
     base_motion: BaseSway = Field(default_factory=BaseSway.model_construct)
     friction: JointFriction = Field(default_factory=JointFriction.model_construct)
     table: TableTop = Field(default_factory=TableTop.model_construct)
+    bearing: BearingTable | None = None
     flexibility: Flexibility | None = None
     backlash: BacklashTable | None = None
     slosh: SloshTable | None = None
@@ -351,7 +359,7 @@ class VehicleScenario(Scenario):
             raise ValueError('parabolas are flown with base = "free"')
         if self.parabolas is not None and (self.capture is not None or self.ejection is not None):
             raise ValueError("in parabolas the payload is held from the start: leave capture and ejection out")
-        if self.slosh is not None and (self.vehicle.base in ("prescribed", "fixed") or self.parabolas is not None):
+        if self.slosh is not None and (self.vehicle.base not in ("free", "planar") or self.parabolas is not None):
             raise ValueError("slosh needs a base that floats all the time, free or planar")
         if (self.flexibility or self.backlash) and self.vehicle.base == "prescribed":
             raise ValueError("flexibility and backlash are for a base that floats or stands")
@@ -379,6 +387,8 @@ class VehicleScenario(Scenario):
     def _parts_fit(self) -> None:
         """Servos and stops, and what carries the base."""
         base, physics = self.vehicle.base, self.physics
+        if self.bearing is not None and base != "pivot":
+            raise ValueError('bearing: of a base = "pivot"; take it out')
         if self.servo and base not in ("prescribed", "fixed"):
             raise ValueError('servo: joints have servos with base = "prescribed" or "fixed"; take it out')
         if self.servo and (self.flexibility or self.backlash or (self.capture and self.capture.contact_Hz)):

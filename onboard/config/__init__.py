@@ -5,6 +5,7 @@ from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
 from onboard.config.free_body import Load
 from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
+from onboard.config.pivot import Pivot
 from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
@@ -15,6 +16,7 @@ __all__ = [
     "Load",
     "Origin",
     "Phases",
+    "Pivot",
     "Prior",
     "Recording",
     "Vehicle",

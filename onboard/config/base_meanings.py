@@ -1,4 +1,4 @@
-"""What the keys of ``[planar]``, ``[parabola]`` and ``[free_body]`` mean, and when to change them; see ``meanings``."""
+"""What the keys of ``[planar]``, ``[pivot]``, ``[parabola]``, ``[free_body]`` mean, and when to change them."""
 
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),
@@ -24,6 +24,29 @@ PUCK: dict[str, tuple[str, ...]] = {
     "frame": ("Frame of the URDF, fixed in the base, whose origin the puck is at.",),
     "viscous_sigma_N_s_m": ("Drag in proportion to the slip, 1 sigma about none.", "a puck is worn or dry"),
     "coulomb_sigma_N": ("Drag that is the same at any slip, 1 sigma about none.", "as above"),
+}
+
+PIVOT: dict[str, tuple[str, ...]] = {
+    "drag_sigma_N_m_s": ("Drag of the air, in proportion to the rate, 1 sigma about none.", "the body is large"),
+    "jets_sigma_N_m": (
+        "What the bearing's jets turn the base by, about the vertical, 1 sigma about none.",
+        "the data sheet of the bearing states it",
+    ),
+    "gyro_per_g_sigma_rad_s": (
+        "Each element of what 1 g adds to the gyro's readings, 1 sigma.",
+        "the gyro's data sheet states it: linear acceleration sensitivity",
+    ),
+    "proof_sigma": (
+        "Relative, of mass times lever of payload_link: a known mass that is on the base for a part of the run.",
+        "it was weighed and measured better",
+    ),
+    "balance": ("Tables: the masses that balance the base.",),
+}
+
+BALANCE: dict[str, tuple[str, ...]] = {
+    "name": ("Its name: the answer is move_NAME.",),
+    "mass_kg": ("Weighed.",),
+    "axis": ("Direction in which it can be moved, base axes.",),
 }
 
 JOINT = {

@@ -143,6 +143,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
     _check_realtime(vehicle, fail)
     _check_planar(vehicle, fail)
+    _check_pivot(vehicle, fail)
     _check_parabola(vehicle, fail)
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
@@ -220,9 +221,9 @@ def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
-    if file.vehicle.base not in ("free", "planar"):
-        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free" or "planar"')
-    if file.vehicle.payload_link is None:
+    if file.vehicle.base not in ("free", "planar", "pivot"):
+        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free", "planar" or "pivot"')
+    if file.vehicle.payload_link is None and file.vehicle.base != "pivot":
         fail(where, 'method "exiddm" estimates the payload; name its payload_link')
     others = {
         "base_rows": settings.base_rows,
@@ -250,6 +251,24 @@ def _check_parabola(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "carried"], "the runs of a flight are estimated together afterwards; remove carried")
     if not settings.exiddm.held_at_start:
         fail(["estimation", "exiddm", "held_at_start"], "in parabolas the payload is held from the start; remove it")
+
+
+def _check_pivot(vehicle: Vehicle, fail: Fail) -> None:
+    file, settings = vehicle.file, vehicle.file.estimation
+    if file.vehicle.base != "pivot":
+        if file.pivot:
+            fail(["pivot"], f'the base is {file.vehicle.base!r}; a bearing needs base = "pivot"')
+        return
+    if settings.method != "exiddm":
+        fail(["estimation", "method"], 'base = "pivot" is predicted: it needs method = "exiddm"')
+    if not settings.imu_prior.gyro_bias_rad_s:
+        where = ["estimation", "imu_prior", "gyro_bias_rad_s"]
+        fail(
+            where,
+            'with base = "pivot" a gyro without bias is hardly meant; say how well it is known, 0.01 if it is not',
+        )
+    if settings.carried:
+        fail(["estimation", "carried"], "a run on a pivot is estimated by itself; remove carried")
 
 
 def _check_planar(vehicle: Vehicle, fail: Fail) -> None:

@@ -5,7 +5,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
-from onboard.config.base_meanings import CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PLANAR, PUCK
+from onboard.config.base_meanings import BALANCE, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
 from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
@@ -30,6 +30,7 @@ from onboard.config.estimation import (
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
+from onboard.config.pivot import Balance, Pivot
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
@@ -51,7 +52,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "base": _M(
             "What is known of the base: it floats freely, its motion is prescribed by something larger and measured, "
-            "it is fixed in gravity, or it floats on an air-bearing table."
+            "it is fixed in gravity, it floats on an air-bearing table, or it turns about the base link's origin on a "
+            "spherical air bearing."
         ),
         "base_link": _M("Link of the URDF that the base IMU moves with."),
         "payload_link": _M("Link that stands for what is grappled; its inertia in the URDF is a first guess or zero."),
@@ -305,6 +307,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     Load: {key: _M(*said) for key, said in LOAD.items()},
     Parabola: {key: _M(*said) for key, said in PARABOLA.items()},
     Planar: {key: _M(*said) for key, said in PLANAR.items()},
+    Pivot: {key: _M(*said) for key, said in PIVOT.items()},
+    Balance: {key: _M(*said) for key, said in BALANCE.items()},
     Puck: {key: _M(*said) for key, said in PUCK.items()},
     Drive: {key: _M(*said) for key, said in DRIVE.items()},
     MissionKeys: {key: _M(*said) for key, said in MISSION.items()},

@@ -16,6 +16,7 @@ from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
+from onboard.config.pivot import Pivot
 from onboard.config.planar import Planar
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
@@ -42,7 +43,7 @@ class VehicleSection(Section):
 
     name: str
     urdf: str
-    base: Literal["free", "prescribed", "fixed", "planar"]
+    base: Literal["free", "prescribed", "fixed", "planar", "pivot"]
     base_link: str
     payload_link: str | None = None
     essential: list[str] = Field(default_factory=list)
@@ -111,6 +112,7 @@ class VehicleFile(Section):
     estimation: Estimation = Field(default_factory=Estimation.model_construct)
     free_body: FreeBody | None = None
     planar: Planar | None = None
+    pivot: Pivot | None = None
     parabola: Parabola | None = None
     recording: Recording = Field(default_factory=Recording.model_construct)
     realtime: Realtime = Field(default_factory=Realtime.model_construct)

@@ -68,7 +68,7 @@ def require_flyable(
         DrawingError: it cannot; all that is wrong, with lines.
     """
     drawing = read(urdf, label)
-    floats = base in ("free", "planar")
+    floats = base in ("free", "planar", "pivot")
     problems = [*_sizes(drawing)] or [*_axes(drawing)]
     if floats or simulated:
         problems = problems or [*_bodies(drawing), *_ranges(drawing)] or [*_carried(drawing)]

@@ -34,6 +34,7 @@ class BaseKind(StrEnum):
     FREE = "free"  # motion measured, wrench zero
     PLANAR = "planar"  # on a level bed: x, y and yaw move, their wrench is zero but for drag
     PRESCRIBED = "prescribed"  # motion measured, wrench unknown
+    PIVOT = "pivot"  # turns about the base frame's origin: motion measured, no moment about that but gravity's
     FIXED = "fixed"  # at rest in gravity, wrench unknown
 
 
@@ -106,7 +107,7 @@ class VehicleModel:
         self.links = tuple(name for name, chi in parameters.items() if chi[0] > least_kg or name == spec.payload_link)
         self.chi = np.concatenate([parameters[name] for name in self.links] or [np.zeros(0)])
         self.chi.setflags(write=False)
-        if spec.base in (BaseKind.FREE, BaseKind.PLANAR):
+        if spec.base in (BaseKind.FREE, BaseKind.PLANAR, BaseKind.PIVOT):
             self.base_body()
         self.joints = tuple(self._joint(drawing, index) for index in range(2, self.model.njoints))
         self.tree = tree_of(self.model, self.joints, self.links)

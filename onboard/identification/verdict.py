@@ -134,7 +134,7 @@ def verdict(evidence: Evidence) -> Verdict:
     held_out = evidence.held_out
     reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK), *doubtful(evidence.corrections)]
     if held_out is None:
-        reasons.append(evidence.unchecked)
+        reasons += [evidence.unchecked] * bool(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
         said = f"one half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
         if held_out.worst.relative_error >= MOST_UNPREDICTED:

@@ -32,6 +32,7 @@ from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
+from onboard.config.pivot import Balance, Pivot
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
@@ -65,6 +66,8 @@ TABLES: dict[str, type[Section]] = {
     "[parabola]": Parabola,
     "[planar]": Planar,
     "[[planar.puck]]": Puck,
+    "[pivot]": Pivot,
+    "[[pivot.balance]]": Balance,
     "[recording]": Recording,
     "[realtime]": Realtime,
     "[drive]": Drive,

@@ -20,6 +20,7 @@ from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.considered import of_bias, of_cell, of_gains, of_motion, stated_by
 from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
+from onboard.flight.estimate.pivot import pivot_run
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.flight.estimate.torques import torque_cell
@@ -38,6 +39,7 @@ from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
+from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.considered_errors import Start
@@ -108,6 +110,8 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
     """
     if vehicle.file.planar is not None:
         return build_planar(vehicle)
+    if vehicle.file.vehicle.base == "pivot":
+        return build_pivot(vehicle)
     online, model = build_exiddm(vehicle)
     between_hands = vehicle.file.parabola is not None  # its momentum is another one after every release
     return (TableRun(str(model.spec.payload_link), online.further) if between_hands else online), model
@@ -232,6 +236,21 @@ def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...
     """The channels of each further instrument but trackers, by its name."""
     names = {imu.channels[0]: imu.channels for imu in roles.imus} | {cell.name: (cell.channel,) for cell in roles.cells}
     return [names[one.name] for one in further if not isinstance(one, FurtherPose)]
+
+
+def build_pivot(vehicle: config.Vehicle) -> tuple[PivotRun, VehicleModel]:
+    """The estimator of a vehicle on a spherical air bearing, and its model.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles_of(vehicle), model)
+        _check_thrusters(roles_of(vehicle))
+        return pivot_run(vehicle, model, samples_per_tick(vehicle)), model
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
 
 
 def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:

@@ -38,6 +38,7 @@ from onboard.offline.estimate_again.feed import check_channels, check_times, fee
 from onboard.offline.estimate_again.identified import Answer, Identified, standings
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.parabolic_log import identify_parabolas
+from onboard.offline.estimate_again.pivot_log import identify_pivot
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.residuals import keep_rows
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary, Throw
@@ -148,6 +149,8 @@ def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReade
     """What estimates a log of a vehicle by maximum likelihood."""
     if vehicle.file.parabola is not None:
         return identify_parabolas
+    if vehicle.file.vehicle.base == "pivot":
+        return identify_pivot
     return identify_exiddm if vehicle.file.planar is None else identify_planar
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from onboard import config
 from onboard.identification.verdict import LEVELS
 from onboard.offline.foresee.free import foresee_free
+from onboard.offline.foresee.pivot import foresee_pivot
 from onboard.offline.foresee.plan import Expected, Foreseen, Plan
 from onboard.offline.foresee.planar import foresee_planar
 from onboard.offline.foresee.rows import foresee_rows
@@ -27,6 +28,8 @@ def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> For
     """
     if vehicle.file.planar is not None:
         return foresee_planar(vehicle, plan)
+    if vehicle.file.vehicle.base == "pivot":
+        return foresee_pivot(vehicle, plan)
     if vehicle.file.estimation.method == "exiddm":
         return foresee_free(vehicle, plan)
     most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next

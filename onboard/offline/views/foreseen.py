@@ -23,7 +23,7 @@ def render(found: Foreseen, motion: str) -> RenderableType:
         found: by the bound.
         motion: in words: whose it is.
     """
-    if found.payload is None and not found.parameters:
+    if not found.quantities and not found.parameters:
         return Text("nothing is held in this motion: there is nothing to determine")
     held = "" if found.payload is None else f", a payload of {1e3 * found.payload.mass_kg:.0f} g assumed"
     title = f"expected of {motion}{held}"

@@ -14,7 +14,8 @@ from onboard.dynamics.inertia import RigidBody, composite_functional, elements
 from onboard.dynamics.payload import body_of, standard_of
 from onboard.dynamics.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_identifier, build_model
+from onboard.flight.estimate.identification import build_identifier, build_model, build_online
+from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.rows.identifier import Identifier
@@ -35,6 +36,8 @@ def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
         true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
     if vehicle.file.free_body:  # its base parameters say the same
         true |= _of_free_body(build_model(vehicle), truth)
+    elif vehicle.file.vehicle.base == "pivot":
+        true = _of_pivot(vehicle, truth)
     elif vehicle.file.estimation.method != "exiddm":
         true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
     return true
@@ -106,6 +109,20 @@ def _of_free_body(vehicle: VehicleModel, truth: Truth) -> dict[str, float]:
     """True centre of mass and inertia about it of the whole vehicle, rotors locked."""
     whole = body_of(composite_functional(vehicle) @ np.concatenate([_standard(link, truth) for link in vehicle.links]))
     return dict(zip(FREE_BODY, (*whole[1], *elements(whole[2])), strict=True))
+
+
+def _of_pivot(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
+    """True answers of a body on a pivot: without its proof mass, its wheels where they were built."""
+    model, whole = build_model(vehicle), np.zeros(10)
+    functional = composite_functional(model)
+    for k, link in enumerate(model.links):
+        if link in truth["links"] and link != vehicle.file.vehicle.payload_link:
+            drawn = body_of(functional[:, 10 * k : 10 * k + 10] @ _standard(link, truth))
+            off_m = np.asarray(truth["places_m"].get(link, np.zeros(3)), np.float64)
+            whole += standard_of(drawn._replace(centre_of_mass_m=drawn.centre_of_mass_m + off_m))
+    online = build_online(vehicle)[0]
+    assert isinstance(online, PivotRun)
+    return dict(zip(online.quantity_names, online.quantities_of(whole[0], whole[1:]).tolist(), strict=True))
 
 
 def _sum(weights: FloatArray, values: FloatArray) -> float:

@@ -1,0 +1,212 @@
+"""Answers of a body on a pivot while it turns: the fit of all ticks so far, made anew as they become more."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from onboard.dynamics.errors import SignalError
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.gates import ReasonArray
+from onboard.identification.corrections import contradicted, doubtful, together
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.leaning import Causes
+from onboard.identification.pivot.fit import BODY, PivotFit, PivotModel
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
+from onboard.identification.rows.free_body import FREE_BODY
+from onboard.identification.table.run import TableRun
+from onboard.identification.verdict import WORST_MISFIT
+from onboard.regressor.signals import Signals
+
+_FIRST_TICKS, _MORE = 200, 1.15  # of the first fit; times as many for the next one
+_MOST_TICKS = 12_000  # 40 MB of derivatives at once
+_DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
+_LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
+CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
+TOLD = "of what the motion tells"
+UNCHECKED = "nothing checks the stated inertia of {}, with which answers scale: set a known mass on for a while"
+
+
+class Told(NamedTuple):
+    """The quantities of a fit."""
+
+    mean: FloatArray  # (q,)
+    covariance: FloatArray  # (q, q) widened
+    along: FloatArray  # (q, unknowns) covariance with all unknowns, as stated
+    freedom: float
+
+
+class PivotRun(TableRun):
+    """An :class:`onboard.identification.online.OnlineIdentifier` of a body on a pivot.
+
+    Its quantities are the offset of the centre of mass from the pivot, m, inertia about the pivot, and how far each
+    balance mass is to go along its axis to bring the offset to zero.
+
+    Args:
+        model: predicts the IMU.
+        base: its link.
+        balance: mass and axis, base axes, of each balance mass by name.
+        keys: what states the sigma of each of the model's unknowns; empty for those of the body.
+    """
+
+    def __init__(
+        self, model: PivotModel, base: str, balance: Mapping[str, tuple[float, Sequence[float]]], keys: Sequence[str]
+    ) -> None:
+        super().__init__(base)
+        self._model, self._causes = model, Causes(keys, model.sigma)
+        self._scales = np.array([name.startswith("scale_") for name in model.names[BODY:]], np.float64)
+        self.quantity_names = (*FREE_BODY, *(f"move_{name}" for name in balance))
+        self._units = ("m",) * 3 + ("kg m^2",) * 6 + ("m",) * len(balance)
+        moves = np.array([m * np.asarray(a) / np.linalg.norm(a) for m, a in balance.values()]).reshape(-1, 3)
+        self._weights = np.zeros((BODY + len(balance), BODY))
+        self._weights[:BODY] = np.diag([*[1.0 / model.mass_kg] * 3, *[1.0] * 6])
+        self._weights[BODY:, :3] = -np.linalg.pinv(moves.T)
+        self._ticks, self._held = list[Ticks](), list[BoolArray]()
+        self._count, self._next = 0, _FIRST_TICKS
+        self.found: PivotFit | None = None
+        self.failure = ""
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Gates new ticks, and takes them in; a fit is made where they are enough more."""
+        found = super().update(signals, attached, excluded)
+        if self._count < _MOST_TICKS:
+            self._ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
+            self._held.append(attached)
+            self._count += len(signals.time_s)
+            if self._count >= self._next:
+                self._fit()
+        return found
+
+    def finish(self) -> None:
+        """The fit of all ticks."""
+        if self._count:
+            self._fit()
+
+    def _fit(self) -> None:
+        self._next = round(_MORE * self._count)
+        self._ticks, self._held = [Ticks.joined(self._ticks)], [np.concatenate(self._held)]
+        start = None if self.found is None else self.found.fit.x[: self.found.globals]
+        try:
+            self.found, self.failure = self._model.fit(self._ticks[0], self._held[0], start), ""
+            self.rows_used = self.found.rows
+        except (EstimationError, SignalError) as error:
+            self.found, self.failure = None, str(error)
+
+    def foresee(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> None:
+        """Go on as if these ticks had been fitted and the drawing were true (:meth:`PivotModel.bound`)."""
+        self.found, self.failure = self._model.bound(ticks, held, rate), ""
+        self.rows_used = self.found.rows
+
+    def quantities_of(self, mass_kg: float, body: FloatArray) -> FloatArray:
+        """Its quantities, (q,), of a body of that mass, by first moment and inertia about the pivot, (9,)."""
+        found: FloatArray = self._weights @ body
+        found[:3] *= self._model.mass_kg / mass_kg
+        return found
+
+    def answers(self) -> Told | None:
+        """The quantities; None before there is a fit."""
+        if self.found is None:
+            return None
+        body, P = self._model.body(self.found.fit.x), self.found.fit.covariance[:, : self.found.globals]
+        along = self._weights @ P[:BODY]
+        covariance = self.found.wider * along[:, :BODY] @ self._weights.T
+        return Told(self._weights @ body, covariance, along, self.found.noise.freedom)
+
+    def estimate(self, level: float = 0.95) -> Estimate:
+        """State and quantities; unsupported before there is a fit."""
+        found, p = self.answers(), len(self.parameter_names)
+        numbers, prior = np.full((5, p), np.nan), self._model.sigma[:BODY]
+        quantities = [(np.nan,) * 5] * len(self.quantity_names)
+        leans = [""] * len(quantities)
+        if found is not None and self.found is not None:
+            times = float(stdtrit(found.freedom, 0.5 + 0.5 * level) / ndtri(0.5 + 0.5 * level))
+            half = float(ndtri(0.5 + 0.5 * level))
+            wide = np.sqrt(self._weights**2 @ prior**2)
+            sigma = times * np.sqrt(np.diag(found.covariance))
+            rows = np.array([found.mean, sigma, found.mean - half * sigma, found.mean + half * sigma, sigma / wide])
+            quantities = [tuple(one) for one in rows.T.tolist()]
+            leans = list(self._causes.said(self._causes.effects(found.along), sigma, np.abs(found.mean)))
+            body = self._model.body(self.found.fit.x)
+            own = times * np.sqrt(self.found.wider * np.diag(self.found.fit.covariance)[:BODY])
+            numbers[:, 1:] = [body, own, body - half * own, body + half * own, own / prior]
+        supported = np.asarray(numbers[4] <= SUPPORTED_SHRINKAGE, np.bool_)
+        note = self.failure or "not determined by the data so far"
+        made = [
+            QuantityEstimate(name, unit, *one, bool(one[4] <= SUPPORTED_SHRINKAGE), note, leans=lean)
+            for name, unit, one, lean in zip(self.quantity_names, self._units, quantities, leans, strict=True)
+        ]
+        mean, sigma, low, high = numbers[:4]
+        return Estimate(
+            self.parameter_names, mean, sigma, low, high, supported, tuple(made), self.rows_used, dict(self.refused)
+        )
+
+    def bounds(self) -> FloatArray:
+        """Sigma of each quantity at the stated noise alone (Cramér-Rao), (q,); NaN before there is a fit."""
+        found = self.answers()
+        if found is None:
+            return np.full(len(self.quantity_names), np.nan)
+        return np.asarray(np.sqrt(np.maximum((found.along[:, :BODY] * self._weights).sum(axis=1), 0.0)), np.float64)
+
+    def residuals(self) -> tuple[FloatArray, FloatArray]:
+        """Times of the ticks fitted, (n,), and what the fit leaves of each line, whitened, (n, 6)."""
+        if self.found is None:
+            return np.zeros(0), np.zeros((0, 6))
+        return self._model.residuals(self._ticks[0], self._held[0], self.found.fit.x)
+
+    def findings(self) -> Findings:
+        """What is left over of a sensor, and corrections larger than stated."""
+        if self.found is None:
+            return Findings()
+        x, sigma = self.found.fit.x[BODY : self.found.globals], self._model.sigma[BODY:]
+        left = self.found.fit.covariance[BODY : self.found.globals, BODY : self.found.globals] / np.outer(sigma, sigma)
+        in_told = _against(x / sigma, np.diag(left), self.found.wider)
+        each, of_all = dict(zip(self._model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
+        scales = np.flatnonzero(self._scales)
+        if scales.size:
+            mean = sigma[scales] / np.linalg.norm(sigma[scales])  # of all wheels, one stated sigma
+            own = float(mean @ left[np.ix_(scales, scales)] @ mean)
+            common = float(x[scales].sum() / np.linalg.norm(sigma[scales]))
+            of_all["the wheels' inertia"] = float(_against(np.array([common]), np.array([own]))[0])
+        all_of_them = together(x / sigma, left)
+        against, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
+        doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]
+        doubts += self._unchecked(sigma[scales], left[np.ix_(scales, scales)])
+        for sensor, misfit in zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True):
+            if misfit > _DOUBTED:
+                said = f"residuals of the {sensor} are {misfit**0.5:.1f} times its noise"
+                (against if misfit > WORST_MISFIT else doubts).append(said)
+        return Findings(tuple(against), tuple(doubts))
+
+    def _unchecked(self, sigma: FloatArray, left: FloatArray) -> list[str]:
+        """Which wheels' scales the data tell too little of, together or one by one: the stated ones are not checked.
+
+        Args:
+            sigma: stated, (w,).
+            left: covariance of their errors after the fit, in stated sigmas, (w, w).
+        """
+        if not sigma.size:
+            return []
+        mean = sigma / np.linalg.norm(sigma)
+        stated = np.append(sigma, np.linalg.norm(sigma) / sigma.size)
+        share = np.append(np.diag(left), mean @ left @ mean)
+        wide = stated * np.sqrt(share / np.maximum(1.0 - share, np.finfo(np.float64).eps)) > CHECKED
+        names = [name.removeprefix("scale_") for name in self._model.names[BODY:] if name.startswith("scale_")]
+        kept = names if wide[-1] else [name for name, one in zip(names, wide[:-1], strict=True) if one]
+        return [UNCHECKED.format(", ".join(kept))] if kept else []
+
+
+def _against(corrections: FloatArray, left: FloatArray, wider: float = 1.0) -> FloatArray:
+    """Corrections in sigmas of what the data tell of each, (k,).
+
+    With g the share of its stated variance that the data take away, and f the factor on the noise's variance, an
+    estimate about zero has the variance ``g^2 + f g (1 - g)`` if the error is as stated (derived here).
+
+    Args:
+        corrections: in stated sigmas, (k,).
+        left: their variances after the fit, in stated ones, (k,).
+        wider: f.
+    """
+    g = np.maximum(1.0 - left, _LEAST_TOLD)
+    return np.asarray(corrections / np.sqrt(g * g + wider * g * (1.0 - g)), np.float64)
