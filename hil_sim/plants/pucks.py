@@ -1,4 +1,4 @@
-"""Air pucks under the base of a planar bed: where they are and how they drag."""
+"""Air pucks under the base of a planar bed: where they are and how they drag; and a spherical bearing."""
 
 import math
 from collections.abc import Sequence
@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.urdf_model import UrdfModel
+from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import BearingTable, VehicleScenario
 
 _ROUNDING_m_s = 2e-3  # of Coulomb drag
 
@@ -33,6 +33,17 @@ def pucks(scenario: VehicleScenario, model: UrdfModel, rng: np.random.Generator)
         drag = share * [scenario.table.viscous_N_s_m, scenario.table.coulomb_N]
         found.append(Puck(np.array(link.pos), *drag.tolist()))
     return found
+
+
+Drag = Sequence[Puck] | BearingTable
+
+
+def dragged(by: Drag, pose: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Generalised force on the base of its pucks or of its bearing, (3,); ``pose`` and ``velocity`` are MuJoCo's."""
+    if isinstance(by, BearingTable):
+        up = matrix_of(pose)[2]  # the vertical in the base's axes
+        return np.asarray(by.turning_N_m * up - by.viscous_N_m_s * velocity, np.float64)
+    return drag_wrench(by, float(pose[2]), velocity)
 
 
 def drag_wrench(pucks: Sequence[Puck], yaw: float, velocity: FloatArray) -> FloatArray:

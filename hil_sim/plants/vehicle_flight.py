@@ -24,10 +24,9 @@ from hil_sim.plants.carrier import Carrier
 from hil_sim.plants.contact import Contact
 from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.jets import Jets
-from hil_sim.plants.pucks import Puck, drag_wrench
+from hil_sim.plants.pucks import Drag, dragged
 from hil_sim.plants.soft_parts import SoftParts, bent_inertia, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
-from hil_sim.scenario.vehicle_tables import BearingTable
 
 Told = tuple[FloatArray, FloatArray, FloatArray]  # of the joints, (j,) each: angle, rate and acceleration
 _POSES = 64  # of the motion in which springs are checked: its turns are slower than the springs by far
@@ -61,8 +60,7 @@ class VehicleFlight:
         step_s: between rows.
         velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
         path: of a prescribed base.
-        pucks: of a planar one.
-        bearing: of one on a pivot.
+        pucks: of a planar one; or the bearing of one on a pivot.
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
         jets: thrusters of a free one.
@@ -83,12 +81,11 @@ class VehicleFlight:
         step_s: float,
         velocity: FloatArray,
         path: Carrier | None = None,
-        pucks: Sequence[Puck] = (),
+        pucks: Drag = (),
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
         jets: Jets | None = None,
         wheels: Wheels | None = None,
-        bearing: BearingTable | None = None,
     ) -> None:
         self.vehicle, self._motion, self._link = vehicle, motion, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
@@ -103,12 +100,8 @@ class VehicleFlight:
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
-        self._cabin, self._jets, self._wheels, self._bearing = cabin, jets, wheels, bearing
-        pushed = (
-            len(pucks) > 0
-            or any(one is not None for one in (cabin, wheels, bearing))
-            or (jets is not None and jets.any)
-        )
+        self._cabin, self._jets, self._wheels = cabin, jets, wheels
+        pushed = bool(pucks) or cabin is not None or wheels is not None or (jets is not None and jets.any)
         self._alone = self._free and not pushed and len(self._soft.state) == 0  # but for a contact
         self._spin = np.zeros(0) if wheels is None else wheels.start_rad_s
         if cabin is not None:
@@ -267,10 +260,7 @@ class VehicleFlight:
         touching = self._contact_push(touched)
         wrench, pull = self._push[:nb] - data.qfrc_inverse[:nb], np.zeros(3)
         if self._pucks:
-            wrench += drag_wrench(self._pucks, float(pose[2]), velocity)
-        if self._bearing is not None:
-            up = self._turn(pose)[2]  # the vertical in the base's axes
-            wrench += self._bearing.turning_N_m * up - self._bearing.viscous_N_m_s * velocity
+            wrench += dragged(self._pucks, pose, velocity)
         if self._soft.slosh is not None:
             pull = self._soft.pull(soft, self._anchor(pose, velocity), level=nb == 3)
             wrench += self._at_base(-pull, soft[-6:-3], pose)

@@ -143,8 +143,8 @@ class VehiclePlant(world.Plant):
             }
         else:
             wheeled = holding(scenario, self._model, self._model.joints)
-            held = self.cabin, self.soft, self.jets, wheeled, scenario.bearing
-            self._flight = VehicleFlight(*common, self._velocity, path, self._pucks, *held)
+            held = self.cabin, self.soft, self.jets, wheeled
+            self._flight = VehicleFlight(*common, self._velocity, path, scenario.bearing or self._pucks, *held)
         self._coming = deque(events(scenario, self.payload, self._coarse_s, self._steps, rng))
         self._capture = next((event for event in self._coming if event.name == "capture"), None)
         joints = len(self.joints)

@@ -302,14 +302,11 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
         "position_m": _M("Of each coordinate of its place in the drawing.", "the mounting was measured"),
     },
-    FreeBody: {key: _M(*said) for key, said in FREE_BODY.items()},
-    Carrier: {key: _M(*said) for key, said in CARRIER.items()},
-    Load: {key: _M(*said) for key, said in LOAD.items()},
-    Parabola: {key: _M(*said) for key, said in PARABOLA.items()},
-    Planar: {key: _M(*said) for key, said in PLANAR.items()},
-    Pivot: {key: _M(*said) for key, said in PIVOT.items()},
-    Balance: {key: _M(*said) for key, said in BALANCE.items()},
-    Puck: {key: _M(*said) for key, said in PUCK.items()},
-    Drive: {key: _M(*said) for key, said in DRIVE.items()},
-    MissionKeys: {key: _M(*said) for key, said in MISSION.items()},
+    **{
+        section: {key: _M(*said) for key, said in of.items()}
+        for section, of in (
+            *((FreeBody, FREE_BODY), (Carrier, CARRIER), (Load, LOAD), (Parabola, PARABOLA), (Drive, DRIVE)),
+            *((Planar, PLANAR), (Puck, PUCK), (Pivot, PIVOT), (Balance, BALANCE), (MissionKeys, MISSION)),
+        )
+    },
 }

@@ -18,6 +18,7 @@ from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSp
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
+from onboard.flight.estimate.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.considered import of_bias, of_cell, of_gains, of_motion, stated_by
 from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.pivot import pivot_run
@@ -151,7 +152,7 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
     asked, samples = settings.exiddm, samples_per_tick(vehicle)
     try:
         model = build_model(vehicle)
-        _check_joints(roles, model)
+        check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
         require_stiff(model, geometry)
@@ -246,8 +247,8 @@ def build_pivot(vehicle: config.Vehicle) -> tuple[PivotRun, VehicleModel]:
     """
     try:
         model = build_model(vehicle)
-        _check_joints(roles_of(vehicle), model)
-        _check_thrusters(roles_of(vehicle))
+        check_joints(roles_of(vehicle), model)
+        check_thrusters(roles_of(vehicle))
         return pivot_run(vehicle, model, samples_per_tick(vehicle)), model
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
@@ -263,8 +264,8 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
     samples_per_tick(vehicle)
     try:
         model = build_model(vehicle)
-        _check_joints(roles, model)
-        _check_thrusters(roles)
+        check_joints(roles, model)
+        check_thrusters(roles)
         check_springs(vehicle, "not on a table")
         model.pose_in_base(roles.imu.frame)
         exiddm_prior(vehicle, model)
@@ -288,8 +289,8 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
     try:
         model = build_model(vehicle)
-        _check_joints(roles, model)
-        _check_thrusters(roles)
+        check_joints(roles, model)
+        check_thrusters(roles)
         check_springs(vehicle, "not to rows")
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
@@ -369,22 +370,6 @@ def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
     for link in drawing:
         if link not in model.links:
             raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
-
-
-def _check_joints(roles: Roles, model: VehicleModel) -> None:
-    """Every joint that moves is measured by one device, and every such device names a joint."""
-    measured = [joint.joint for joint in roles.joints]
-    moving = [joint.name for joint in model.joints]
-    if sorted(measured) != sorted(moving):
-        listed, named = ", ".join(moving) or "none", ", ".join(measured) or "none"
-        raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
-
-
-def _check_thrusters(roles: Roles) -> None:
-    if roles.thrusters:
-        named = ", ".join(thruster.name for thruster in roles.thrusters)
-        text = f'the forces of {named} are known to the method "exiddm" of a free base alone'
-        raise UrdfError(f"{text}; use it, or record them by the kind canopen_object")
 
 
 def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
