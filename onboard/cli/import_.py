@@ -82,8 +82,10 @@ def _names(vehicle: str) -> "Names":
     from onboard.offline.bring_in.guess.propose import Names
 
     roles = roles_of(load_vehicle(vehicle))
+    torques = [(cell.channel, cell.keys) for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
     return Names(
         tuple(imu.channels[0] for imu in roles.imus),
         tuple(joint.channel for joint in roles.joints if not joint.is_rate),
-        tuple(cell.channel for cell in roles.cells if isinstance(cell.keys, TorqueKeys)),
+        tuple(channel for channel, _ in torques),
+        bool(torques) and all(keys.gain_N_m_A is not None for _, keys in torques),
     )

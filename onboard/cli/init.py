@@ -46,6 +46,9 @@ def add(commands: Commands) -> None:
     init.add_argument(
         "--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "recorded", "none"), help="(none)"
     )
+    init.add_argument(
+        "--gains", metavar="G,G,...", help="N m in an A of each joint, where currents of its motor were recorded"
+    )
     init.add_argument("--no-pulse", action="store_true", help="no sync pulse is wired: clocks are then known to ms")
     init.add_argument("--bus", action="append", default=[], metavar="NAME=URL", help="URL of a bus, e.g. can_0=...")
     init.set_defaults(command=_init)
@@ -123,4 +126,6 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
     name = arguments.name or arguments.directory.resolve().name
     urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
     frames = arguments.imu_frame or "imu_base", arguments.payload_link or "payload"
-    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, not arguments.no_pulse, urls, drawn, *frames)
+    gains = tuple(float(part) for part in arguments.gains.split(",")) if arguments.gains else ()
+    pulse = not arguments.no_pulse
+    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains)

@@ -73,14 +73,23 @@ def device_of(number: int, joint: str) -> str:
     return joint if _NAME.fullmatch(joint) else f"joint_{number}"
 
 
-def joint(kind: str, number: int, name: str, largest_N_m: float | None = None, *, smoothed: bool = True) -> NewDevice:
+def joint(
+    kind: str,
+    number: int,
+    name: str,
+    largest_N_m: float | None = None,
+    *,
+    smoothed: bool = True,
+    gain_N_m_A: float | None = None,
+) -> NewDevice:
     """The device that measures joint ``name``, the ``number``-th from 1.
 
-    ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are.
+    ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are;
+    ``gain_N_m_A``: what was recorded is the motor's current.
     """
     device = device_of(number, name)
     if kind == RECORDED:
-        return NewDevice(_recorded_joint(device, name, largest_N_m), "")
+        return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A), "")
     bus = f"tty_{device}" if kind == "qsb" else CAN
     node = "" if kind == "qsb" else f"node = {number}\n"
     return NewDevice(
@@ -97,7 +106,7 @@ noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
     )
 
 
-def _recorded_joint(device: str, name: str, largest_N_m: float | None) -> str:
+def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_A: float | None) -> str:
     angle = f"""
 [device.{device}]
 kind = "recorded_angle"
@@ -108,11 +117,12 @@ noise_rad = 1e-5               # one sample: yours
     if largest_N_m is None:
         return angle
     sigma = f"sigma_N_m = {_OF_RECORDED * largest_N_m:.2g}"
+    by_current = "" if gain_N_m_A is None else f"gain_N_m_A = {gain_N_m_A:g}\n"
     return f"""{angle}
 [device.{device}_torque]
 kind = "recorded_torque"       # N m; of a motor's current in A say gain_N_m_A too
 joint = {json.dumps(name)}
-period_ms = 5                  # yours
+{by_current}period_ms = 5                  # yours
 {sigma:31s}# yours: what the model leaves; here 0.3 % of the joint's largest
 scale_sigma = 0.05             # yours: of a torque constant; motors' data sheets give it to 10 %, here 2 sigma
 still_rad_s = 0.02             # below this rate friction is not known
@@ -193,10 +203,10 @@ format = "csv"                 # or "npz"
 column = "t"                   # yours
 unit = "s"
 """
-    for device, kind in re.findall(
-        r'^\[device\.(\w+)\]\nkind = "(\w+)"', "".join(d.text for d in devices), re.MULTILINE
-    ):
-        text += _CHANNELS[kind].format(name=device)
+    for one in "".join(d.text for d in devices).split("\n[device.")[1:]:
+        device, kind = one.partition("]")[0], one.split('"')[1]
+        by_current = "\ngain_N_m_A" in one
+        text += _CHANNELS[kind].format(name=device).replace("N m", "A" if by_current else "N m")
     return text
 
 
@@ -232,6 +242,18 @@ unit = "rad/s"
 """,
 }
 
+
+IN_TURN = """
+# The arm without its load and with it: heft merge --in-turn recording EMPTY.mcap LOADED.mcap -o both.mcap. heft
+# identify takes the load for held from the second recording on. To say otherwise:
+# [device.recording]
+# kind = "recorded_value"
+# period_ms = 100
+# [estimation.phases]
+# channel = "recording"        # 1 in the first recording, 2 in the second one
+# identify = [1, 2]
+# payload_taken = 2
+"""
 
 SYNC = NewDevice(
     f"""

@@ -41,6 +41,7 @@ class Wanted(NamedTuple):
     drawn: Drawn | None = None
     imu_frame: str = "imu_base"
     payload_link: str = "payload"
+    gains: tuple[float, ...] = ()  # N m/A of recorded currents, by joint
 
     @property
     def root(self) -> str:
@@ -79,7 +80,7 @@ def make(wanted: Wanted, directory: Path) -> list[Path]:
     if unknown := sorted(set(wanted.urls) - set(buses)):
         raise config.ConfigError(f"--bus {unknown[0]}: no device stands on it; the buses are {', '.join(buses)}")
     parts = [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen)]
-    text = "".join([*parts, _IN_TURN if wanted.recorded else "", _rest(wanted)])
+    text = "".join([*parts, devices.IN_TURN if wanted.recorded else "", _rest(wanted)])
     files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
     if wanted.recorded:
         files[_IMPORT] = devices.mapping(wanted.name, chosen)
@@ -126,6 +127,12 @@ def _require(wanted: Wanted) -> None:
     told = wanted.drawn is None and not all(name.isidentifier() for name in wanted.joints)
     if told or len(set(wanted.joints)) < len(wanted.joints):
         raise config.ConfigError(f"--joints {','.join(wanted.joints)}: give each a name of letters, digits and _ once")
+    if wanted.gains and not (wanted.recorded and wanted.by_torque):
+        raise config.ConfigError(
+            "--gains is of recorded currents, of an arm that is weighed by them: --encoder recorded"
+        )
+    if wanted.gains and len(wanted.gains) != len(wanted.joints):
+        raise config.ConfigError(f"--gains has {len(wanted.gains)} numbers, the arm {len(wanted.joints)} joints")
     if wanted.imu == "none" and wanted.base != "fixed":
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
     others = {one for one in (wanted.imu, wanted.load_cell) if one != "none"}
@@ -140,7 +147,8 @@ def _devices(wanted: Wanted) -> list[NewDevice]:
     chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
     for n, name in enumerate(wanted.joints, 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
-        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, smoothed=smoothed))
+        gain = wanted.gains[n - 1] if wanted.gains else None
+        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, smoothed=smoothed, gain_N_m_A=gain))
     if wanted.load_cell != "none":
         chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
     if any(device.bus == devices.CAN for device in chosen):
@@ -284,19 +292,6 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
         if name not in drawn.frames:
             drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent))
     return drawn.text
-
-
-_IN_TURN = """
-# The arm without its load and with it: heft merge --in-turn recording EMPTY.mcap LOADED.mcap -o both.mcap. heft
-# identify takes the load for held from the second recording on. To say otherwise:
-# [device.recording]
-# kind = "recorded_value"
-# period_ms = 100
-# [estimation.phases]
-# channel = "recording"        # 1 in the first recording, 2 in the second one
-# identify = [1, 2]
-# payload_taken = 2
-"""
 
 
 def _urdf(wanted: Wanted) -> str:

@@ -187,3 +187,21 @@ def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: 
     assert "what is held" not in capsys.readouterr().out
     mount = (tmp_path / "all" / "vehicle.urdf").read_text().split("payload_mount")[1]
     assert '<parent link="hand"/>' in mount.split("</joint>")[0]
+
+
+def test_gains_of_recorded_currents(tmp_path, capsys):
+    """They stand in the vehicle file, whose mapping then reads currents."""
+    asked = ["init", str(tmp_path / "lab"), "--base", "fixed", "--joints", "2", "--encoder", "recorded"]
+    assert cli.main([*asked, "--gains", "12.5,9"]) == cli.OK
+    vehicle = config.load(tmp_path / "lab" / "vehicle.toml")
+    assert [cell.keys.gain_N_m_A for cell in roles_of(vehicle).cells] == [12.5, 9.0]
+    channels = tomllib.loads((tmp_path / "lab" / "import.toml").read_text())["channel"]
+    assert {name: one["value"]["unit"] for name, one in channels.items()} == {
+        **{"joint_1": "rad", "joint_1_torque": "A", "joint_2": "rad", "joint_2_torque": "A"},
+    }
+    for wrong, why in (("12.5", "has 1 numbers, the arm 2 joints"), ("1,2,3", "has 3 numbers, the arm 2 joints")):
+        assert cli.main([*asked[:1], str(tmp_path / "b"), *asked[2:], "--gains", wrong]) == cli.BAD_INPUT
+        assert why in capsys.readouterr().err
+    flies = ["init", str(tmp_path / "c"), "--base", "free", "--joints", "2", "--gains", "1,2"]
+    assert cli.main(flies) == cli.BAD_INPUT
+    assert "--gains is of recorded currents" in capsys.readouterr().err

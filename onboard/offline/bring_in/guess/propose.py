@@ -38,6 +38,7 @@ class Names(NamedTuple):
     imus: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
     torques: tuple[str, ...] = ()
+    by_current: bool = False  # the torques are read as currents
 
 
 class Proposal(NamedTuple):
@@ -241,10 +242,14 @@ class _Maker:
                 own_kind, own_label = ("force", "moment")[k // 3], "xyz"[k % 3]
                 known, usual, pattern = _SCALARS[own_kind]
             own = unit or magnitudes.of_others(own_kind, values, group.unit, known, usual)
+            if kind == "torque" and self._vehicle.by_current and not group.unit:
+                own = Unit("A", "as the vehicle file has gain_N_m_A")
             name = self._name(own_kind, own_label, k, group, pattern)
             first = k == 0
             own = own._replace(doubt=own.doubt if first else "")
-            self.parts.append(text.scalar(name, column.name, values, own, time, group.doubt if first else ""))
+            settled = kind == "torque" and self._vehicle.by_current
+            doubt = group.doubt if first and not settled else ""
+            self.parts.append(text.scalar(name, column.name, values, own, time, doubt))
             self.names.append(name)
 
     def _name(self, kind: str, label: str, k: int, group: Group, pattern: str) -> str:
