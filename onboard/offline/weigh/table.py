@@ -4,6 +4,7 @@ A cell that is no number is NaN and spoils its row only; a row of another length
 who uses them.
 """
 
+import codecs
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -73,10 +74,10 @@ def named(text: str, width: int) -> tuple[str, ...]:
 def _one(path: Path) -> Table:
     if path.stat().st_size > LARGEST_BYTES:
         raise PosesError(f"{path} has more than {LARGEST_BYTES >> 20} MB: average the readings of each pose first")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise PosesError(f"{path} is no text ({error.reason}); give a table of numbers, CSV for instance") from error
+    raw = path.read_bytes()
+    if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise PosesError(f"{path} is no text; give a table of numbers, CSV for instance")
+    text = _text(path, raw)
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
     comments = [(number, line.lstrip("#% ")) for number, line in lines if line[0] in "#%"]
     lines = [one for one in lines if one[1][0] not in "#%"]
@@ -101,6 +102,19 @@ def _one(path: Path) -> Table:
         if len(cells) == width:
             values[k] = [_number(cell) for cell in cells]
     return Table(tuple(names) or ("",) * width, values, tuple(number for number, _ in rows), path.name)
+
+
+def _text(path: Path, raw: bytes) -> str:
+    """UTF-8 or, by its mark, UTF-16; else Latin-1, whose letters stand in names alone."""
+    try:
+        return raw.decode("utf-16" if raw[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        text = raw.decode("latin-1")
+        if any(ord(mark) < 32 and mark not in "\t\n\v\f\r\x1a" for mark in text):
+            raise PosesError(
+                f"{path} is no text ({error.reason}); give a table of numbers, CSV for instance"
+            ) from error
+        return text
 
 
 def _delimiter(lines: Sequence[str]) -> str | None:

@@ -109,6 +109,15 @@ def test_names_of_columns(one, tmp_path, names, between):
     assert all(holds(answer, one.true).values())
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
+def test_tables_of_other_encodings(one, tmp_path, encoding):
+    path = write(tmp_path / "poses.csv", np.hstack([one.rows, one.rows[:, :1]]), (*HEADER, "gr\u00f6\u00dfe"))
+    path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+    answer = tmp_path / "a.json"
+    assert main(["weigh", str(path), "--json", str(answer)]) == OK
+    assert all(holds(json.loads(answer.read_text(encoding="utf-8")), one.true).values())
+
+
 def test_columns_by_their_numbers(one, tmp_path, capsys):
     rows = np.hstack([np.arange(len(one.rows))[:, None], one.rows[:, ::-1]])
     given = ",".join(f"{name}={11 - k}" for k, name in enumerate(HEADER))
