@@ -26,7 +26,7 @@ _DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
 _LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
 CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
 TOLD = "of what the motion tells"
-UNCHECKED = "nothing checks the stated inertia of {}, with which answers scale: set a known mass on for a while"
+UNCHECKED = "nothing checks the stated inertia of {}: set a known mass on for a while, shake others while it runs fast"
 
 
 class Told(NamedTuple):
