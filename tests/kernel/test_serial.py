@@ -14,7 +14,6 @@ import serial
 from drivers.ports import CanFrame
 from drivers.transports import open_can, open_serial
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.sync_train import WireFrame
 
 TIOCSETD = 0x5423  # asm-generic/ioctls.h
 N_SLCAN = 17  # linux/tty.h
@@ -83,7 +82,7 @@ def slcan() -> Iterator[tuple[SlcanAdapter, str]]:
 def test_the_kernels_slcan_driver_understands_our_adapter(slcan: tuple[SlcanAdapter, str]) -> None:
     adapter, name = slcan
     port = open_can(f"can+socketcan://{name}?bitrate=500000", time.monotonic_ns)
-    sent = [WireFrame(0, 0x080, b"\x17"), WireFrame(0, 0x7FF, bytes(range(8))), WireFrame(0, 0x181, b"")]
+    sent = [CanFrame(0, 0x080, b"\x17"), CanFrame(0, 0x7FF, bytes(range(8))), CanFrame(0, 0x181, b"")]
     adapter.give(sent)
     frames: list[CanFrame] = []
     deadline = time.monotonic() + 5.0
