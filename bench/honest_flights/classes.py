@@ -16,6 +16,7 @@ from bench.honest_flights.drawn import Drawn, draw, fault
 
 LINKS = tuple(f"link_{number}" for number in range(1, 6))
 JOINTS = tuple(f"joint_{number}" for number in range(1, 6))
+AXES = tuple(f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz")
 _PERCENT = (1.0, 2.0, 5.0, 10.0, 20.0)
 _DRAG = 0.005, 0.0014  # N, N m: issue of the judgement; at 400 km of a base of this size
 _LEAK = 0.020, 0.002
@@ -140,6 +141,34 @@ def _backlash(rng: np.random.Generator, size: float) -> tuple[Tables, list[Table
     return {"backlash": play, "physics": {"integration_steps": 2}}, []  # springs of 130 Hz together in some poses
 
 
+def _gripper(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    off = 3.0 * _direction(rng)
+    return {"as_built": {"gripper": {"mass_factor": _signed(rng, size), "centre_off_mm": off.tolist()}}}, []
+
+
+def _zero(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    del size
+    return {"sensor": {str(rng.choice(JOINTS)): {"zero_sigma_mrad": 30.0}}}, []
+
+
+def _zeros(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    del rng, size
+    return {"sensor": {joint: {"zero_sigma_mrad": 3.0} for joint in JOINTS}}, []
+
+
+def _of_one(devices: tuple[str, ...], kind: str, value: float) -> Draw:
+    def made(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+        by = 0.01 * size * float(rng.choice([-1.0, 1.0])) if size else value
+        return {}, [fault(kind, str(rng.choice(devices)), 0.0, by)]
+
+    return made
+
+
+def _heavy(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    del rng, size
+    return {"payload": {"mass_kg": [3.0, 6.0]}}, []
+
+
 _DRAG_WRENCH, _LEAK_WRENCH = _wrench("space", *_DRAG), _wrench("base", *_LEAK)
 CLASSES = {
     "healthy dymaflex": Class("healthy", "dymaflex", (), _healthy),
@@ -168,6 +197,14 @@ CLASSES = {
     "mild: cross-talk 1 %": Class("mild", "dymaflex", ("imu",), _cross_talk),
     "mild: backlash 1.5 mrad": Class("mild", "dymaflex", JOINTS, _backlash),
     "mild: gyro 1 %": Class("mild", "dymaflex", ("imu",), _scale("imu_base"), 1.0),
+    "workshop, tool of 3 to 6 kg": Class("healthy", "workshop", (), _heavy),
+    "workshop, gripper 10 %, 3 mm": Class("arm on a bench", "workshop", ("gripper", "cells"), _gripper, 10.0),
+    "workshop, a zero 30 mrad": Class("arm on a bench", "workshop", ("zero", "level"), _zero),
+    "workshop, zeros 3 mrad": Class("arm on a bench", "workshop", ("zero", "level", "joint"), _zeros),
+    "workshop, an axis 5 %": Class("arm on a bench", "workshop", ("wrist",), _of_one(AXES, "wrong", 0.0), 5.0),
+    "workshop, an encoder 2 %": Class("arm on a bench", "workshop", JOINTS, _of_one(JOINTS, "wrong", 0.0), 2.0),
+    "workshop, a joint 5 ms late": Class("arm on a bench", "workshop", JOINTS, _of_one(JOINTS, "delayed", 0.005)),
+    "workshop, an axis 5 ms late": Class("arm on a bench", "workshop", ("wrist",), _of_one(AXES, "delayed", 0.005)),
 }
 RANDOM = "random"
 

@@ -22,8 +22,9 @@ average out; their part is added in quadrature through the sensitivities of the 
 The formal covariance remains a lower bound, because a short run may show too little scatter by chance.
 """
 
+import copy
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +47,17 @@ class Interval(NamedTuple):
     degrees_of_freedom: FloatArray  # of the row part of sigma
     low: FloatArray
     high: FloatArray
+
+
+class Instead(Protocol):
+    """Another estimate of the same parameters."""
+
+    @property
+    def known(self) -> tuple[FloatArray, FloatArray]:
+        """Mean, (p,), and covariance, (p, p)."""
+
+    def covering(self, along: FloatArray) -> FloatArray:
+        """Sigmas of linear functions, (r,), of (r, p)."""
 
 
 class NoiseScale(NamedTuple):
@@ -169,6 +181,7 @@ class JackknifeEstimate:
     """
 
     _scale: NoiseScale | None = None
+    _instead: Instead | None = None
 
     def __init__(
         self,
@@ -213,6 +226,12 @@ class JackknifeEstimate:
             raise RowError(f"the level is {level}; give one between 0 and 1")
         return sigma
 
+    def instead(self, other: Instead) -> Self:
+        """With mean, covariance and intervals of another estimate; information and bounds are of this one."""
+        made = copy.copy(self)
+        made.mean, made._instead = other.known[0], other
+        return made
+
     def _rows_weight(self) -> float:
         b = self._moves.shape[0]
         return (b - 1) / b if b else 0.0
@@ -225,14 +244,17 @@ class JackknifeEstimate:
     def covariance(self) -> FloatArray:
         """Covariance of the estimate with all corrections but Student's, (p, p); at least the formal one."""
         rows = self._moves.T @ self._moves * self._rows_weight() + self._prior_half @ self._prior_half.T
+        if self._instead is not None:
+            return self._instead.known[1]
+        common = self._common @ self._common.T
         if not self.floored:
-            return np.asarray(rows + self._common @ self._common.T, np.float64)
+            return np.asarray(rows + common, np.float64)
         # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below that of
         # the noise.
         inverse = np.linalg.inv(self._root)
         values, vectors = np.linalg.eigh(inverse @ rows @ inverse.T)
         half = self._root @ vectors * np.sqrt(np.maximum(values, self._least))
-        return np.asarray(half @ half.T + self._common @ self._common.T, np.float64)
+        return np.asarray(half @ half.T + common, np.float64)
 
     def causes(self, weights: ArrayLike) -> FloatArray:
         """Change of ``weights @ chi`` by one sigma of each considered parameter, or column of the root, (r, k)."""
@@ -278,6 +300,8 @@ class JackknifeEstimate:
         variance = jackknife + prior
         if self.floored:
             variance = np.maximum(variance, self._least * self.formal_variance(w))
+        if self._instead is not None:
+            variance, common = np.zeros_like(variance), self._instead.covering(w) ** 2
         t = stdtrit(freedom, 0.5 + 0.5 * self.level)
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
         half = np.sqrt(t**2 * variance + z**2 * common)

@@ -4,8 +4,12 @@ from collections.abc import Iterator, Sequence
 
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.vehicle import BaseKind
+from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.considered import Considered, Effect
 from onboard.identification.rows.stated import Stated
+from onboard.identification.rows.suspects import RowSuspects
+from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
 FEWEST_GAINS = 2  # that can have an error in common
@@ -118,3 +122,22 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
             table = "link" if link in prior.link else "relative"
             found.append(Stated(f"prior.{table}.{link}", payload if link == payload else f"prior.{table}"))
     return found
+
+
+def row_suspects(
+    vehicle: config.Vehicle, model: RowModel, base: BaseParameters, prior: FloatArray, considered: Sequence[Considered]
+) -> RowSuspects | None:
+    """What may not be as stated of an arm on a fixed base whose cells' scales are estimated; None of another.
+
+    Args:
+        vehicle: its file.
+        model: its rows.
+        base: their base parameters.
+        prior: root of the covariance of the standard parameters, (P, P).
+        considered: errors that the rows consider.
+    """
+    settings = vehicle.file.estimation
+    forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
+    if model.vehicle.spec.base is not BaseKind.FIXED or not model.scales or model.motors or forgets or settings.carried:
+        return None
+    return RowSuspects(model, base, prior, considered)

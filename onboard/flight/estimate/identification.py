@@ -19,7 +19,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.check_names import check_joints, check_thrusters
-from onboard.flight.estimate.considered import of_bias, of_cell, of_gains, of_motion, stated_by
+from onboard.flight.estimate.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
 from onboard.flight.estimate.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.pivot import pivot_run
 from onboard.flight.estimate.roles import roles_of
@@ -340,6 +340,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
+            suspects=row_suspects(vehicle, row_model, base, prior, considered),
             recorded_apart=all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values()),
         )
     except (ModelError, EstimationError) as error:

@@ -16,7 +16,7 @@ kept; mean and covariance are computed of the few hypotheses that are asked for.
 such terms is taken back to "as stated" by the same rule with ``-(1 + D' U + U' P U)`` in place of M.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise
 from operator import attrgetter
 from typing import NamedTuple
@@ -145,16 +145,7 @@ class Mixture(NamedTuple):
             (m,): half the interval about the mean that leaves :data:`.LEAST_WEIGHT` out, over 3.29; no less than the
             root of the variance.
         """
-        _, covariance = self.known
-        apart, sigma = self._of(along)
-        low = np.sqrt(np.einsum("ij,jl,il->i", along, covariance, along))
-        far = -ndtri(0.5 * LEAST_WEIGHT)
-        within, beyond = low * far, np.abs(apart).max(axis=0) + far * sigma.max(axis=0)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (within + beyond)
-            outside = self.weights @ _beyond(apart, sigma, middle)
-            within, beyond = np.where(outside > LEAST_WEIGHT, [middle, beyond], [within, middle])
-        return np.asarray(within / far, np.float64)
+        return covering(self.weights, *self._of(along))
 
     def shares(self, along: FloatArray, covering: FloatArray) -> FloatArray:
         """Of what lies beyond the 99.9 % intervals of linear functions, the share of each Gaussian, (k, m).
@@ -170,6 +161,24 @@ class Mixture(NamedTuple):
         """Means about that of the mixture, and sigmas, of the functions under each Gaussian, (k, m)."""
         apart = (self.means - self.weights @ self.means) @ along.T
         return apart, np.sqrt(np.einsum("ij,kjl,il->ki", along, self.covariances, along))
+
+
+def covering(weights: FloatArray, apart: FloatArray, sigma: FloatArray) -> FloatArray:
+    """:meth:`Mixture.covering` of k Gaussians of m numbers each.
+
+    Args:
+        weights: (k,), of sum one.
+        apart: means about that of the mixture, (k, m).
+        sigma: (k, m).
+    """
+    low = np.sqrt(weights @ (apart * apart + sigma * sigma))
+    far = -ndtri(0.5 * LEAST_WEIGHT)
+    within, beyond = low * far, np.abs(apart).max(axis=0) + far * sigma.max(axis=0)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (within + beyond)
+        outside = weights @ _beyond(apart, sigma, middle)
+        within, beyond = np.where(outside > LEAST_WEIGHT, [middle, beyond], [within, middle])
+    return np.asarray(within / far, np.float64)
 
 
 def _beyond(apart: FloatArray, sigma: FloatArray, half: FloatArray) -> FloatArray:
@@ -237,7 +246,7 @@ class Bank:
         return self._of_all[:, columns], self._inner[np.ix_(columns, columns)]
 
     def weigh(self, stated: Known) -> Weighed:
-        """All hypotheses; where all as stated is not believed, also the likeliest suspect together with each other.
+        """All hypotheses; where all as stated is not believed, also each that is likely together with each other.
 
         Args:
             stated: what is known if nothing is wrong.
@@ -247,10 +256,13 @@ class Bank:
         slope = [(x[alike.at][:, None] @ alike.slopes)[:, 0] for alike in self._alone]
         found, pairs = self._each(M, slope), list[Hypothesis]()
         logs = np.append(0.0, self._log_weights(found))
-        first = int(np.argmax(logs)) - 1
-        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and first >= 0 and found[first].size < FARTHEST_SIZE:
-            pairs, more = self._pairs(first, found[first], M, slope, P)
-            logs = np.append(logs, logs[1 + first] + np.array(more))
+        if np.logaddexp.reduce(logs) > -np.log(LIKELIER):
+            counting = np.flatnonzero(logs[1:] > logs.max() + np.log(LEAST_WEIGHT))
+            for first in counting.tolist():
+                if found[first].size < FARTHEST_SIZE:
+                    both, more = self._pairs(first, found[first], M, slope, P, {one.numbers for one in pairs})
+                    pairs += both
+                    logs = np.append(logs, logs[1 + first] + np.array(more))
         weights = np.exp(logs - logs.max())
         none, *each = (weights / weights.sum()).tolist()
         every = [Hypothesis(None, (), none, 0.0, 0.0, *_NONE)]
@@ -279,7 +291,13 @@ class Bank:
         return np.asarray(nats + self._log_odds, np.float64)
 
     def _pairs(
-        self, first: int, alone: "_Alone", M: Sequence[FloatArray], slope: Sequence[FloatArray], P: FloatArray
+        self,
+        first: int,
+        alone: "_Alone",
+        M: Sequence[FloatArray],
+        slope: Sequence[FloatArray],
+        P: FloatArray,
+        known: Collection[tuple[int, ...]],
     ) -> tuple[list[Hypothesis], list[float]]:
         """A suspect with each other that is likelier wrong than half of not; logarithms of weights over the first's.
 
@@ -294,7 +312,7 @@ class Bank:
         given = self._each(left, [each - part @ alone.g for each, part in zip(slope, of_each, strict=True)])
         pairs, logs = list[Hypothesis](), list[float]()
         for k, (two, log) in enumerate(zip(given, self._log_weights(given).tolist(), strict=True)):
-            if k == first or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
+            if k == first or (k, first) in known or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
                 continue
             other, r = self.suspects[k], len(alone.g)
             name, at = " and ".join(dict.fromkeys([one.name, other.name])), np.concatenate([one.at, other.at])

@@ -15,10 +15,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
+from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.evidence.policy import (
     LIKELY_SIZE,
     ODDS,
@@ -32,7 +31,6 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
-_EACH = 10.0  # stated sigmas of each parameter of a base, or element of an IMU's matrix, that is wrong in every way
 _OF_IMU = [
     [f"{sensor}_{kind}" for sensor in ("gyro", "accelerometer")] for kind in ("scale", "misalignment", "cross_axis")
 ]
@@ -114,52 +112,27 @@ def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
 
 def _bodies(predictor: ImuPredictor, *, alike: bool) -> Iterator[Suspect]:
     vehicle = predictor.vehicle
-    at, factor, of_mass = dict[str, IndexArray](), dict[str, FloatArray](), dict[str, FloatArray]()
+    at, ways_of = dict[str, IndexArray](), dict[str, tuple[FloatArray, ...]]()
     for name, (places, half) in predictor.drawn.items():
         first = 10 * vehicle.links.index(name)
-        chi = vehicle.chi[first : first + 10]
-        at[name] = places
-        factor[name] = LIKELY_SIZE * np.linalg.solve(half, chi)[:, None]
-        of_mass[name] = LIKELY_SIZE * np.linalg.solve(half, _of_mass(chi))[:, None]
+        at[name], ways_of[name] = places, ways(vehicle.chi[first : first + 10], half)
+    factor = {name: each[0] for name, each in ways_of.items()}
     base = vehicle.spec.base_link
     arm = [name for name in at if name != base]
     for name in arm:
-        for way in (factor[name], _in_every_way(factor[name])):
+        for way in (factor[name], ways_of[name][-1]):
             yield Suspect(name, at[name], way, 0.5 * ODDS_OF_PART)
     if len(arm) > 1:
         yield Suspect("the arm", _joined(at, arm), _joined(factor, arm), ODDS_OF_PART)
     if base not in at:
         return
-    both, mass = factor[base], of_mass[base]
-    first = 10 * vehicle.links.index(base)
-    centre = LIKELY_SIZE * np.linalg.solve(predictor.drawn[base][1], _of_centre(vehicle.chi[first : first + 10]))
-    ways = both, mass, both - mass, centre, _in_every_way(both)
-    yield from (Suspect(base, at[base], way, ODDS / len(ways)) for way in ways)
+    yield from (Suspect(base, at[base], way, ODDS / len(ways_of[base])) for way in ways_of[base])
     if arm:
         yield Suspect(ALL_MASSES, _joined(at, at), _joined(factor, at), ODDS_OF_ALL, alike)
 
 
-def _in_every_way(factor: FloatArray) -> FloatArray:
-    """A body's parameters by one factor, (10, 1), and each by itself, (10, 11)."""
-    return np.hstack([factor, _EACH * np.eye(len(factor))])
-
-
 def _joined(of_each: Mapping[str, NDArray[Number]], names: Iterable[str]) -> NDArray[Number]:
     return np.concatenate([of_each[name] for name in names])
-
-
-def _of_mass(chi: FloatArray) -> FloatArray:
-    """Change of a body's standard parameters, (10,), with its mass, for a mass twice as large and the same inertia."""
-    mass, centre, inertia = body_of(chi)
-    return standard_of(RigidBody(2.0 * mass, centre, inertia)) - chi
-
-
-def _of_centre(chi: FloatArray) -> FloatArray:
-    """Change of a body's standard parameters with its centre of mass, (10, 3), for the rms distance of its mass."""
-    mass, centre, inertia = body_of(chi)
-    size, few = np.sqrt(0.5 * np.trace(inertia) / mass), 1e-6
-    moved = [standard_of(RigidBody(mass, centre + few * size * axis, inertia)) for axis in np.eye(3)]
-    return (np.array(moved).T - chi[:, None]) / few
 
 
 def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
@@ -185,7 +158,7 @@ def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
                 ways.append((np.concatenate(several), LIKELY_SIZE * np.tile(columns, (len(several), 1))))
         every = [*scales, *turns, *cross]
         for at in [*cross, *([np.concatenate(every)] if every else [])]:
-            ways.append((at, _EACH * np.diag(predictor.sigma[at])))
+            ways.append((at, EACH * np.diag(predictor.sigma[at])))
         for kind, size in (("place_", LIKELY_PLACE_m), ("delay_s", LIKELY_DELAY_s)):
             at = np.setdiff1d(named(predictor, own, kind), wander)
             ways += [(at, size * np.eye(at.size))] if at.size else []

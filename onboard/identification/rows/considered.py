@@ -27,7 +27,8 @@ OfImu = Literal[
     "accelerometer_delay",
     "accelerometer_bias",
 ]
-Effect = OfRow | OfJoint | OfImu
+Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
+Effect = OfRow | OfJoint | OfImu | Suspected
 _OF_ROW = ("scale", "delay", "drift")
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
@@ -145,7 +146,7 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
     if cause.effect == "joint_scale":
         return signals._replace(q=q * (1.0 + own), dq=dq * (1.0 + own), ddq=ddq * (1.0 + own))
     if cause.effect == "joint_delay":
-        return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * _rate(signals, ddq))
+        return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * rate_of(signals, ddq))
     R, p = model.vehicle.pose_in_base(cause.row)
     w, dw, f = signals.motion
     parts = [w @ R, dw @ R, (f + np.cross(dw, p) + np.cross(w, np.cross(w, p))) @ R]  # as the IMU reads
@@ -153,7 +154,7 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
     for index in (0, 1) if cause.effect.startswith("gyro") else (2,):
         value = parts[index]
         if kind == "delay":
-            parts[index] = value - step * (dw @ R if index == 0 else _rate(signals, value))
+            parts[index] = value - step * (dw @ R if index == 0 else rate_of(signals, value))
         elif kind == "misalignment":
             parts[index] = value + step * np.cross(value, np.eye(3)[cause.axis or 0])
         elif kind == "bias":
@@ -163,7 +164,7 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
     return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))
 
 
-def _rate(signals: Signals, values: FloatArray) -> FloatArray:
+def rate_of(signals: Signals, values: FloatArray) -> FloatArray:
     """Rate of change from tick to tick, (n, columns); zero where a neighbour is missing."""
     if len(values) < 2:
         return np.zeros_like(values)

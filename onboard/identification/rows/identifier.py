@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.vehicle import BaseKind
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
 from onboard.estimation.instrumental import RecursiveInstrumental
@@ -39,6 +39,7 @@ from onboard.identification.rows.prediction import prediction, without_unknown
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.scales import estimated_scales, fill_scales
 from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
+from onboard.identification.rows.suspects import RowSuspects
 from onboard.identification.rows.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -73,6 +74,7 @@ class Identifier:
             scales that are not estimated, it is taken as wide as the rows ask
             (:mod:`onboard.identification.rows.stated`).
         recorded_apart: rows with the payload and those without are of different recordings.
+        suspects: weighs what may not be as stated; nothing is, where not given.
 
     Attributes:
         recursion: of the rows.
@@ -100,6 +102,7 @@ class Identifier:
         whitening: Whitening | None = None,
         stated: Sequence[Stated] = (),
         recorded_apart: bool = False,
+        suspects: RowSuspects | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
         check(considered, model)
@@ -110,6 +113,7 @@ class Identifier:
         self.memory = memory
         self.whitening = whitening
         self._recorded_apart = recorded_apart
+        self.suspects = suspects
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -200,15 +204,17 @@ class Identifier:
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
         found |= 0 if signals.refused is None else signals.refused
         moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
-        whole = _finite(moving)
+        whole = finite(moving)
         found[~whole] |= GateReason.GAP
         if signals.noise is not None:
             self._inflation = signals.noise.inflation
-            whole &= _finite(signals.noise[:6])
+            whole &= finite(signals.noise[:6])
             found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
         for first in range(0, n, _BATCH_TICKS):
             self._batch(signals, attached, found, slice(first, first + _BATCH_TICKS))
+        if self.suspects is not None:
+            self.suspects.weigh(self.rls.solve().mean, self.correlation, self.seen)
         if found.any():
             for reason in self.refused:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
@@ -222,31 +228,30 @@ class Identifier:
         ticks = np.flatnonzero((reasons == 0).any(axis=1))
         if ticks.size == 0:
             return
-        at = ticks + part.start
+        at, use = ticks + part.start, reasons[ticks] == 0  # (t,), (t, m)
         motion = BaseMotion(*(v[at] for v in signals.motion))
         joints = signals.q[at], signals.dq[at], signals.ddq[at]
-        none = np.zeros((at.size, len(self.model.rows)))
         z = None if signals.friction is None else signals.friction[at]
-        Y = self.model.regressor(*joints, motion, attached[at], True, none, self._fold, z)
-        use = reasons[ticks] == 0  # (t, m)
+        Y = self.model.regressor(*joints, motion, attached[at], True, np.zeros(use.shape), self._fold, z)
         if self._scales:
             fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
         rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
         sigma = signals.sigma[at][use]
         doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
         if signals.noise is not None:
-            mean = self.rls.solve().mean if self._scales else None
-            changes, group = self._noise.changes(signals, signals.noise, at, attached, mean)
+            mean = self.rls.solve().mean
+            changes, group = self._noise.changes(signals, signals.noise, at, attached, mean if self._scales else None)
             doubt = changes[group][use]  # (r, s, p + 1)
-            effect = (doubt @ [*self.rls.solve().mean, -1.0]) * signals.noise.inflation
+            effect = (doubt @ [*mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
         innovation, spread = self.rls.innovation(rows, y, sigma)
         verdict = self.gate.check(innovation, spread)
         kept = verdict == 0
         sigma = sigma * (widening := self.gate.widening(innovation, spread))
-        block = reasons[ticks]
-        block[use] |= verdict
-        reasons[ticks] = block
+        which, column = np.nonzero(use)
+        reasons[ticks[which], column] |= verdict
+        if self.suspects is not None:
+            self.suspects.take(signals, at, attached[at], use, sigma)
         if not kept.any():
             return
         use[use] = kept
@@ -278,6 +283,8 @@ class Identifier:
 
     def contradiction(self, jackknife: JackknifeEstimate) -> str:
         """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""
+        if self.suspects is not None:
+            return next(iter(self.suspects.judged()[0]), "")
         drawn = self.base.value(self.model.chi), self._as_stated.covariance
         return "" if self._stated else contradiction(self.base.names, jackknife, *drawn)
 
@@ -320,7 +327,8 @@ class Identifier:
 
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
-        steps = [self._weights @ fit.step.suspected for fit in self.fits(jackknife.mean) if fit.step is not None]
+        fits = self.fits(jackknife.mean) if self.suspects is None else ()
+        steps = [self._weights @ fit.step.suspected for fit in fits if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
@@ -348,7 +356,9 @@ class Identifier:
         if self._instruments is not None:
             return self.recursion.block_jackknife(sigma, level)
         own = taken.rls, self.recursion.blocks, sigma, level
-        return JackknifeEstimate(*own, scale=None if fitted is None else fitted.noise)
+        made = JackknifeEstimate(*own, scale=None if fitted is None else fitted.noise)
+        answer = None if exact or self.suspects is None else self.suspects.answer
+        return made if answer is None else made.instead(answer)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
@@ -380,6 +390,7 @@ class Identifier:
         spread = np.sqrt((weights @ prior * weights).sum(axis=1))
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
+        supported &= self.suspects is None or not self.suspects.judged()[0]
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
         unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
         half = np.hypot(interval.high - interval.mean, z * unsaid)
@@ -390,12 +401,8 @@ class Identifier:
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:
-            of_rows = self.rows_used, self.refused[GateReason.RESIDUAL], self.contradiction(jackknife)
+            refused = 0 if self.suspects else self.refused[GateReason.RESIDUAL]
+            of_rows = self.rows_used, refused, self.contradiction(jackknife)
             quantities += self.payload.quantities(jackknife, prior, *of_rows)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))
-
-
-def _finite(parts: Sequence[FloatArray]) -> BoolArray:
-    """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
-    return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))

@@ -1,0 +1,46 @@
+"""Ways in which a body may not be as it is drawn, as directions in its prior's own errors."""
+
+import numpy as np
+
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.evidence.policy import LIKELY_SIZE
+
+EACH = 10.0
+"""Stated sigmas of each parameter of a body, or element of an instrument's matrix, that is wrong in every way."""
+
+
+def ways(chi: FloatArray, half: FloatArray) -> tuple[FloatArray, ...]:
+    """What one sigma of each does to the errors of a body's prior: (10, 1), (10, 1), (10, 1), (10, 3), (10, 11).
+
+    Mass and inertia by one factor; the mass alone; the inertia alone; the centre of mass; the factor together with
+    each parameter by itself.
+
+    Args:
+        chi: standard parameters as drawn, (10,).
+        half: L of their prior covariance ``L L'``, (10, 10).
+    """
+    changes = np.column_stack([chi, of_mass(chi), of_centre(chi)])
+    along = np.asarray(LIKELY_SIZE * np.linalg.solve(half, changes), np.float64)
+    both, mass, centre = along[:, :1], along[:, 1:2], along[:, 2:]
+    return both, mass, both - mass, centre, in_every_way(both)
+
+
+def in_every_way(factor: FloatArray) -> FloatArray:
+    """A body's parameters by one factor, (10, 1), and each by itself, (10, 11)."""
+    return np.hstack([factor, EACH * np.eye(len(factor))])
+
+
+def of_mass(chi: FloatArray) -> FloatArray:
+    """Change of a body's standard parameters, (10,), with its mass, for a mass twice as large and the same inertia."""
+    mass, centre, inertia = body_of(chi)
+    return standard_of(RigidBody(2.0 * mass, centre, inertia)) - chi
+
+
+def of_centre(chi: FloatArray) -> FloatArray:
+    """Change of a body's standard parameters with its centre of mass, (10, 3), for the rms distance of its mass."""
+    mass, centre, inertia = body_of(chi)
+    size, few = np.sqrt(0.5 * np.trace(inertia) / mass), 1e-6
+    moved = [standard_of(RigidBody(mass, centre + few * size * axis, inertia)) for axis in np.eye(3)]
+    return (np.array(moved).T - chi[:, None]) / few

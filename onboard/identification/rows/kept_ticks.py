@@ -1,0 +1,58 @@
+"""Ticks of rows that are kept, in constant memory, so that rows can be made again about another estimate."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+
+MOST = 400  # of smoothed signals of 0.2 s, what is independent in 80 s: twice as many do not change the answers
+
+
+class Ticks(NamedTuple):
+    """Smoothed signals at t ticks of an arm on a fixed base with j joints, and m rows of each."""
+
+    time_s: FloatArray  # (t,)
+    q: FloatArray  # (t, j)
+    dq: FloatArray  # (t, j)
+    ddq: FloatArray  # (t, j)
+    jerk: FloatArray  # (t, j)
+    force: FloatArray  # (t, 3) specific force of the base, m/s^2
+    attached: BoolArray  # (t,) whether the payload is held
+    measured: FloatArray  # (t, m), 0 where a row was not used
+    rate: FloatArray  # (t, m) of what is measured
+    weight: FloatArray  # (t, m) one over the variance of each row; 0 where it was not used
+
+    def at(self, which: slice | BoolArray) -> "Ticks":
+        """Some of them."""
+        return _of(part[which] for part in self)
+
+
+def _of(parts: Iterable[NDArray[Any]]) -> Ticks:
+    return Ticks(*parts)
+
+
+class KeptTicks:
+    """Every n-th of the ticks given, n doubled whenever more than :data:`MOST` would be kept.
+
+    Attributes:
+        every: n.
+        ticks: those kept, if any.
+    """
+
+    def __init__(self) -> None:
+        self.every, self._given = 1, 0
+        self.ticks: Ticks | None = None
+
+    def add(self, ticks: Ticks) -> None:
+        """Takes further ticks in, later than all before."""
+        given = self._given + np.arange(len(ticks.time_s))
+        self._given += len(given)
+        more = ticks.at(np.asarray(given % self.every == 0))
+        if self.ticks is not None:
+            more = _of(np.concatenate(pair) for pair in zip(self.ticks, more, strict=True))
+        while len(more.time_s) > MOST:
+            more, self.every = more.at(slice(None, None, 2)), 2 * self.every
+        self.ticks = more
