@@ -16,16 +16,17 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.devices import registry
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import Mission
-from hil_sim.plants import bench
+from hil_sim.plants import bench, urdf_drawing
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.sensor_tables import ForceCellTable
 from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
 
-KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance")
+KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance", "weigh")
 LATITUDE_deg = bench.LATITUDE_deg
 _STILL = Step(phase=0, action="hold", duration_s=0.1)
+_FAR_rad = 2.5  # of a joint from its zero: its cable
 SPACING_SIGMA_m, LENGTH_SIGMA_m = 1e-4, 3e-4  # of strings that were measured with a rule
 
 
@@ -50,6 +51,8 @@ class Bench(Mission):
 
     def _plant(self) -> Plant:
         rng, given = self._rng(f"bench.{self._kind}"), dict(self._settings)
+        if self._kind == "weigh":
+            return self._in_poses(rng, **given)
         axis, turn = _cell_axis(self.scenario), lambda at: np.eye(3)
         if self._kind == "imu":
             signals = bench.turntable(rng, **given)
@@ -68,6 +71,28 @@ class Bench(Mission):
             standing = self._standing()
             signals, turn = bench.balance(rng, standing.base, **given), standing.turn
         return bench.BenchPlant(signals, axis, turn)
+
+    def _in_poses(self, rng: np.random.Generator, poses: int = 60, move_s: float = 2.5, rest_s: float = 4.0) -> Plant:
+        """The arm with what it holds goes from pose to pose, and rests in each."""
+        if not isinstance(self.scenario, VehicleScenario) or self.scenario.vehicle.base != "fixed":
+            raise ScenarioError(f"{self.scenario.scenario.name} has no arm on a fixed base that could turn a wrist")
+        joints = urdf_drawing.read(self.scenario.vehicle.urdf, self.scenario.vehicle.label).joints
+        motion = self.scenario.motion.model_copy(update={"posture": dict.fromkeys(joints, 0.0), "posture_spread": 0.0})
+        ways = [
+            {
+                name: float(rng.uniform(*np.clip((one.low, one.high), -_FAR_rad, _FAR_rad)))
+                for name, one in joints.items()
+            }
+            for _ in range(poses)
+        ]
+        steps = [
+            Step.model_validate(
+                {"phase": 1, "action": "push", "to": way, "approach_s": move_s, "hold_s": rest_s, "retreat_s": move_s}
+            )
+            for way in ways
+        ]
+        still = {"sequence": (_STILL, *steps), "capture": None, "ejection": None, "motion": motion}
+        return VehiclePlant(self.scenario.model_copy(update=still), self._rng("vehicle"))
 
     def _standing(self) -> VehiclePlant:
         """The vehicle that flies with this seed, as it is built: it is not flown."""

@@ -25,7 +25,7 @@ from onboard.estimation.arrays import FloatArray
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
 FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
 STANDARD_GRAVITY_M_S2 = 9.80665
-_NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
+NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
 
 
 class BaseKind(StrEnum):
@@ -138,7 +138,7 @@ class VehicleModel:
         Raises:
             UnknownFrameError: no such name.
         """
-        for kind in _NAMED:
+        for kind in NAMED:
             if self.model.existFrame(name, kind):
                 return int(self.model.getFrameId(name, kind))
         known = ", ".join(dict.fromkeys(frame.name for frame in self.model.frames[1:]))

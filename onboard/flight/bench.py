@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
-from drivers.records import CAN_SYNC, Severity, event
+from drivers.records import CAN_SYNC, Rows, Severity, event
 from onboard import config
 from onboard.devices.base import BusDevice
 from onboard.flight import simulated
@@ -22,9 +23,11 @@ from onboard.flight.hil import World
 from onboard.flight.store import rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
+from onboard.ring import RingReader
 
 BEGIN, END = "bench_begin", "bench_end"  # events: what the operator holds still, from when to when
 PAUSE_S = 1e-3
+LOOKED_NS = 100_000_000
 LONGEST_STEP_NS = 50_000_000  # of virtual time: nothing waits for a reading
 
 
@@ -69,6 +72,7 @@ class BenchRun:
             stack.callback(opened.close)
             self._recorder = open_simulated_recorder(vehicle, directory, log)
             self.acquisition = Acquisition(opened.devices, Publisher(made))
+            self._directory = directory
             self._stack = stack.pop_all()
         self.acquisition.report(opened.problems)
         self.acquisition.start(clock())
@@ -77,6 +81,13 @@ class BenchRun:
     def mark(self, code: str, text: str) -> None:
         """Put what the operator does into the log."""
         self.acquisition.report([event(self._clock(), Severity.INFO, code, "bench", text)])
+
+    def readers(self, channels: Iterable[str]) -> dict[str, RingReader]:
+        """Reading ends of channels, from their first row."""
+        opened = rings.readers(self._directory, channels)
+        for one in opened.values():
+            self._stack.callback(one.close)
+        return opened
 
     def step(self) -> None:
         """Pump what is due, and record now and then."""
@@ -124,6 +135,46 @@ class PumpedBench:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
+
+
+class Watcher(Protocol):
+    """Looks at rows while a bench runs."""
+
+    done: str
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """That it reads."""
+
+    def feed(self, channel: str, rows: Rows) -> None:
+        """Rows of a channel, any number of them."""
+
+    def step(self, now_s: float) -> None:
+        """Time goes on."""
+
+
+def run_simulated(vehicle: config.Vehicle, world: World, log: Path, watcher: Watcher) -> None:
+    """Record a simulated bench until what looks at it is done, or to its end.
+
+    Args:
+        vehicle: with the URLs of the simulated buses.
+        world: the bench.
+        log: to write; must not exist.
+        watcher: looks ten times a second.
+    """
+    clock, looked_ns = simulated.VirtualClock(world.start_ns), 0
+    with BenchRun(vehicle, log, clock) as run:
+        readers = run.readers(watcher.channels)
+        pause_ns = simulated.step_ns((device.period_ns for device in run.acquisition.devices), LONGEST_STEP_NS)
+        while clock.now_ns < world.end_ns and not watcher.done:
+            clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
+            world.advance(clock.now_ns)
+            run.step()
+            if clock.now_ns - looked_ns >= LOOKED_NS:
+                looked_ns = clock.now_ns
+                for channel, reader in readers.items():
+                    watcher.feed(channel, reader.read()[0])
+                watcher.step(clock.now_ns * 1e-9)
 
 
 def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress: Callable[[float], None]) -> None:

@@ -12,10 +12,10 @@ from onboard.offline.weigh.errors import PosesError
 
 
 class Arm(NamedTuple):
-    """A URDF, the link that the sensor is on, and the joints that move it, from the root outwards."""
+    """A URDF, the frame of the sensor by its index, and the joints that move it, from the root outwards."""
 
     model: pin.Model
-    link: str
+    frame: int
     joints: tuple[str, ...]
 
 
@@ -33,26 +33,32 @@ def arm(urdf: str, label: str, link: str = "") -> Arm:
     frame = next((one for one in bodies if one.name == name), None)
     if frame is None:
         raise PosesError(f"{label} has no link {link!r}; it has {', '.join(one.name for one in bodies)}")
-    joints = [model.names[k] for k in model.supports[frame.parentJoint] if k]
-    if not joints:
+    found = moved(model, model.getFrameId(name, pin.FrameType.BODY))
+    if not found.joints:
         raise PosesError(f"{label}: no joint moves link {name!r}; give --link")
-    return Arm(model, name, tuple(joints))
+    return found
+
+
+def moved(model: pin.Model, frame: int) -> Arm:
+    """The arm that moves a frame."""
+    parent = model.frames[frame].parentJoint
+    return Arm(model, frame, tuple(model.names[k] for k in model.supports[parent] if k))
 
 
 def posed(meaning: Meaning, of: Arm) -> Meaning:
     """Angles of joints, (n, joints) rad, as rotation matrices of the link in the root."""
-    data, frame = of.model.createData(), of.model.getFrameId(of.link, pin.FrameType.BODY)
     out = np.full((len(meaning.orientation), 9), np.nan)
-    places = [of.model.joints[of.model.getJointId(name)] for name in of.joints]
     for k, angles in enumerate(meaning.orientation):
         if np.isfinite(angles).all():
-            q = pin.neutral(of.model)
-            for place, angle in zip(places, angles.tolist(), strict=True):
-                q[place.idx_q : place.idx_q + place.nq] = angle if place.nq == 1 else (np.cos(angle), np.sin(angle))
-            pin.forwardKinematics(of.model, data, q)
-            out[k] = _rotation(of.model, data, frame).ravel()
+            out[k] = orientation(of, angles).ravel()
     return meaning._replace(kind="matrix", orientation=out)
 
 
-def _rotation(model: pin.Model, data: pin.Data, frame: int) -> FloatArray:
-    return np.asarray(pin.updateFramePlacement(model, data, frame).rotation, np.float64)
+def orientation(of: Arm, angles: FloatArray) -> FloatArray:
+    """Axes of the link in those of the root, (3, 3), at angles of its joints, rad."""
+    data, q = of.model.createData(), pin.neutral(of.model)
+    for name, angle in zip(of.joints, angles.tolist(), strict=True):
+        place = of.model.joints[of.model.getJointId(name)]
+        q[place.idx_q : place.idx_q + place.nq] = angle if place.nq == 1 else (np.cos(angle), np.sin(angle))
+    pin.forwardKinematics(of.model, data, q)
+    return np.asarray(pin.updateFramePlacement(of.model, data, of.frame).rotation, np.float64)

@@ -8,12 +8,13 @@ from onboard.estimation.calibration import wrist
 from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELIER
 from onboard.identification.quantities import Findings
 from onboard.identification.useful import Size, Useful
-from onboard.identification.verdict import Evidence, Standing, Verdict, standing, verdict
+from onboard.identification.verdict import Evidence, Level, Standing, Verdict, standing, verdict
 from onboard.offline.weigh.weigh import Answer
 
 FARTHEST_m = 2.0
 """Centre of mass beyond which a unit is wrong: no wrist that a person handles holds a tool so; moments of a held tool
 in N mm that are taken for N m are a thousand times too large."""
+_SEATED_rad = np.deg2rad(3.0)  # a sensor on its flange: by bolts and a pin
 _DENSITY_kg_m3 = 500.0  # of a body whose size is not told, as of the fits' first guess
 
 
@@ -50,6 +51,28 @@ def judge(answer: Answer) -> Judged:
         unchecked="too few poses to predict one half from the other: twelve or more",
     )
     return Judged(verdict(evidence), standings, tuple(_notes(answer)))
+
+
+def judge_live(answer: Answer, frame: str) -> Judged:
+    """The same of a sensor that a vehicle file describes: its sign and its mounting are held against the file."""
+    judged = judge(answer)
+    said, notes = [], list(judged.notes)
+    if answer.poses.convention.sign == "weight":
+        said.append(
+            f"the cells of {frame} read the weight, and a vehicle file's cells read what holds it: turn the sign of "
+            "each `axis`"
+        )
+    turned = [one for one in answer.quantities if one.name.startswith("installation")]
+    off = [one for one in turned if one.supported and not -_SEATED_rad < one.mean < _SEATED_rad]
+    if off:
+        told = ", ".join(f"{np.rad2deg(one.mean):.1f} deg about its {one.name[-1]}" for one in off)
+        notes.append(
+            f"the sensor sits turned against {frame} as it is drawn, by {told}: correct the URDF or each `axis`"
+        )
+    if said:
+        level, reasons = Level.DO_NOT_USE, (*said, *judged.verdict.reasons)
+        judged = judged._replace(verdict=judged.verdict._replace(level=level, reasons=reasons))
+    return judged._replace(notes=tuple(notes))
 
 
 def _findings(answer: Answer) -> Findings:

@@ -28,7 +28,8 @@ def changes(vehicle: config.Vehicle, answer: Answer) -> list[Change]:
             continue
         axis = np.array(section.axis) / np.linalg.norm(section.axis)
         which, unit = (1, section.lever_m) if section.measures == "moment" else (0, 1.0)
-        value, own = reaction * float(axis @ zero[which]) / unit, float(np.sqrt(axis**2 @ sigma[which] ** 2)) / unit
+        value, own = reaction * float(axis @ zero[which]), float(np.sqrt(axis**2 @ sigma[which] ** 2))
+        value, own = value * section.gain / unit, own * section.gain / unit
         found.append(Change(("device", name), "offset_N", rounded(np.array(value), own), f"{own:.2g}"))
     if not found:
         raise PosesError(f"{vehicle.label} has no load cell whose zero could be written; leave --vehicle out")
