@@ -41,7 +41,6 @@ def _packaged() -> Iterator[tuple[str, type[Emulator]]]:
 
 
 _PACKAGED = dict(sorted(_packaged()))
-_ELSEWHERE = {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
 def emulator(kind: str) -> type[Emulator]:
@@ -52,9 +51,10 @@ def emulator(kind: str) -> type[Emulator]:
     """
     if kind in _PACKAGED:
         return _PACKAGED[kind]
-    if kind not in _ELSEWHERE:
-        raise ScenarioError(f"no device is a {kind!r}; there are: {', '.join([*_PACKAGED, *sorted(_ELSEWHERE)])}")
-    point = _ELSEWHERE[kind]
+    elsewhere = {point.name: point for point in metadata.entry_points(group=GROUP)}
+    if kind not in elsewhere:
+        raise ScenarioError(f"no device is a {kind!r}; there are: {', '.join([*_PACKAGED, *sorted(elsewhere)])}")
+    point = elsewhere[kind]
     try:
         table = point.load()
     except Exception as error:

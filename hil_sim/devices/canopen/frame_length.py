@@ -12,43 +12,29 @@ _TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, seven bits of 
 INTERMISSION_BITS: Final = 3
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 7
-        for _ in range(8):
-            crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x4000 else crc << 1) & 0x7FFF
-        table.append(crc)
-    return tuple(table)
-
-
-def _stuff_table() -> tuple[tuple[int, int], ...]:
-    """By state * 256 + byte: the next state and the stuff bits inserted; state = 2 * run length + last bit."""
-    table = []
-    for state in range(10):  # a run is four bits long at most
-        for byte in range(256):
-            run, last, stuffed = state >> 1, state & 1, 0
-            for shift in range(7, -1, -1):
-                bit = byte >> shift & 1
-                run = run + 1 if bit == last and run else 1
-                last = bit
-                if run == 5:  # the stuff bit is the opposite one, and begins a run of its own
-                    stuffed += 1
-                    run, last = 1, 1 - bit
-            table.append((run << 1 | last, stuffed))
-    return tuple(table)
-
-
 def _crc_words() -> list[int]:
     """CRC of each 16-bit word, by that of its bytes."""
-    table = np.array(_crc_table())
+    table = np.arange(256) << 7
+    for _ in range(8):
+        table = (table << 1 ^ np.where(table & 0x4000, _CRC_POLYNOMIAL, 0)) & 0x7FFF
     first = table[:, None]
     return list((table[first >> 7 ^ np.arange(256)] ^ (first << 8 & 0x7FFF)).ravel().tolist())
 
 
 def _stuff_words() -> bytes:
-    """By state * 65536 + word: the next state + 16 * the stuff bits inserted, by the table of bytes."""
-    state, stuffed = np.array(_stuff_table()).reshape(10, 256, 2).transpose(2, 0, 1)
+    """By state * 65536 + word: the next state + 16 * the stuff bits inserted; state = 2 * run length + last bit.
+
+    By the same of each byte, (10, 256): a run is four bits long at most.
+    """
+    before, byte = np.arange(10)[:, None], np.arange(256)
+    run, last, stuffed = before >> 1, before & 1, np.zeros((10, 256), np.int64)
+    for shift in range(7, -1, -1):
+        bit = byte >> shift & 1
+        run = np.where((bit == last) & (run > 0), run + 1, 1)
+        full = run == 5  # the stuff bit is the opposite one, and begins a run of its own
+        stuffed += full
+        run, last = np.where(full, 1, run), bit ^ full
+    state = run << 1 | last
     both = state[state] | (stuffed[:, :, None] + stuffed[state]) << 4  # (10, 256, 256)
     return bytes(both.astype(np.uint8).tobytes())
 
