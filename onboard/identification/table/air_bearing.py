@@ -159,7 +159,8 @@ class TableExiddm(Exiddm):
     growing parts fails, or the pucks together or one of them would push, minima are searched for at coarser ticks and
     in few steps.
     A search begins with one of two drags, which is held until there is a payload, and with Coulomb drag rounded below
-    some slip, where it is nearly linear, then less and less (a continuation). All ticks are fitted from the likeliest
+    some slip, where it is nearly linear, then less and less (a continuation). The searches end where the likeliest
+    minimum explains the run and was reached from both drags. All ticks are fitted from the likeliest
     two, and the likeliest of all results is kept. Where an instrument is wrong nothing explains the run: searches are
     bounded, and results far from an answer are not fitted to all ticks.
     """
@@ -213,18 +214,25 @@ class TableExiddm(Exiddm):
         """
         base, mass = self._base, self.layout.estimated("payload")[0]
         coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
-        work = _Work(_MOST_TICKS)
+        work, rows = _Work(_MOST_TICKS), 6 * int(coarse._valid.sum())
         found = list[Searched]()
         for guess in _BODIES:
+            of_drag: dict[tuple[float, float], float] = {}  # the least squares that searches from it came to
             for roundings_m_s, drags in product(_ROUNDINGS_m_s, _DRAGS):
                 with suppress(EstimationError):
-                    found.append(coarse._continued(guess, roundings_m_s, drags, work))
-            found = sorted((one for one in found if one.x[mass] > 0.0), key=lambda one: one.squares)[:_FINISHED]
+                    one = coarse._continued(guess, roundings_m_s, drags, work)
+                    if one.x[mass] > 0.0:
+                        found.append(one)
+                        of_drag[drags] = min(one.squares, of_drag.get(drags, np.inf))
+                least, most = min(of_drag.values(), default=0.0), max(of_drag.values(), default=0.0)
+                if len(of_drag) == len(_DRAGS) and most - least < _FAIRLY and least < WORST_MISFIT * rows:
+                    break
             if found:
                 break
-        near = [one.x for one in found if one.squares < _HOPELESS * 6 * coarse._valid.sum()]
+        found = sorted(found, key=lambda one: one.squares)[:_FINISHED]
+        near = [one.x for one in found if one.squares < _HOPELESS * rows]
         if found and not near:
-            times = np.sqrt(found[0].squares / (6 * coarse._valid.sum()))
+            times = np.sqrt(found[0].squares / rows)
             raise ConvergenceError(f"IMU and joints contradict each other: {times:.1f} times the noise is left")
         return near
 

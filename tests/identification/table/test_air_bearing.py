@@ -285,6 +285,31 @@ def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contra
         contradicted.fit()
 
 
+@pytest.mark.parametrize(
+    ("by_one_drag", "by_the_other", "searches"),
+    [
+        ([1.0], [1.0], 2),
+        ([1.1, 1.0], [1.0, 1.0], 3),
+        ([1.0, 1.0, 1.0], [1.1, 1.1, 1.1], 6),
+        ([1.4, 1.4, 1.4], [1.4, 1.4, 1.4], 6),
+    ],
+)
+def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
+    run, rng, monkeypatch, by_one_drag, by_the_other, searches
+):
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    left = {drags: iter(own) for drags, own in zip(air_bearing._DRAGS, (by_one_drag, by_the_other), strict=True)}
+    done = []
+
+    def continued(coarse, guess, _roundings, drags, _work):
+        done.append(6 * int(coarse._valid.sum()) * next(left[drags]))
+        return Searched(coarse.start(guess), done[-1])
+
+    monkeypatch.setattr(TableExiddm, "_continued", continued)
+    assert len(exiddm._searched()) == 2
+    assert len(done) == searches
+
+
 def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
     def fails(_):
         raise ConvergenceError("not converged")
