@@ -49,6 +49,14 @@ def add(commands: Commands) -> None:
     init.add_argument(
         "--gains", metavar="G,G,...", help="N m in an A of each joint, where currents of its motor were recorded"
     )
+    init.add_argument(
+        "--thrusters",
+        metavar="N|NAME,NAME",
+        help="of a recorded body without joints on a table (--base planar): how many, or frames of --urdf, x along "
+        "the force",
+    )
+    init.add_argument("--force", metavar="N", type=float, default=1.0, help="of each of --thrusters, in newtons (1)")
+    init.add_argument("--marker", metavar="LINK", help="of --urdf, that is tracked (default: one is added)")
     init.add_argument("--no-pulse", action="store_true", help="no sync pulse is wired: clocks are then known to ms")
     init.add_argument("--bus", action="append", default=[], metavar="NAME=URL", help="URL of a bus, e.g. can_0=...")
     init.set_defaults(command=_init)
@@ -65,11 +73,34 @@ def _init(arguments: argparse.Namespace) -> int:
             if not sys.stdin.isatty():
                 raise ValueError("say what the base is: --base free, prescribed, fixed or planar; or give --from")
             _ask(arguments)
+        if arguments.thrusters is not None:
+            return _body(arguments)
         wanted = _wanted(arguments)
         files = vehicle.make(wanted, arguments.directory)
         notes = wanted.drawn.notes if wanted.drawn else ()
         if wanted.drawn is not None:
             notes += _of_payload(wanted.drawn, wanted.payload_link)
+    return _told(files, notes)
+
+
+def _body(arguments: argparse.Namespace) -> int:
+    """A body without joints."""
+    from onboard.offline.begin import body, drawing
+
+    if arguments.base != "planar":
+        raise ValueError(f"--thrusters move a body on a table: --base planar, not {arguments.base}")
+    if given := [one for one in ("joints", "encoder", "load_cell", "gains", "imu") if getattr(arguments, one)]:
+        raise ValueError(f"--{given[0].replace('_', '-')}: a body by its --thrusters has no arm; leave it out")
+    drawn = drawing.read(arguments.urdf, arguments.base, recorded=True) if arguments.urdf else None
+    name, marker = arguments.name or arguments.directory.resolve().name, arguments.marker or "marker"
+    wanted = body.Body(name, tuple(body.names_of(arguments.thrusters)), arguments.force, drawn, marker)
+    if arguments.marker and (drawn is None or marker not in drawn.frames):
+        raise ValueError(f"the URDF has no link {marker!r}" if drawn else f"{marker!r}: give the --urdf that has it")
+    return _told(body.write(wanted, arguments.directory), drawn.notes if drawn else ())
+
+
+def _told(files: "list[Path]", notes: tuple[str, ...]) -> int:
+    """What was written, and what comes next."""
     for path in files:
         print(path)
     for note in notes:

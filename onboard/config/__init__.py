@@ -6,10 +6,12 @@ from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Ze
 from onboard.config.free_body import Load
 from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.pivot import Pivot
+from onboard.config.planar import Body
 from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
 __all__ = [
+    "Body",
     "ConfigError",
     "ImuPriorKeys",
     "JointKeys",

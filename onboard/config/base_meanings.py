@@ -1,4 +1,4 @@
-"""What the keys of ``[planar]``, ``[pivot]``, ``[parabola]``, ``[free_body]`` mean, and when to change them."""
+"""What keys of ``[planar]``, ``[pivot]``, ``[body]``, ``[parabola]``, ``[free_body]`` mean; when to change them."""
 
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),
@@ -41,6 +41,24 @@ PIVOT: dict[str, tuple[str, ...]] = {
         "it was weighed and measured better",
     ),
     "balance": ("Tables: the masses that balance the base.",),
+}
+
+BODY: dict[str, tuple[str, ...]] = {
+    "mass_sigma": ("Relative, of the mass as drawn or weighed; silent: unknown.", "the body was weighed: give it"),
+    "tilt_sigma_m_s2": ("Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.",),
+    "uneven_sigma_m_s2": ("Steady acceleration in each five seconds by axis, 1 sigma.", "the table is uneven"),
+    "turning_sigma_rad_s2": ("Steady angular acceleration in each five seconds, 1 sigma.", "a draught turns it"),
+    "drag_sigma_1_s": ("Drag in proportion to the speed, over the mass, 1 sigma.",),
+    "spin_drag_sigma_1_s": ("Drag in proportion to the rate, over the moment of inertia, 1 sigma.",),
+    "place_sigma_m": ("Lever of each thruster's force, 1 sigma.", "the thrusters' places were measured"),
+    "turn_sigma_rad": ("Direction of each thruster's force, 1 sigma.",),
+    "leak_sigma": ("Share of its force that a thruster has while it is off, 1 sigma.",),
+    "delay_ms": (
+        "Least and largest delay from the command to the force, which is fitted between them.",
+        "poses or commands are later than this",
+    ),
+    "each_delay_sigma_ms": ("Delay of one valve against the others, 1 sigma.",),
+    "loss_sigma_ms": ("By how much longer a valve takes to open than to close, 1 sigma.",),
 }
 
 BALANCE: dict[str, tuple[str, ...]] = {

@@ -122,7 +122,7 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
 def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     devices = vehicle.file.device
     imus = [name for name, device in devices.items() if device.roles(name, 1.0).imus]
-    if not imus and vehicle.file.vehicle.base != "fixed":
+    if not imus and vehicle.file.vehicle.base != "fixed" and vehicle.file.body is None:
         fail(["device"], "no device is an IMU; the base's motion has to be measured: add one")
     lines: dict[str, str] = {}  # first of each kind
     for name, device in devices.items():
@@ -144,6 +144,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     _check_realtime(vehicle, fail)
     _check_planar(vehicle, fail)
     _check_pivot(vehicle, fail)
+    _check_body(vehicle, fail)
     _check_parabola(vehicle, fail)
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
@@ -223,7 +224,7 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     where = ["estimation", "method"]
     if file.vehicle.base not in ("free", "planar", "pivot"):
         fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free", "planar" or "pivot"')
-    if file.vehicle.payload_link is None and file.vehicle.base != "pivot":
+    if file.vehicle.payload_link is None and file.vehicle.base != "pivot" and file.body is None:
         fail(where, 'method "exiddm" estimates the payload; name its payload_link')
     others = {
         "base_rows": settings.base_rows,
@@ -271,6 +272,25 @@ def _check_pivot(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "carried"], "a run on a pivot is estimated by itself; remove carried")
 
 
+def _check_body(vehicle: Vehicle, fail: Fail) -> None:
+    file = vehicle.file
+    if file.body is None:
+        return
+    if file.vehicle.base != "planar":
+        fail(["body"], f'the base is {file.vehicle.base!r}; a body without joints needs base = "planar"')
+    if file.planar is not None:
+        fail(["planar"], "a run of a body without joints has its table in [body]; remove one of the two")
+    for kind, many in (("recorded_thruster", True), ("recorded_pose", False)):
+        own = [name for name, device in file.device.items() if device.kind == kind]
+        if not own or (len(own) > 1 and not many):
+            fail(
+                ["device"],
+                f"[body] needs {'a device' if many else 'one device'} of kind {kind!r}; there are {len(own)}",
+            )
+    if other := [name for name, one in file.device.items() if not one.kind.startswith("recorded_")]:
+        fail(["device", other[0], "kind"], "a body without joints is identified from recordings; use recorded kinds")
+
+
 def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.vehicle.base != "planar":
@@ -279,8 +299,8 @@ def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
         return
     if settings.method != "exiddm":
         fail(["estimation", "method"], 'rows have no drag model: base = "planar" needs method = "exiddm"')
-    if file.planar is None:
-        fail(["vehicle", "base"], 'base = "planar" needs a section [planar] for the table and its pucks; add it')
+    if file.planar is None and file.body is None:
+        fail(["vehicle", "base"], 'base = "planar" needs a section: [planar] with an arm, [body] without; add it')
     if settings.carried:
         fail(["estimation", "carried"], "a run on a table is estimated in one batch; remove carried")
     if settings.gates.joint_rate_min_rad_s:

@@ -5,7 +5,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
-from onboard.config.base_meanings import BALANCE, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
+from onboard.config.base_meanings import BALANCE, BODY, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
 from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
@@ -31,7 +31,7 @@ from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
 from onboard.config.pivot import Balance, Pivot
-from onboard.config.planar import Planar, Puck
+from onboard.config.planar import Body, Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
 
@@ -306,7 +306,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         section: {key: _M(*said) for key, said in of.items()}
         for section, of in (
             *((FreeBody, FREE_BODY), (Carrier, CARRIER), (Load, LOAD), (Parabola, PARABOLA), (Drive, DRIVE)),
-            *((Planar, PLANAR), (Puck, PUCK), (Pivot, PIVOT), (Balance, BALANCE), (MissionKeys, MISSION)),
+            *((Planar, PLANAR), (Puck, PUCK), (Pivot, PIVOT), (Balance, BALANCE), (Body, BODY), (MissionKeys, MISSION)),
         )
     },
 }

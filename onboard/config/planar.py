@@ -1,4 +1,4 @@
-"""``[planar]``: an air-bearing table and the base's pucks."""
+"""``[planar]``: an air-bearing table and the base's pucks; ``[body]``: what floats there without an arm."""
 
 from pydantic import Field, model_validator
 
@@ -33,4 +33,35 @@ class Planar(Section):
         frames = [puck.frame for puck in self.puck]
         if twice := [frame for frame in dict.fromkeys(frames) if frames.count(frame) > 1]:
             raise ValueError(f"two pucks are at {', '.join(twice)}; give each its own frame")
+        return self
+
+
+class Body(Section):
+    """A body without joints, moved by its thrusters and tracked: 1 sigma of what moves it besides, and of these.
+
+    ``mass``: relative, of the URDF's mass or that of [link], where it was weighed; silent: nothing is known of it.
+    ``tilt``: gravity along the table; ``uneven``, ``turning``: steady accelerations within each five seconds.
+    ``drag``, ``spin_drag``: of the air, over mass and over moment of inertia. ``place``, ``turn``: of each thruster;
+    ``leak``: the share of its force that it has while it is off. ``delay_ms``: from the command to the force, the least
+    and the largest that are looked for; ``each_delay``: of one valve against the others; ``loss``: by how much longer a
+    valve takes to open than to close.
+    """
+
+    mass_sigma: Positive | None = None
+    tilt_sigma_m_s2: NotNegative = 0.01
+    uneven_sigma_m_s2: Positive = 5e-4
+    turning_sigma_rad_s2: Positive = 1e-3
+    drag_sigma_1_s: NotNegative = 0.01
+    spin_drag_sigma_1_s: NotNegative = 0.01
+    place_sigma_m: NotNegative = 2e-3
+    turn_sigma_rad: NotNegative = 0.01
+    leak_sigma: NotNegative = 2e-3
+    delay_ms: tuple[float, float] = Field(default=(-100.0, 700.0))
+    each_delay_sigma_ms: NotNegative = 3.0
+    loss_sigma_ms: NotNegative = 30.0
+
+    @model_validator(mode="after")
+    def _is_a_range(self) -> "Body":
+        if not -1e4 <= self.delay_ms[0] < self.delay_ms[1] <= 1e4:
+            raise ValueError("delay_ms is the least and the largest delay that is looked for: two numbers that rise")
         return self

@@ -17,7 +17,7 @@ from onboard.config.free_body import FreeBody
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
 from onboard.config.pivot import Pivot
-from onboard.config.planar import Planar
+from onboard.config.planar import Body, Planar
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
 from onboard.config.text import read_urdf
@@ -113,6 +113,7 @@ class VehicleFile(Section):
     free_body: FreeBody | None = None
     planar: Planar | None = None
     pivot: Pivot | None = None
+    body: Body | None = None
     parabola: Parabola | None = None
     recording: Recording = Field(default_factory=Recording.model_construct)
     realtime: Realtime = Field(default_factory=Realtime.model_construct)

@@ -2,13 +2,13 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from drivers.records import IMU, SCALAR
 from onboard.devices import roles
-from onboard.devices.base import DeviceSection, ImuDevice, Surroundings
-from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
-from onboard.section import NotNegative, Positive, Real
+from onboard.devices.base import Channels, DeviceSection, ImuDevice, Surroundings
+from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, ThrusterRole, TorqueKeys
+from onboard.section import NotNegative, Positive, Real, Vector3
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
@@ -125,6 +125,70 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
         noise = 0.0  # of a sample: not stated, sigma_N_m is of the model; equal readings tell nothing without it
         torque = roles.scalar(self.delay_ms, noise, period_s, si)._replace(repeats=self.repeats)
         return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: torque})
+
+
+class RecordedThruster(RecordedDevice):
+    """Commands of a thruster: its level from each sample to the next, or for how long it is opened from then on.
+
+    The force is along ``axis`` of ``frame``, a frame of the URDF that is fixed in the base, and through its origin.
+    """
+
+    about_role = "known force on a body"
+    records = SCALAR
+    kind: Literal["recorded_thruster"]
+    frame: Annotated[str, Field(description="Of the URDF, fixed in the base; the force goes through its origin.")]
+    axis: Annotated[Vector3, Field(description="Direction of the force on the vehicle, in the frame's axes.")]
+    force_N: Annotated[Positive, Field(description="Its force where the level is one.")]  # noqa: N815
+    scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its force.")] = 0.05
+    reads: Annotated[
+        Literal["level", "on_time"],
+        Field(description="A sample is the share of the force until the next one, or an on-time in s from then on."),
+    ] = "level"
+
+    @field_validator("axis")
+    @classmethod
+    def _is_a_direction(cls, axis: Vector3) -> Vector3:
+        if not any(axis):
+            raise ValueError("needs a direction: one of the three is not zero")
+        return axis
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``; of a body without joints (``[body]``) they are read by themselves."""
+        force = roles.scalar(0.0, 0.0, period_s, {b"1": self.force_N})._replace(repeats=True)
+        role = ThrusterRole(name, name, self.frame, self.axis, self.scale_sigma)
+        return Roles([], [], [], [role], [], {name: force})
+
+
+class RecordedPose(RecordedDevice):
+    """Tracked pose of ``frame`` on a table, in three channels: NAME_x, NAME_y (m) and NAME_yaw (rad) of fixed axes."""
+
+    about_role = "pose of a body without joints"
+    records = SCALAR
+    kind: Literal["recorded_pose"]
+    frame: Annotated[str, Field(description="Frame of the URDF, fixed in the base, that the markers stand for.")]
+    position_noise_m: Annotated[Positive, Field(description="Standard deviation of one sample, each axis.")]
+    yaw_noise_rad: Annotated[Positive, Field(description="Standard deviation of one sample.")]
+    repeats: Annotated[
+        bool,
+        Field(description="A pose that equals the one before is one; false: the tracker held it, and it is left out."),
+    ] = False
+    misalignment_sigma_rad: Annotated[
+        NotNegative, Field(description="Standard deviation of the markers' yaw against that of `frame`.")
+    ] = 0.02
+    place_sigma_m: Annotated[
+        NotNegative, Field(description="Standard deviation of the markers' place against that of `frame`, each axis.")
+    ] = 5e-3
+    scale_sigma: Annotated[NotNegative, Field(description="Relative standard deviation of the tracker's lengths.")] = (
+        2e-3
+    )
+
+    def channels(self, name: str) -> Channels:
+        """See ``DeviceSection``."""
+        return dict.fromkeys((f"{name}_x", f"{name}_y", f"{name}_yaw"), SCALAR)
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``."""
+        return {channel: RecordedChannel(0.0) for channel in self.channels(name)}
 
 
 class RecordedValue(RecordedDevice):

@@ -126,7 +126,7 @@ def page() -> str:
 
 def _section(kind: str, model: type[DeviceSection]) -> str:
     name, block = example(kind)
-    channels = model.model_validate(_device(name)).channels(name) if block else {name: model.records}
+    channels = model.model_validate(_device(name)).channels(name) if block else model.model_construct().channels(name)
     listed = ", ".join(f"`{channel}` {_record(records)}" for channel, records in channels.items())
     parts = [f"\n## {kind}", _prose(model)]
     if block:

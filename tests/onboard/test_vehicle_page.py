@@ -37,6 +37,8 @@ def test_no_table_of_the_file_is_left_out() -> None:
         "RecordedRate",
         "RecordedLoadCell",
         "RecordedTorque",
+        "RecordedPose",
+        "RecordedThruster",
         "RecordedValue",
     }
 

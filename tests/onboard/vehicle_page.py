@@ -33,7 +33,7 @@ from onboard.config.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
 from onboard.config.parabola import Parabola
 from onboard.config.pivot import Balance, Pivot
-from onboard.config.planar import Planar, Puck
+from onboard.config.planar import Body, Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
 from onboard.section import LARGEST, Section
@@ -67,6 +67,7 @@ TABLES: dict[str, type[Section]] = {
     "[planar]": Planar,
     "[[planar.puck]]": Puck,
     "[pivot]": Pivot,
+    "[body]": Body,
     "[[pivot.balance]]": Balance,
     "[recording]": Recording,
     "[realtime]": Realtime,

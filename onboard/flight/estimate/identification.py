@@ -109,6 +109,9 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
+    if vehicle.file.body is not None:
+        text = "a body without joints is identified when its run is over: heft identify"
+        raise config.ConfigError(f"{vehicle.label}: {text}")
     if vehicle.file.planar is not None:
         return build_planar(vehicle)
     if vehicle.file.vehicle.base == "pivot":

@@ -18,14 +18,15 @@ import numpy as np
 from onboard.dynamics.inertia import composite_functional, symmetric
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
 from onboard.dynamics.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
-from onboard.estimation.consistency import NoiseScale, noise_scale
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.consistency import NoiseScale
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal, inverse_of
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, Layout
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import inertia_about_joint
+from onboard.identification.windows import Part, WindowedFit, judged, total
 
 WINDOW_s = 5.0
 SHORTEST_TICKS = 20  # of a window
@@ -48,21 +49,6 @@ class Windows(NamedTuple):
     across: FloatArray  # (k, 3, 2) unit vectors across that
     held: BoolArray  # (k,) the proof mass is
     inside: BoolArray  # (k, n) not behind the window's end
-
-
-class PivotFit(NamedTuple):
-    """A fit."""
-
-    fit: Fit
-    globals: int  # unknowns before those of the windows
-    by_sensor: tuple[float, float]  # residual sum over its rows: gyro, accelerometer
-    noise: NoiseScale  # scatter of the windows' scores
-    rows: int
-
-    @property
-    def wider(self) -> float:
-        """Factor on the variances."""
-        return max(1.0, *self.by_sensor, self.noise.variance)
 
 
 class PivotModel:
@@ -132,7 +118,7 @@ class PivotModel:
         """First moment and inertia about the pivot, (9,): XX XY YY XZ YZ ZZ."""
         return np.asarray(self._drawn + x[:BODY], np.float64)
 
-    def fit(self, ticks: Ticks, held: BoolArray, start: FloatArray | None = None) -> PivotFit:
+    def fit(self, ticks: Ticks, held: BoolArray, start: FloatArray | None = None) -> WindowedFit:
         """The unknowns that explain the ticks best.
 
         Args:
@@ -150,9 +136,9 @@ class PivotModel:
         x[p:].reshape(k, _STATE)[:, :3] = windows.rate
         prior = np.diag(np.concatenate([self.sigma**-2, np.zeros(_STATE * k)]))
         found = fit_normal(lambda at: self._total(at, windows), x, np.zeros_like(x), prior, tolerance=_TOLERANCE)
-        return self._judged(found, windows)
+        return judged(found, self._residuals(found.x, windows), p, 2)
 
-    def bound(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> PivotFit:
+    def bound(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> WindowedFit:
         """What ticks can tell of the body as it is drawn, its IMU's readings predicted: the Cramér-Rao bound.
 
         Args:
@@ -175,7 +161,9 @@ class PivotModel:
         x[p:].reshape(-1, _STATE)[:, :3] = windows.rate
         prior = np.concatenate([self.sigma**-2, np.zeros(x.size - p)])
         covariance = inverse_of(self._total(x, windows).information + np.diag(prior))
-        return PivotFit(Fit(x, covariance, 0.0, 0), p, (1.0, 1.0), NoiseScale(1.0, np.inf), 3 * int(windows.use.sum()))
+        return WindowedFit(
+            Fit(x, covariance, 0.0, 0), p, (1.0, 1.0), NoiseScale(1.0, np.inf), 3 * int(windows.use.sum())
+        )
 
     def residuals(self, ticks: Ticks, held: BoolArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Times of the ticks in windows, (n,), and predicted less measured in sigmas, (n, 6); NaN: not used."""
@@ -187,30 +175,9 @@ class PivotModel:
         return ticks.time_s[0] + windows.time_s[inside], left[inside]
 
     def _total(self, x: FloatArray, windows: Windows) -> Normal:
-        p, size = len(self.names), x.size
-        information, gradient, squares = np.zeros((size, size)), np.zeros(size), 0.0
-        for k, (r, J, _) in enumerate(self._residuals(x, windows)):
-            at = np.concatenate([np.arange(p), p + _STATE * k + np.arange(_STATE)])
-            information[np.ix_(at, at)] += J.T @ J
-            gradient[at] += J.T @ r
-            squares += float(r @ r)
-        return Normal(information, gradient, squares)
+        return total(self._residuals(x, windows), len(self.names), x.size)
 
-    def _judged(self, found: Fit, windows: Windows) -> PivotFit:
-        p = len(self.names)
-        normal, scores, squares, rows = [], [], np.zeros(2), np.zeros(2)
-        for r, J, sensor in self._residuals(found.x, windows):
-            own, H, g = slice(p, p + _STATE), J.T @ J, J.T @ r
-            across = np.linalg.solve(H[own, own], H[own]).T  # (p + state, state)
-            normal.append((H - across @ H[own])[:p, :p])
-            scores.append((g - across @ g[own])[:p])
-            squares += np.bincount(sensor, r * r, 2)
-            rows += np.bincount(sensor, minlength=2)
-        scatter = noise_scale(np.array(normal), np.array(scores), found.covariance[:p, :p])
-        share = squares / np.maximum(rows * (1.0 - found.x.size / rows.sum()), 1.0)
-        return PivotFit(found, p, (float(share[0]), float(share[1])), scatter, int(rows.sum()))
-
-    def _residuals(self, x: FloatArray, windows: Windows) -> Iterator[tuple[FloatArray, FloatArray, IndexArray]]:
+    def _residuals(self, x: FloatArray, windows: Windows) -> Iterator[Part]:
         """Of each window: whitened residuals (u,), their derivative (u, p + state), and the sensor of each, 0 or 1."""
         p, D, steps = len(self.names), self._moving, self._steps
         every = self._layout.whole(x[:p])
@@ -231,7 +198,7 @@ class PivotModel:
             J = np.concatenate([J, np.moveaxis(apart[D:, k], 0, 2)], axis=2)
             use, sigma = np.repeat(windows.use[k], 3, axis=1), windows.sigma[k]
             r = ((shown.values + by_g @ per_g - windows.measured[k]) / sigma)[use]
-            yield r, (J / sigma[..., None])[use], np.broadcast_to(np.arange(6) // 3, use.shape)[use]
+            yield Part(r, (J / sigma[..., None])[use], np.broadcast_to(np.arange(6) // 3, use.shape)[use])
 
     def _true(self, moving: FloatArray, begin: FloatArray, windows: Windows) -> FloatArray:
         """Means over ticks of rate and specific force at the IMU, its axes, (b, k, n, 6), of b variants.

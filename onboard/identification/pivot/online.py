@@ -13,17 +13,17 @@ from onboard.estimation.gates import ReasonArray
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes
-from onboard.identification.pivot.fit import BODY, PivotFit, PivotModel
+from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import WORST_MISFIT
+from onboard.identification.windows import WindowedFit, against
 from onboard.regressor.signals import Signals
 
 _FIRST_TICKS, _MORE = 200, 1.15  # of the first fit; times as many for the next one
 _MOST_TICKS = 12_000  # 40 MB of derivatives at once
 _DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
-_LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
 CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
 TOLD = "of what the motion tells"
 UNCHECKED = "nothing checks the stated inertia of {}: set a known mass on for a while, shake others while it runs fast"
@@ -65,7 +65,7 @@ class PivotRun(TableRun):
         self._weights[BODY:, :3] = -np.linalg.pinv(moves.T)
         self._ticks, self._held = list[Ticks](), list[BoolArray]()
         self._count, self._next = 0, _FIRST_TICKS
-        self.found: PivotFit | None = None
+        self.found: WindowedFit | None = None
         self.failure = ""
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
@@ -161,23 +161,23 @@ class PivotRun(TableRun):
             return Findings()
         x, sigma = self.found.fit.x[BODY : self.found.globals], self._model.sigma[BODY:]
         left = self.found.fit.covariance[BODY : self.found.globals, BODY : self.found.globals] / np.outer(sigma, sigma)
-        in_told = _against(x / sigma, np.diag(left), self.found.wider)
+        in_told = against(x / sigma, np.diag(left), self.found.wider)
         each, of_all = dict(zip(self._model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
         scales = np.flatnonzero(self._scales)
         if scales.size:
             mean = sigma[scales] / np.linalg.norm(sigma[scales])  # of all wheels, one stated sigma
             own = float(mean @ left[np.ix_(scales, scales)] @ mean)
             common = float(x[scales].sum() / np.linalg.norm(sigma[scales]))
-            of_all["the wheels' inertia"] = float(_against(np.array([common]), np.array([own]))[0])
+            of_all["the wheels' inertia"] = float(against(np.array([common]), np.array([own]))[0])
         all_of_them = together(x / sigma, left)
-        against, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
+        bad, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
         doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]
         doubts += self._unchecked(sigma[scales], left[np.ix_(scales, scales)])
         for sensor, misfit in zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True):
             if misfit > _DOUBTED:
                 said = f"residuals of the {sensor} are {misfit**0.5:.1f} times its noise"
-                (against if misfit > WORST_MISFIT else doubts).append(said)
-        return Findings(tuple(against), tuple(doubts))
+                (bad if misfit > WORST_MISFIT else doubts).append(said)
+        return Findings(tuple(bad), tuple(doubts))
 
     def _unchecked(self, sigma: FloatArray, left: FloatArray) -> list[str]:
         """Which wheels' scales the data tell too little of, together or one by one: the stated ones are not checked.
@@ -195,18 +195,3 @@ class PivotRun(TableRun):
         names = [name.removeprefix("scale_") for name in self._model.names[BODY:] if name.startswith("scale_")]
         kept = names if wide[-1] else [name for name, one in zip(names, wide[:-1], strict=True) if one]
         return [UNCHECKED.format(", ".join(kept))] if kept else []
-
-
-def _against(corrections: FloatArray, left: FloatArray, wider: float = 1.0) -> FloatArray:
-    """Corrections in sigmas of what the data tell of each, (k,).
-
-    With g the share of its stated variance that the data take away, and f the factor on the noise's variance, an
-    estimate about zero has the variance ``g^2 + f g (1 - g)`` if the error is as stated (derived here).
-
-    Args:
-        corrections: in stated sigmas, (k,).
-        left: their variances after the fit, in stated ones, (k,).
-        wider: f.
-    """
-    g = np.maximum(1.0 - left, _LEAST_TOLD)
-    return np.asarray(corrections / np.sqrt(g * g + wider * g * (1.0 - g)), np.float64)

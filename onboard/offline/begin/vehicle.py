@@ -84,7 +84,7 @@ def make(wanted: Wanted, directory: Path) -> list[Path]:
     files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
     if wanted.recorded:
         files[_IMPORT] = devices.mapping(wanted.name, chosen)
-    return _write(directory, files)
+    return write_files(directory, files)
 
 
 def copy(name: str, directory: Path) -> list[Path]:
@@ -96,10 +96,10 @@ def copy(name: str, directory: Path) -> list[Path]:
     """
     vehicle = config.named(name)
     text = f"{schema.FIRST_LINE}\n{vehicle.text}"
-    return _write(directory, {_VEHICLE: text, vehicle.urdf_path.name: vehicle.urdf_text})
+    return write_files(directory, {_VEHICLE: text, vehicle.urdf_path.name: vehicle.urdf_text})
 
 
-def _write(directory: Path, files: dict[str, str]) -> list[Path]:
+def write_files(directory: Path, files: dict[str, str]) -> list[Path]:
     """The files and the schema, once they are known to be a vehicle."""
     there = [name for name in files if (directory / name).exists()]
     if there:
@@ -110,7 +110,8 @@ def _write(directory: Path, files: dict[str, str]) -> list[Path]:
         for name, text in files.items():
             (directory / name).write_text(text, encoding="utf-8")
         vehicle = config.load(directory / _VEHICLE)
-        build_online(vehicle)
+        if vehicle.file.body is None:  # that one is identified afterwards
+            build_online(vehicle)
     except BaseException:
         for name in files:
             (directory / name).unlink(missing_ok=True)

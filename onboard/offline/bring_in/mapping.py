@@ -66,6 +66,8 @@ from onboard.offline.bring_in.errors import MappingError
 # unit to the unit it is stored in, and the factor
 UNITS = {
     "1": ("1", 1.0),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
     "m/s^2": ("m/s^2", 1.0),
     "g": ("m/s^2", 9.80665),  # standard gravity, CGPM 1901
     "mg": ("m/s^2", 9.80665e-3),

@@ -33,6 +33,7 @@ from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.as_recorded import as_recorded
+from onboard.offline.estimate_again.body_log import identify_body
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, check_times, feed
 from onboard.offline.estimate_again.identified import Answer, Identified, standings
@@ -151,6 +152,8 @@ def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReade
         return identify_parabolas
     if vehicle.file.vehicle.base == "pivot":
         return identify_pivot
+    if vehicle.file.body is not None:
+        return identify_body
     return identify_exiddm if vehicle.file.planar is None else identify_planar
 
 

@@ -26,6 +26,7 @@ _UNIT_OF_SUFFIX = {  # of the last words of a field's name
     "us": "us",
     "ms": "ms",
     "s": "s",
+    "1_s": "1/s",
     "hz": "Hz",
     "m": "m",
     "m_s": "m/s",

@@ -11,6 +11,7 @@ import pytest
 from onboard.cli import OK, main
 from tests.dynamics.mujoco_twin import to_urdf
 from tests.flight.test_recorded_arm import LOAD_kg, laboratory
+from tests.offline.estimate_again import floating_bed
 from tests.offline.weigh.wrist_bench import record, write
 
 PAGE = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
@@ -31,8 +32,9 @@ def test_every_recipe_is_tested():
         "A tool by a wrist force-torque sensor",
         "An arm by its currents",
         "A thrown body",
+        "A floating body by its thrusters",
     ]
-    assert PAGE.count("```sh") == 3
+    assert PAGE.count("```sh") == 4
 
 
 def test_a_tool(tmp_path, monkeypatch):
@@ -106,3 +108,15 @@ def test_a_thrown_body(tmp_path, monkeypatch):
     for name, truth in zip(("I_xx", "I_yy", "I_zz"), moments, strict=True):
         assert found[name]["low"] <= truth <= found[name]["high"], name
         assert found[name]["value"] == pytest.approx(truth, rel=0.05)
+
+
+def test_a_floating_body(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bed = floating_bed.fly(62)
+    floating_bed.write(bed, tmp_path)
+    assert followed("A floating body by its thrusters") == 3
+    told = json.loads((tmp_path / "body.json").read_text())["logs"][0]
+    found = {one["name"]: one for one in told["quantities"]}
+    for name in ("mass", "I_zz", "com_x", "com_y", "delay"):
+        assert found[name]["low"] <= bed.truth[name] <= found[name]["high"], found[name]
+    assert found["I_zz"]["sigma"] < 0.03 * bed.inertia_kg_m2

@@ -1,0 +1,106 @@
+"""From the vehicle file of a body without joints to what predicts it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from onboard import config
+from onboard.config.planar import Body
+from onboard.devices.recorded import RecordedPose, RecordedThruster
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.inertia import composite_functional
+from onboard.dynamics.payload import body_of
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.identification.body.fit import BodyModel, Stated, Thrusters, Tracker
+from onboard.identification.body.valves import Valve
+
+_LEAST_ON_TABLE = 0.5  # of a thruster's force: less is hardly one that moves the body on the table
+_OF_BODY = {"mass": "body.mass_sigma", "loss": "body.loss_sigma_ms", "drag": "body.drag_sigma_1_s"} | {
+    "spin_drag": "body.spin_drag_sigma_1_s",
+    "tilt": "body.tilt_sigma_m_s2",
+}
+_OF_THRUSTERS = {
+    "turn": "body.turn_sigma_rad",
+    "lever": "body.place_sigma_m",
+    "leak": "body.leak_sigma",
+    "delay": "body.each_delay_sigma_ms",
+}
+_OF_TRACKER = {"turn": "misalignment_sigma_rad", "place": "place_sigma_m", "scale": "scale_sigma"}
+
+
+def thrusters_of(vehicle: config.Vehicle) -> dict[str, RecordedThruster]:
+    """Its thrusters by name."""
+    return {name: one for name, one in vehicle.file.device.items() if isinstance(one, RecordedThruster)}
+
+
+def tracker_of(vehicle: config.Vehicle) -> tuple[str, RecordedPose]:
+    """Its tracked pose."""
+    return next((name, one) for name, one in vehicle.file.device.items() if isinstance(one, RecordedPose))
+
+
+def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str, Valve]) -> BodyModel:
+    """What predicts the tracked pose.
+
+    Args:
+        vehicle: its file.
+        model: under it.
+        valves: by thruster, what they were told to do.
+
+    Raises:
+        SignalError: there are joints, or a thruster that does not push along the table.
+        ModelError: a name that the URDF does not have.
+    """
+    if model.joints:
+        raise SignalError(f"joint {model.joints[0].name!r} moves: a body of [body] has none; use [planar] with an arm")
+    asked = vehicle.file.body or Body()
+    mass_kg, centre_m, inertia = body_of(composite_functional(model) @ model.chi)
+    own = thrusters_of(vehicle)
+    places, pushes = list[object](), list[complex]()
+    for name, thruster in own.items():
+        R_BF, p_BF = model.pose_in_base(thruster.frame)
+        axis = R_BF @ np.array(thruster.axis) / np.linalg.norm(thruster.axis)
+        if np.hypot(*axis[:2]) < _LEAST_ON_TABLE:
+            raise SignalError(f"device.{name}: its axis stands on the table's plane; give the direction of its force")
+        places.append(p_BF[:2])
+        pushes.append(complex(*axis[:2]))
+    thrusters = Thrusters(
+        tuple(own),
+        np.array([one.force_N for one in own.values()]) * np.abs(pushes),
+        np.array(places, np.float64),
+        np.angle(pushes),
+        np.array([one.scale_sigma for one in own.values()]),
+        tuple(valves[name] for name in own),
+    )
+    _, pose = tracker_of(vehicle)
+    R_BM, p_BM = model.pose_in_base(pose.frame)
+    noise = np.array([pose.position_noise_m, pose.position_noise_m, pose.yaw_noise_rad])
+    errors = pose.misalignment_sigma_rad, pose.place_sigma_m, pose.scale_sigma
+    tracker = Tracker(p_BM[:2], float(np.arctan2(R_BM[1, 0], R_BM[0, 0])), *errors, noise)
+    low, high = asked.delay_ms
+    stated = Stated(
+        asked.mass_sigma,
+        asked.tilt_sigma_m_s2,
+        asked.uneven_sigma_m_s2,
+        asked.turning_sigma_rad_s2,
+        asked.drag_sigma_1_s,
+        asked.spin_drag_sigma_1_s,
+        asked.place_sigma_m,
+        asked.turn_sigma_rad,
+        asked.leak_sigma,
+        (1e-3 * low, 1e-3 * high),
+        1e-3 * asked.each_delay_sigma_ms,
+        1e-3 * asked.loss_sigma_ms,
+    )
+    return BodyModel((mass_kg, centre_m[:2], float(inertia[2, 2])), thrusters, tracker, stated)
+
+
+def key_of(unknown: str, vehicle: config.Vehicle) -> str:
+    """The key of the vehicle file that states an unknown's sigma; empty where none does."""
+    kind, _, rest = unknown.partition("_")
+    if rest in thrusters_of(vehicle):
+        return f"device.{rest}.scale_sigma" if kind == "scale" else _OF_THRUSTERS[kind]
+    if kind == "tracker":
+        return f"device.{tracker_of(vehicle)[0]}.{_OF_TRACKER[rest.split('_')[0]]}"
+    if unknown == "mass" and (vehicle.file.body is None or vehicle.file.body.mass_sigma is None):
+        return ""
+    return _OF_BODY.get(unknown, _OF_BODY.get(kind, "") if kind == "tilt" else "")

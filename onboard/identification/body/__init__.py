@@ -1,0 +1,1 @@
+"""A body without joints on an air-bearing table, by its thrusters and a tracked pose."""

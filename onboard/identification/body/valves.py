@@ -1,0 +1,63 @@
+"""What commands make a thruster do: each opening and closing later by a delay, short pulses not at all."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+
+
+class Opening(NamedTuple):
+    """How a valve follows its commands."""
+
+    delay_s: float
+    loss_s: float  # by which it opens later than it closes
+    least_s: float  # shorter pulses do not open it
+
+
+class Valve:
+    """Commands of one thruster: levels, each held until the next.
+
+    Args:
+        time_s: of the commands, rising, (n,).
+        level: its share of the force, (n,).
+
+    Attributes:
+        pulses_s: lengths of the times that it is on, in their order.
+    """
+
+    def __init__(self, time_s: FloatArray, level: FloatArray) -> None:
+        change = np.diff(level, prepend=0.0)
+        at = np.flatnonzero(change)
+        self._time_s, self._change = time_s[at], change[at]
+        self._begins: BoolArray = np.asarray((level[at] != 0.0) & (level[at] == change[at]), np.bool_)
+        begins = np.flatnonzero(self._begins)
+        ends = np.flatnonzero(level[at] == 0.0)
+        last = float(time_s[-1]) if len(time_s) else 0.0
+        until = np.append(self._time_s[ends], last)[: len(begins)]
+        self.pulses_s: FloatArray = until - self._time_s[begins]
+        pulse = np.cumsum(self._begins) - 1
+        self._length_s = self.pulses_s[pulse] if len(begins) else np.zeros(len(at))
+
+    def impulse_s(self, time_s: FloatArray, how: Opening) -> FloatArray:
+        """Integral of the level that the valve has from the start until some times, in any shape."""
+        kept = self._length_s >= how.least_s
+        late = np.where(self._begins, np.minimum(how.loss_s, self._length_s), 0.0)
+        edges, change = (self._time_s + how.delay_s + late)[kept], self._change[kept]
+        order = np.argsort(edges, kind="stable")
+        edges, change = edges[order], change[order]
+        level, moment = (np.append(0.0, np.cumsum(of)) for of in (change, change * edges))
+        before = np.searchsorted(edges, time_s)
+        return np.asarray(level[before] * time_s - moment[before], np.float64)
+
+
+def valve_of_on_times(time_s: FloatArray, on_s: FloatArray) -> Valve:
+    """Commands that say for how long the valve is to be open from their time on."""
+    on = on_s > 0.0
+    edges = np.concatenate([time_s[on], time_s[on] + on_s[on]])
+    change = np.repeat([1.0, -1.0], int(on.sum()))
+    order = np.lexsort((-change, edges))
+    level = np.clip(np.cumsum(change[order]), 0.0, 1.0)
+    start, end = time_s[:1], time_s[-1:]
+    edges = np.concatenate([start, edges[order], np.maximum(end, edges.max(initial=-np.inf))])
+    return Valve(edges, np.concatenate([[0.0], level, [0.0]]))

@@ -1,0 +1,88 @@
+"""Fits of a body whose state begins anew in every window of time: the windows' normal equations, joined and judged.
+
+Unknowns are p of the body and its instruments, then the state of each window in turn. What a window contributes is a
+:class:`Part`; windows meet in the first p unknowns alone.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.consistency import NoiseScale, noise_scale
+from onboard.estimation.maximum_likelihood import Fit, Normal
+
+_LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
+
+
+class Part(NamedTuple):
+    """Of one window: whitened residuals, predicted less measured, their derivative, and the sensor of each."""
+
+    residuals: FloatArray  # (u,)
+    derivative: FloatArray  # (u, p + state)
+    sensor: IndexArray  # (u,)
+
+
+class WindowedFit(NamedTuple):
+    """A fit."""
+
+    fit: Fit
+    globals: int  # unknowns before those of the windows
+    by_sensor: tuple[float, ...]  # residual sum over its rows
+    noise: NoiseScale  # scatter of the windows' scores
+    rows: int
+
+    @property
+    def wider(self) -> float:
+        """Factor on the variances."""
+        return max(1.0, *self.by_sensor, self.noise.variance)
+
+
+def total(parts: Iterable[Part], p: int, size: int) -> Normal:
+    """Normal equations of all windows, of ``size`` unknowns, the first p of which they share."""
+    information, gradient, squares = np.zeros((size, size)), np.zeros(size), 0.0
+    for k, (r, J, _) in enumerate(parts):
+        state = J.shape[1] - p
+        at = np.concatenate([np.arange(p), p + state * k + np.arange(state)])
+        information[np.ix_(at, at)] += J.T @ J
+        gradient[at] += J.T @ r
+        squares += float(r @ r)
+    return Normal(information, gradient, squares)
+
+
+def judged(found: Fit, parts: Iterable[Part], p: int, sensors: int) -> WindowedFit:
+    """A fit with what is left over of each sensor, and by how much the windows' scores scatter.
+
+    Args:
+        found: the minimum.
+        parts: of all windows, there.
+        p: unknowns that they share.
+        sensors: how many.
+    """
+    normal, scores, squares, rows = [], [], np.zeros(sensors), np.zeros(sensors)
+    for r, J, sensor in parts:
+        own, H, g = slice(p, J.shape[1]), J.T @ J, J.T @ r
+        across = np.linalg.solve(H[own, own], H[own]).T  # (p + state, state)
+        normal.append((H - across @ H[own])[:p, :p])
+        scores.append((g - across @ g[own])[:p])
+        squares += np.bincount(sensor, r * r, sensors)
+        rows += np.bincount(sensor, minlength=sensors)
+    scatter = noise_scale(np.array(normal), np.array(scores), found.covariance[:p, :p])
+    share = squares / np.maximum(rows * (1.0 - found.x.size / rows.sum()), 1.0)
+    return WindowedFit(found, p, tuple(share.tolist()), scatter, int(rows.sum()))
+
+
+def against(corrections: FloatArray, left: FloatArray, wider: float = 1.0) -> FloatArray:
+    """Corrections in sigmas of what the data tell of each, (k,).
+
+    With g the share of its stated variance that the data take away, and f the factor on the noise's variance, an
+    estimate about zero has the variance ``g^2 + f g (1 - g)`` if the error is as stated (derived here).
+
+    Args:
+        corrections: in stated sigmas, (k,).
+        left: their variances after the fit, in stated ones, (k,).
+        wider: f.
+    """
+    g = np.maximum(1.0 - left, _LEAST_TOLD)
+    return np.asarray(corrections / np.sqrt(g * g + wider * g * (1.0 - g)), np.float64)
