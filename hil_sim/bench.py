@@ -4,6 +4,7 @@ The instruments of a seed are those that fly with that seed, and so is the body 
 """
 
 import tempfile
+import zlib
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -105,6 +106,30 @@ class Bench(Mission):
 def _cell_axis(scenario: Scenario) -> FloatArray:
     axes = [table.axis for table in scenario.sensor.values() if isinstance(table, ForceCellTable)]
     return np.array(axes[0] if axes else (1.0, 0.0, 0.0))
+
+
+def part_readings(scenario: str | Scenario, seed: int, link: str, rig: Mapping[str, Any]) -> dict[str, Any]:
+    """What edges and scales read of a link as it is built for the flight of this seed.
+
+    Args:
+        scenario: a mission by name, a path to a TOML file, or a scenario.
+        seed: of everything random.
+        link: that lies on them.
+        rig: see :func:`hil_sim.plants.bench.part`.
+
+    Raises:
+        ScenarioError: no such link, or no vehicle's scenario.
+    """
+    whole = scenario_of(scenario) if isinstance(scenario, str) else scenario
+    if not isinstance(whole, VehicleScenario):
+        raise ScenarioError(f"{whole.scenario.name} has no links that could be weighed")
+    plant = Mission(whole, seed).plant
+    assert isinstance(plant, VehiclePlant)  # that of a vehicle's scenario
+    bodies = plant.bodies | ({} if plant.payload is None else {str(whole.vehicle.payload_link): plant.payload})
+    if link not in bodies:
+        raise ScenarioError(f"{whole.scenario.name} has no link {link!r}; it has {', '.join(bodies)}")
+    rng = np.random.default_rng([seed, zlib.crc32(f"part.{link}".encode())])
+    return bench.part(rng, bodies[link], rig)
 
 
 def open_bench(

@@ -18,6 +18,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
 from hil_sim.plants.body import Body
 from hil_sim.plants.motion import PhaseSpan, Program
+from hil_sim.scenario.tables import ScenarioError
 
 STEP_s = 5e-4
 CHUNK = 40
@@ -370,6 +371,45 @@ def balance(rng: np.random.Generator, body: Body, rig: Sequence[Mapping[str, Any
     period = 2 * round((rest_s + 2.0) / STEP_s)
     up_rows = np.repeat(np.array(ups), period, axis=0)[: len(force)]
     return Signals(force_n=force, specific_force_m_s2=g * up_rows, truth={"forces_N": held, "mass_kg": body.mass_kg})
+
+
+def part(rng: np.random.Generator, body: Body, rig: Mapping[str, Any]) -> dict[str, Any]:
+    """A part on knife edges and on scales: the rig with what was read.
+
+    Args:
+        rng: draws how well places are met, 0.05 mm, how level it is, 0.2 mrad, and what the scales add.
+        body: in its own axes.
+        rig: ``edge`` (``up``, ``edge``), ``scales`` (``up``, ``supports_m``), ``read_sigma_kg``, ``scale_relative``.
+
+    Raises:
+        ScenarioError: a part that would tip off its supports.
+    """
+    c, gain = np.asarray(body.centre_of_mass_m), 1.0 + rig["scale_relative"] * float(rng.standard_normal())
+    edges, scales = [], []
+    for one in rig["edge"]:
+        up = _askew(rng, one["up"])
+        along = np.asarray(one["edge"], np.float64)
+        below = np.asarray(one["point_m"], np.float64)
+        across = np.cross(up, along)
+        across /= np.linalg.norm(across)
+        found = below + across * (across @ (c - below)) + 5e-5 * rng.standard_normal(3)
+        edges.append({**one, "point_m": found.tolist()})
+    for one in rig["scales"]:
+        up, places = _askew(rng, one["up"]), np.asarray(one["supports_m"], np.float64)
+        places = places + 5e-5 * rng.standard_normal(places.shape)
+        level = np.eye(3) - np.outer(up, up)
+        # forces that add up to the weight, and whose moments about the centre of mass add up to none
+        ways = np.linalg.svd((places - places.mean(axis=0)) @ level)[2][: len(places) - 1]  # two bars leave one free
+        share = np.linalg.solve(np.vstack([np.ones(len(places)), ways @ (places - c).T]), np.eye(len(places))[0])
+        if share.min() < 0.0:
+            raise ScenarioError(f"the part would tip off supports_m {one['supports_m']}; put them farther apart")
+        read = gain * body.mass_kg * share + rig["read_sigma_kg"] * rng.standard_normal(len(places))
+        scales.append({**one, "read_kg": read.tolist()})
+    return {"edge": edges, "scales": scales}
+
+
+def _askew(rng: np.random.Generator, up: Sequence[float]) -> FloatArray:
+    return np.asarray(np.array(up) / np.linalg.norm(up) @ _small(2e-4 * rng.standard_normal(3)), np.float64)
 
 
 def _hinge_torque(body: Body, gravity: FloatArray, pivot: FloatArray, hinge: FloatArray) -> float:

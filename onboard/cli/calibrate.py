@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from onboard.offline.calibrate.guide import Step
     from onboard.offline.calibrate.readings import Span
     from onboard.offline.calibrate.result import Calibration
+    from onboard.offline.calibrate.supports import PartRig
     from onboard.recording.reader import LogReader
 
     Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[Span]], Calibration]
@@ -117,10 +118,11 @@ def _add_bifilar(kinds: Any) -> None:
 
 def _add_balance(kinds: Any) -> None:
     one = _kind(
-        *(kinds, "balance", "a load cell in several orientations: mass and centre of the base", "the load cell"),
+        *(kinds, "balance", "mass and centre: a base on a load cell, a part on edges or scales", "the load cell"),
         analyse=_balance, role="cell",
     )  # fmt: skip
-    one.add_argument("--rig", type=Path, required=True, help="TOML file of the orientations")
+    one.add_argument("--rig", type=Path, required=True, help="TOML file of the orientations, or of edges and scales")
+    one.add_argument("--link", metavar="LINK", help="that lies on edges or scales")
 
 
 def _numbers(text: str) -> tuple[float, ...]:
@@ -128,15 +130,15 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    import datetime
-
     from onboard.estimation.errors import CalibrationError
-    from onboard.offline.calibrate import readings, result, vehicle_file
+    from onboard.offline.calibrate import readings, vehicle_file
     from onboard.recording.reader import LogReader
 
     vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
     if not arguments.dry_run:
         vehicle_file.require_writable(vehicle)
+    if arguments.what == "balance" and (done := _part(arguments, vehicle)) is not None:
+        return done
     device = _device(vehicle, arguments)
     at = readings.spans_of(arguments.at)
     log = arguments.log or _recorded(arguments, vehicle, device)
@@ -147,11 +149,61 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     except CalibrationError as error:
         complain(f"{error} ({vehicle.label} is as it was; the log is {log})")
         return FAILED
-    note = f"{datetime.date.fromtimestamp(time.time())}, {log.name}, heft calibrate {arguments.what}"
+    return _written(arguments, vehicle, found, device, log)
+
+
+def _part(a: argparse.Namespace, vehicle: "config.Vehicle") -> int | None:
+    """A part on edges or scales, whose readings stand in the rig file; None where the rig is of a load cell."""
+    from onboard.estimation.errors import CalibrationError
+    from onboard.offline.calibrate import supports
+
+    rig = supports.part_rig(a.rig)
+    if rig is None:
+        if a.link is not None and a.link != vehicle.file.vehicle.base_link:
+            raise ValueError(
+                f"--link {a.link}: {a.rig} has no [[edge]] and no [[scales]]; a load cell balances the base"
+            )
+        return None
+    if a.link is None:
+        raise ValueError(f"{a.rig} is of a part: say which by --link")
+    for option, value in (("--device", a.device), ("--log", a.log), ("--at", a.at), ("--record", a.record)):
+        if value:
+            raise ValueError(f"{option}: {a.rig} has the readings of its edges and scales; leave it out")
+    try:
+        if a.hil is not None:
+            rig = _simulated_part(a, vehicle, rig)
+        found = supports.balance_part(vehicle, a.link, rig)
+    except CalibrationError as error:
+        complain(f"{error} ({vehicle.label} is as it was)")
+        return FAILED
+    return _written(a, vehicle, found, a.link, a.rig)
+
+
+def _simulated_part(a: argparse.Namespace, vehicle: "config.Vehicle", rig: "PartRig") -> "PartRig":
+    try:
+        from hil_sim.bench import part_readings
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--hil simulates with MuJoCo ({error}): pip install mujoco") from error
+    from onboard.offline.calibrate.supports import Edge, Scales
+
+    read = part_readings(a.hil or vehicle.file.vehicle.name, a.seed, a.link, rig.model_dump())
+    edges, scales = [Edge(**one) for one in read["edge"]], [Scales(**one) for one in read["scales"]]
+    return rig.model_copy(update={"edge": edges, "scales": scales})
+
+
+def _written(
+    arguments: argparse.Namespace, vehicle: "config.Vehicle", found: "Calibration", what: str, source: Path
+) -> int:
+    """Show what was found, and write it into the vehicle file."""
+    import datetime
+
+    from onboard.offline.calibrate import result, vehicle_file
+
+    note = f"{datetime.date.fromtimestamp(time.time())}, {source.name}, heft calibrate {arguments.what}"
     tables = dict.fromkeys(one.table for one in found.changes if one.table[0] in ("device", "link"))
     found.changes += [result.Change(table, "calibrated", note) for table in tables]
     text = vehicle_file.changed(vehicle, found.changes)
-    show(result.render(found, f"{arguments.what}: {device} of {vehicle.file.vehicle.name}"))
+    show(result.render(found, f"{arguments.what}: {what} of {vehicle.file.vehicle.name}"))
     for line in found.notes:
         console().print(line, soft_wrap=True, highlight=False, markup=False)
     if arguments.dry_run:
@@ -159,8 +211,8 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     else:
         vehicle_file.replace(vehicle, text)
     told = "would be changed" if arguments.dry_run else "changed"
-    console().print(f"{vehicle.label}: {len(found.changes)} keys {told}; log: {log}", soft_wrap=True, markup=False)
-    write_json(arguments.json, found.as_json() | {"log": str(log), "device": device, "calibrated": note})
+    console().print(f"{vehicle.label}: {len(found.changes)} keys {told}; from {source}", soft_wrap=True, markup=False)
+    write_json(arguments.json, found.as_json() | {"log": str(source), "device": what, "calibrated": note})
     return OK
 
 
