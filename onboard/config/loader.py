@@ -92,7 +92,7 @@ def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | No
     """
     _refuse_broken(origin, tree)
     file = validated(VehicleFile, tree, origin)
-    vehicle = Vehicle(path=path, origin=origin, tree=tree, file=file, urdf=urdf)
+    vehicle = Vehicle.model_construct(path=path, origin=origin, tree=tree, file=file, urdf=urdf)
     check(vehicle)
     return vehicle
 

@@ -125,10 +125,11 @@ class Vehicle(BaseModel):
     """A parsed vehicle file: its origin, tree and sections.
 
     ``path``: the file, or the one it replaces; other files are found beside it. ``tree``: as it was written. ``arm``:
-    the operator has armed the drives for this flight.
+    the operator has armed the drives for this flight. It is made by ``model_construct``, of parts that are checked
+    already: a validator of its own would be one more of every table.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     path: Path
     origin: Origin

@@ -39,11 +39,11 @@ print(json.dumps([len(said), sorted(sys.modules)]))
 @pytest.mark.parametrize(
     ("command", "code", "without", "most", "validators"),
     [
-        ("hil dymaflex --faults", 0, _HEAVY, 1220, 12),
-        ("hil rocksat --faults", 0, _HEAVY, 1220, 12),
-        ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 980, 1),
-        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1020, 2),
-        ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 620, 2),
+        ("hil dymaflex --faults", 0, _HEAVY, 1220, 10),
+        ("hil rocksat --faults", 0, _HEAVY, 1220, 10),
+        ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 980, 0),
+        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1020, 1),
+        ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 620, 1),
     ],
 )
 def test_modules_of_a_start(
@@ -61,8 +61,7 @@ def test_modules_of_a_start(
     assert "onboard.config" in modules
     assert [name for name in without if name in modules] == []
     assert len(modules) <= most
-    assert "Vehicle" in made
-    assert len(made) <= validators, made
+    assert len(made) == validators, made
 
 
 @pytest.mark.parametrize("mission", ["rocksat", "dymaflex"])
