@@ -26,8 +26,8 @@ def _stuff_words() -> bytes:
 
     By the same of each byte, (10, 256): a run is four bits long at most.
     """
-    before, byte = np.arange(10)[:, None], np.arange(256)
-    run, last, stuffed = before >> 1, before & 1, np.zeros((10, 256), np.int64)
+    before, byte = np.arange(10, dtype=np.uint8)[:, None], np.arange(256, dtype=np.uint8)
+    run, last, stuffed = before >> 1, before & 1, np.zeros((10, 256), np.uint8)
     for shift in range(7, -1, -1):
         bit = byte >> shift & 1
         run = np.where((bit == last) & (run > 0), run + 1, 1)
@@ -36,7 +36,7 @@ def _stuff_words() -> bytes:
         run, last = np.where(full, 1, run), bit ^ full
     state = run << 1 | last
     both = state[state] | (stuffed[:, :, None] + stuffed[state]) << 4  # (10, 256, 256)
-    return bytes(both.astype(np.uint8).tobytes())
+    return bytes(both.tobytes())
 
 
 _CRC: Final = _crc_words()
