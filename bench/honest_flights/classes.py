@@ -166,7 +166,7 @@ def _of_one(devices: tuple[str, ...], kind: str, value: float) -> Draw:
 
 def _heavy(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     del rng, size
-    return {"payload": {"mass_kg": [3.0, 6.0]}}, []
+    return {"payload": {"mass_kg": [2.5, 3.5]}}, []
 
 
 _DRAG_WRENCH, _LEAK_WRENCH = _wrench("space", *_DRAG), _wrench("base", *_LEAK)
@@ -197,7 +197,7 @@ CLASSES = {
     "mild: cross-talk 1 %": Class("mild", "dymaflex", ("imu",), _cross_talk),
     "mild: backlash 1.5 mrad": Class("mild", "dymaflex", JOINTS, _backlash),
     "mild: gyro 1 %": Class("mild", "dymaflex", ("imu",), _scale("imu_base"), 1.0),
-    "workshop, tool of 3 to 6 kg": Class("healthy", "workshop", (), _heavy),
+    "workshop, tool of 3 kg": Class("healthy", "workshop", (), _heavy),
     "workshop, gripper 10 %, 3 mm": Class("arm on a bench", "workshop", ("gripper", "cells"), _gripper, 10.0),
     "workshop, a zero 30 mrad": Class("arm on a bench", "workshop", ("zero", "level"), _zero),
     "workshop, zeros 3 mrad": Class("arm on a bench", "workshop", ("zero", "level", "joint"), _zeros),

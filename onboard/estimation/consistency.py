@@ -301,7 +301,7 @@ class JackknifeEstimate:
         if self.floored:
             variance = np.maximum(variance, self._least * self.formal_variance(w))
         if self._instead is not None:
-            variance, common = np.zeros_like(variance), self._instead.covering(w) ** 2
+            variance, common = self._instead.covering(w) ** 2, np.zeros_like(common)
         t = stdtrit(freedom, 0.5 + 0.5 * self.level)
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
         half = np.sqrt(t**2 * variance + z**2 * common)
