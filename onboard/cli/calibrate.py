@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[Span]], Calibration]
 
-_WEIGHED_SIGMA_KG, _SPACING_M, _LENGTH_M = 0.005, 0.40, 1.80  # of the simulated pendulum
+_WEIGHED_SIGMA_KG = 0.005
 
 
 def add(commands: Commands) -> None:
@@ -184,11 +184,9 @@ def _simulated_part(a: argparse.Namespace, vehicle: "config.Vehicle", rig: "Part
         from hil_sim.bench import part_readings
     except ModuleNotFoundError as error:
         raise ValueError(f"--hil simulates with MuJoCo ({error}): pip install mujoco") from error
-    from onboard.offline.calibrate.supports import Edge, Scales
 
-    read = part_readings(a.hil or vehicle.file.vehicle.name, a.seed, a.link, rig.model_dump())
-    edges, scales = [Edge(**one) for one in read["edge"]], [Scales(**one) for one in read["scales"]]
-    return rig.model_copy(update={"edge": edges, "scales": scales})
+    told = rig.model_dump()
+    return type(rig)(**told | part_readings(a.hil or vehicle.file.vehicle.name, a.seed, a.link, told))
 
 
 def _written(
@@ -246,6 +244,7 @@ def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: 
     """A log of the devices, step by step, or of a simulated bench."""
     from onboard.flight import bench
     from onboard.flight.estimate.roles import roles_of
+    from onboard.offline.calibrate import steps
 
     if arguments.at:
         raise ValueError("--at says which stretches of a log to use: give --log as well")
@@ -259,7 +258,7 @@ def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: 
     else:
         if not sys.stdin.isatty():
             raise ValueError("a calibration is done by hand: run it on a terminal, or give --log or --hil")
-        _guided(_steps(arguments, vehicle, device), some, log)
+        _guided(steps.steps(arguments, vehicle, device), some, log)
     return log
 
 
@@ -269,11 +268,12 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
     except ModuleNotFoundError as error:
         raise ValueError(f"--hil simulates with MuJoCo ({error}): pip install mujoco") from error
     from onboard.flight import bench
+    from onboard.offline.calibrate import steps
 
     if arguments.latitude_deg is None:
         arguments.latitude_deg = LATITUDE_deg
     scenario = arguments.hil or vehicle.file.vehicle.name
-    settings = _settings(arguments, vehicle, device)
+    settings = steps.settings(arguments, vehicle, device)
     with progress() as bar:
         task = bar.add_task(f"{arguments.what} bench, seed {arguments.seed}", total=1.0)
         world, urls = open_bench(arguments.what, scenario, arguments.seed, set(vehicle.file.device), settings)
@@ -343,10 +343,11 @@ def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", dev
 def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
     import math
 
+    from onboard.offline.calibrate import steps
     from onboard.offline.calibrate.encoder import Stops, calibrate_encoder
     from onboard.offline.calibrate.readings import readings
 
-    angles = tuple(math.radians(angle) for angle in _angles_deg(a, v, device))
+    angles = tuple(math.radians(angle) for angle in steps.angles_deg(a, v, device))
     stops = Stops(angles, math.radians(a.angle_sigma_deg))
     return calibrate_encoder(readings(log, v, device), v, device, stops, at)
 
@@ -376,61 +377,3 @@ def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
     cell = readings(log, v, channel, calibrated=True)
     base = readings(log, v, imu, calibrated=True) if imu else None
     return calibrate_balance(cell, base, v, device, rig(a.rig), _place(a), at)
-
-
-def _angles_deg(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> tuple[float, ...]:
-    """The joint's stops: as given, or the URDF's limits, each twice.
-
-    Raises:
-        ValueError: the joint has none.
-    """
-    import math
-
-    from onboard.flight.estimate.identification import build_model
-    from onboard.flight.estimate.roles import roles_of
-
-    if a.angles_deg:
-        return tuple(a.angles_deg)
-    name = next((joint.joint for joint in roles_of(vehicle).joints if joint.channel == device), None)
-    if name is None:
-        raise ValueError(f"{device} measures no joint; give --device")
-    joint = build_model(vehicle).joint(name)
-    if not (math.isfinite(joint.low) and math.isfinite(joint.high)):
-        raise ValueError(f"joint {name} has no limits in the URDF; give --angles-deg")
-    return (math.degrees(joint.low), math.degrees(joint.high)) * 2
-
-
-def _steps(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> "list[Step]":
-    """What the operator does."""
-    from onboard.offline.calibrate import balance, guide
-
-    match a.what:
-        case "imu":
-            return guide.imu(a.turn_deg, a.allan or 0.0)
-        case "load-cell":
-            return guide.masses(a.masses_kg)
-        case "encoder":
-            return guide.stops(_angles_deg(a, vehicle, device))
-        case "bifilar":
-            return guide.swings()
-    return guide.orientations(len(balance.rig(a.rig).orientation))
-
-
-def _settings(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> dict[str, Any]:
-    """What the simulated bench does."""
-    import math
-
-    from onboard.offline.calibrate.balance import rig
-
-    match a.what:
-        case "imu":
-            return {"long_rest_s": a.allan or 0.0}
-        case "load-cell":
-            return {"masses_kg": a.masses_kg, "sigma_kg": 1e-3 * a.mass_sigma_g, "arm_m": a.arm_m}
-        case "encoder":
-            return {"angles_rad": [math.radians(angle) for angle in _angles_deg(a, vehicle, device)]}
-        case "bifilar":
-            a.spacing_m = _SPACING_M if a.spacing_m is None else a.spacing_m
-            a.length_m = _LENGTH_M if a.length_m is None else a.length_m
-            return {"spacing_m": a.spacing_m, "length_m": a.length_m, "scale_sigma_kg": a.mass_sigma_kg}
-    return {"rig": [one.model_dump() for one in rig(a.rig).orientation]}
