@@ -17,7 +17,7 @@ import numpy as np
 from onboard.dynamics.floating import Floating, predict_floating
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Descent, Fit, fit_normal
+from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.identification.body.start import Series, guess
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.exiddm.prediction.parameters import Block, Layout
@@ -30,7 +30,11 @@ _MOST_WINDOWS = 240
 _STEP_s = 0.02  # of the prediction
 _UNKNOWN = 3.0  # sigma of the logarithm of a mass or moment of inertia of which nothing is known
 _SEARCHED, _SEARCH_s = 24, 0.025  # windows, and step of the delays that a fit begins from
-_TOLERANCE, _LOOKS = 1e-2, 8  # of the whitened sum of squares; predictions by which pulses that do nothing are judged
+_TOLERANCE, _MOST, _LOOKS = (
+    1e-2,
+    40,
+    8,
+)  # of the whitened sum of squares; predictions by which pulses that do nothing are judged
 _LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how many lengths are tried
 _BETTER, _WORSE = 12.0, 3.0  # squares by which valves that stay shut explain the poses; where no longer pulse does
 _SENSORS = 3
@@ -100,6 +104,7 @@ class BodyFit(NamedTuple):
     found: WindowedFit
     least_s: float  # pulses shorter than this did not open a valve
     start_s: FloatArray  # of the windows
+    settled: bool  # it is the minimum
 
     @property
     def x(self) -> FloatArray:
@@ -169,23 +174,16 @@ class BodyModel:
             EstimationError: too few poses, or no minimum.
         """
         windows = self._windows_of(poses, known_s, unknown)
-        begun, least_s = self._look(windows, 0.0, self._begun(windows)), 0.0
+        begun, least_s = self._descend(windows, 0.0, self._begun(windows), 1.0, _LOOKS)[0], 0.0
         for tried_s in self._leasts():
-            other = self._look(windows, tried_s, begun.x)
+            other, _ = self._descend(windows, tried_s, begun.x, 1.0, _LOOKS)
             if other.residual_sum > _WORSE * begun.residual_sum:
                 break  # longer pulses opened the valves
             if other.residual_sum < begun.residual_sum - _BETTER * (least_s == 0.0):
                 begun, least_s = other, tried_s
-        x, p = begun.x, len(self.names)
-        found = fit_normal(
-            lambda at: total(self._parts(at, windows, least_s), p, x.size),
-            x,
-            np.zeros_like(x),
-            self._prior(x.size),
-            tolerance=_TOLERANCE,
-        )
+        found, settled = self._descend(windows, least_s, begun.x, _TOLERANCE, _MOST)
         parts = self._parts(found.x, windows, least_s)
-        return BodyFit(judged(found, parts, len(self.names), _SENSORS), least_s, windows.start_s)
+        return BodyFit(judged(found, parts, len(self.names), _SENSORS), least_s, windows.start_s, settled)
 
     def _leasts(self) -> list[float]:
         """Lengths just above those pulses that may not open a valve."""
@@ -246,15 +244,22 @@ class BodyModel:
             state[3:5], state[5] = line[0, :2] - line[0, 2] * np.array([-lever[1], lever[0]]), line[0, 2]
         return x
 
-    def _look(self, windows: _Windows, least_s: float, x: FloatArray) -> Fit:
-        """Some steps of the descent from x."""
-        descent = Descent(x, np.zeros_like(x), self._prior(x.size), tolerance=1.0)
-        for _ in range(_LOOKS):
-            with np.errstate(over="ignore", invalid="ignore"):
-                descent.take(total(self._parts(descent.at, windows, least_s), len(self.names), x.size))
+    def _descend(
+        self, windows: _Windows, least_s: float, x: FloatArray, tolerance: float, most: int
+    ) -> tuple[Fit, bool]:
+        """The minimum, or the best point after so many predictions; whether it is the minimum."""
+        descent = Descent(x, np.zeros_like(x), self._prior(x.size), most + 1, tolerance)
+        for _ in range(most):
+            try:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    descent.take(total(self._parts(descent.at, windows, least_s), len(self.names), x.size))
+            except ConvergenceError:
+                if not descent.iteration:
+                    raise
+                break
             if descent.found is not None:
-                return descent.found
-        return descent.short_of_the_minimum()
+                return descent.found, True
+        return descent.short_of_the_minimum(), False
 
     def _prior(self, size: int) -> FloatArray:
         return np.diag(np.concatenate([self.sigma**-2, np.zeros(size - len(self.names))]))

@@ -168,6 +168,10 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
     each |= dict(_by_window(model, fit))
     of_all = together(x[at] / sigma, left)
     bad = list(contradicted(each) or of_all.refused())
+    if not fit.settled:
+        bad.append(
+            "the fit does not settle: thrusters, axes or units are not as stated, or the motion tells too little"
+        )
     doubts = [*doubtful(each, _TOLD), *of_all.doubted()]
     for sensor, misfit in zip(_SENSORS, found.by_sensor, strict=True):
         if misfit > _DOUBTED:
