@@ -16,6 +16,7 @@ from onboard.offline.bring_in.text_rows import Values
 from onboard.recording.decode import FARTHEST_NS
 
 _MOST_ROUNDED = 0.1  # rms of what rounding takes away, of the rms of the values
+_MOST_OFF = 0.01  # of a unit quaternion's length
 _HUGE = 2.0**62  # larger values are refused: they may overflow int64
 _RAILS = np.iinfo(np.int16)
 _SKIP = 'bad_rows = "skip" in [mapping] leaves such rows out'
@@ -162,11 +163,24 @@ def scalar(source: Path, columns: Columns[str, Values], channel: ScalarChannel, 
     values: Values = next(iter(parts.values()))
     if value.sum is not None:
         values = np.column_stack(list(parts.values())).astype(np.float64) @ np.array(list(value.sum.values()))
+    if value.quaternion is not None:
+        values = _yaw(source, names, np.array([parts[name] for name in value.quaternion], np.float64), value.up)
     counts = _counts(source, names, value, values, len(rows))
     rows["value_raw"] = counts if value.sign == "+" else -counts
     rows["scale"] = value.si_count
     rows["unit"] = value.si_unit.encode()
     return rows
+
+
+def _yaw(source: Path, names: str, quaternion: NDArray[np.float64], up: str) -> NDArray[np.float64]:
+    """Yaw (n,) about the vertical, rad, of quaternions (4, n): w, x, y, z; it goes on beyond half a turn."""
+    norm = np.linalg.norm(quaternion, axis=0)
+    if (bad := ~(np.abs(norm - 1.0) < _MOST_OFF)).any():
+        raise SourceError(f"{source}: {names} is no unit quaternion in row {_first(bad)}; {_REMOVE}")
+    w, x, y, z = quaternion / norm
+    if up == "y":  # axes x, -z, y
+        y, z = -z, y
+    return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def _counts(

@@ -52,6 +52,16 @@
     values = "physical"
     scale = 1e-5
     unit = "N m"
+
+    [channel.pose_yaw]
+    record = "scalar"
+
+    [channel.pose_yaw.value]        # of a tracker's attitude, about its vertical
+    quaternion = ["qw", "qx", "qy", "qz"]
+    up = "y"                        # "z" where it is silent
+    values = "physical"
+    scale = 1e-7
+    unit = "rad"
 """
 
 import math
@@ -211,23 +221,31 @@ class AngularRate(VectorMapping):
 
 
 class Scalar(_Quantity):
-    """A quantity of one value."""
+    """A quantity of one value: a column, a sum of some, or the yaw that a quaternion has about the vertical."""
 
     column: Column | None = None
     sum: Annotated[dict[str, float], Field(min_length=1)] | None = None
+    quaternion: tuple[Column, Column, Column, Column] | None = None  # w, x, y, z
+    up: Literal["y", "z"] = "z"
     sign: Literal["+", "-"] = "+"
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
-        if (self.column is None) == (self.sum is None):
-            raise ValueError("give either `column`, or `sum`, columns and what to multiply each by")
-        if self.sum is not None and self.values != "physical":
-            raise ValueError('a sum of columns is no count; say values = "physical"')
+        if sum(one is not None for one in (self.column, self.sum, self.quaternion)) != 1:
+            raise ValueError(
+                "give one of `column`, `sum`, columns and what to multiply each by, `quaternion`, four columns"
+            )
+        if self.column is None and self.values != "physical":
+            raise ValueError('a sum of columns, or a yaw, is no count; say values = "physical"')
+        if self.quaternion is not None and self.unit != "rad":
+            raise ValueError('the yaw of a quaternion is in rad; say unit = "rad"')
         return self
 
     @property
     def terms(self) -> dict[str, float]:
         """Columns, and what each is multiplied by."""
+        if self.quaternion is not None:
+            return dict.fromkeys(self.quaternion, 1.0)
         return {self.column: 1.0} if self.column is not None else dict(self.sum or {})
 
 

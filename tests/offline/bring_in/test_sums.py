@@ -4,6 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from onboard.offline.bring_in.errors import MappingError, SourceError
 from onboard.offline.bring_in.importer import import_recordings
@@ -77,3 +78,19 @@ def test_what_cannot_be_summed_is_refused(tmp_path):
     ):
         with pytest.raises(MappingError):
             coupled(tmp_path, COUPLED.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0])])
+def test_a_yaw_is_made_of_a_quaternion(tmp_path, up, axis):
+    true = np.linspace(-1.0, 8.0, 60)  # beyond half a turn
+    turned = Rotation.from_rotvec(true[:, None] * np.array(axis)).as_quat()[:, [3, 0, 1, 2]]
+    np.savetxt(tmp_path / "q.csv", turned, delimiter=",", header="w,x,y,z", comments="", fmt="%.9f")
+    text = COUPLED[: COUPLED.index("[channel.torque]")].replace("scale = 0.001", "scale = 1e-6")
+    (tmp_path / "q.toml").write_text(
+        text.replace("sum = { a = 0.5, b = -0.25 }", f'quaternion = ["w", "x", "y", "z"]\nup = "{up}"')
+    )
+    [made] = import_recordings(tmp_path / "q.toml", tmp_path / "q.csv", tmp_path)
+    assert np.allclose(LogReader(made.path).read("wrist")["value_raw"] * 1e-6, true, atol=1e-5)
+    (tmp_path / "q.csv").write_text("w,x,y,z\n1,0,0,0\n10,0,0,0\n")
+    with pytest.raises(SourceError, match="no unit quaternion in row 2"):
+        import_recordings(tmp_path / "q.toml", tmp_path / "q.csv", tmp_path / "other")
