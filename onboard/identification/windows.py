@@ -38,6 +38,19 @@ class WindowedFit(NamedTuple):
         """Factor on the variances."""
         return max(1.0, *self.by_sensor, self.noise.variance)
 
+    def variances(self, sigma: FloatArray) -> FloatArray:
+        """Of the first p unknowns where the noise's variance is larger by f, and what was stated is not, (p,).
+
+        With C the covariance of the fit and L the stated information, the diagonal of ``C (f (C^-1 - L) + L) C``; at
+        least that of C.
+
+        Args:
+            sigma: stated, (p,).
+        """
+        C = self.fit.covariance[: self.globals, : self.globals]
+        stated = np.diag((C / sigma**2) @ C)
+        return np.asarray(np.diag(C) + (self.wider - 1.0) * np.maximum(np.diag(C) - stated, 0.0), np.float64)
+
 
 def total(parts: Iterable[Part], p: int, size: int) -> Normal:
     """Normal equations of all windows, of ``size`` unknowns, the first p of which they share."""

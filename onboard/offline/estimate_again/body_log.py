@@ -131,7 +131,7 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[A
     scale = np.array([mass_kg, 1.0, 1.0, inertia] + [1.0] * (len(at) - BODY))
     values = np.array([mass_kg, *centre_m, inertia, *fit.x[at[BODY:]]])
     half = float(stdtrit(found.noise.freedom, 0.5 + 0.5 * _LEVEL))
-    own = np.sqrt(found.wider * np.diag(P)[at])
+    own = np.sqrt(found.variances(model.sigma)[at])
     sigma = half / float(ndtri(0.5 + 0.5 * _LEVEL)) * own
     stretch = np.array([True, False, False, True] + [False] * (len(at) - BODY))  # logarithms
     low = np.where(stretch, values * np.exp(-half * own), values - half * own)
@@ -164,7 +164,9 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
         whole = np.linalg.norm(model.sigma[scales])
         mean = model.sigma[scales] / whole
         own = float(mean @ (P[np.ix_(scales, scales)] / np.outer(model.sigma[scales], model.sigma[scales])) @ mean)
-        each["the thrusters' common force"] = float(against(np.array([x[scales].sum() / whole]), np.array([own]))[0])
+        each["the thrusters' common force, the mass or the tracker's lengths"] = float(
+            against(np.array([x[scales].sum() / whole]), np.array([own]))[0]
+        )
     each |= dict(_by_window(model, fit))
     of_all = together(x[at] / sigma, left)
     bad = list(contradicted(each) or of_all.refused())
