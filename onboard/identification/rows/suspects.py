@@ -38,6 +38,7 @@ from onboard.regressor.rows import RowModel
 from onboard.regressor.signals import Signals
 
 _UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
+_EXACT = 1e9  # stated sigmas in a suspect's: what is stated so well is as stated
 _GROWS = 1.2  # rows with the payload, or without, over those when hypotheses were weighed last
 _FEWEST = 20  # ticks
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
@@ -95,7 +96,8 @@ class RowSuspects:
         self._active = np.flatnonzero(half.any(axis=0))
         self._half, self._centre = half[:, self._active], base.value(model.chi)  # beta = centre + half z
         self._sigma, self._own = np.array([one.sigma for one in self._errors]), np.diag(prior_root)[self._active]
-        suspects = [*self._links(model, prior_root), *self._instruments(model)]
+        every = [*self._links(model, prior_root), *self._instruments(model)]
+        suspects = [one for one in every if np.abs(one.along).max() < _EXACT]
         self._bank = Bank(suspects, np.ones(len(self._active) + len(self._errors)))
         self._names = [row.name for row in model.rows]
         self._gain_of = {row: int(np.flatnonzero(base.independent == column)[0]) for row, column in model.scales}
