@@ -175,6 +175,8 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
             "the fit does not settle: thrusters, axes or units are not as stated, or the motion tells too little"
         )
     doubts = [*doubtful(each, _TOLD), *of_all.doubted()]
+    if not model.weighed:
+        doubts.append("nothing checks the thrusters' common force: weigh the body, give its mass and body.mass_sigma")
     for sensor, misfit in zip(_SENSORS, found.by_sensor, strict=True):
         if misfit > _DOUBTED:
             (bad if misfit > WORST_MISFIT else doubts).append(
