@@ -82,7 +82,7 @@ heft_env() {
     fi
     printf 'heft: installing into %s, once (%s)\n' "$heft_venv" "$heft_size" >&2
     rm -f "$heft_venv/heft-hil" "$heft_venv/heft-test"
-    heft_pip --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
+    heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
     heft_pip --quiet --no-deps --no-index --no-build-isolation --editable "$root"
     for heft_grant in $heft_grants; do
         heft_key >"$heft_venv/heft-$heft_grant"

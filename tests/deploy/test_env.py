@@ -106,7 +106,7 @@ def test_first_run_installs_what_the_lock_pins_and_flies(machine: Machine) -> No
     assert done.returncode == 0, done.stderr
     venv, packages, itself = machine.calls
     assert venv == "venv"
-    assert "--require-hashes --only-binary :all: -r" in packages
+    assert "--no-deps --require-hashes --only-binary :all: -r" in packages
     assert packages.endswith(f"{machine.checkout}/deploy/requirements.lock")
     assert "--no-deps --no-index --no-build-isolation" in itself
     assert itself.endswith(f"--editable {machine.checkout}")
