@@ -1,5 +1,6 @@
 """Channels of imported recordings (``heft import``): no bus; host stamps are sample times."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
@@ -197,3 +198,23 @@ class RecordedValue(RecordedDevice):
     about_role = "none, or the phases"
     records = SCALAR
     kind: Literal["recorded_value"]
+
+
+ThrusterKeys = RecordedThruster
+"""What the estimators of a body without joints read of a thruster."""
+PoseKeys = RecordedPose
+"""The same of its tracked pose."""
+
+
+def thrusters_among(devices: Mapping[str, object]) -> dict[str, ThrusterKeys]:
+    """The thrusters whose commands were recorded, by name."""
+    return {name: one for name, one in devices.items() if isinstance(one, RecordedThruster)}
+
+
+def tracked_among(devices: Mapping[str, object]) -> tuple[str, PoseKeys]:
+    """The first tracked pose that was recorded, with its name.
+
+    Raises:
+        StopIteration: there is none.
+    """
+    return next((name, one) for name, one in devices.items() if isinstance(one, RecordedPose))

@@ -185,7 +185,7 @@ def test_mistakes_in_the_file_are_refused_with_their_line(old: str, new: str, ex
 
 def test_a_planar_base_needs_its_table() -> None:
     before, _, rest = TEXT.partition("[planar]")
-    with pytest.raises(config.ConfigError, match=r"toml:8: .*needs a section \[planar\]"):
+    with pytest.raises(config.ConfigError, match=r"toml:8: .*needs a section: \[planar\] with an arm"):
         config.parse(before + rest[rest.index("[device.imu_base]") :], PATH)
 
 

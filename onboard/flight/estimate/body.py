@@ -6,7 +6,7 @@ import numpy as np
 
 from onboard import config
 from onboard.config.planar import Body
-from onboard.devices.recorded import RecordedPose, RecordedThruster
+from onboard.devices.recorded import PoseKeys, ThrusterKeys, thrusters_among, tracked_among
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import composite_functional
 from onboard.dynamics.payload import body_of
@@ -28,14 +28,14 @@ _OF_THRUSTERS = {
 _OF_TRACKER = {"turn": "misalignment_sigma_rad", "place": "place_sigma_m", "scale": "scale_sigma"}
 
 
-def thrusters_of(vehicle: config.Vehicle) -> dict[str, RecordedThruster]:
+def thrusters_of(vehicle: config.Vehicle) -> dict[str, ThrusterKeys]:
     """Its thrusters by name."""
-    return {name: one for name, one in vehicle.file.device.items() if isinstance(one, RecordedThruster)}
+    return thrusters_among(vehicle.file.device)
 
 
-def tracker_of(vehicle: config.Vehicle) -> tuple[str, RecordedPose]:
+def tracker_of(vehicle: config.Vehicle) -> tuple[str, PoseKeys]:
     """Its tracked pose."""
-    return next((name, one) for name, one in vehicle.file.device.items() if isinstance(one, RecordedPose))
+    return tracked_among(vehicle.file.device)
 
 
 def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str, Valve]) -> BodyModel:

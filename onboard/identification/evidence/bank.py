@@ -256,7 +256,8 @@ class Bank:
         slope = [(x[alike.at][:, None] @ alike.slopes)[:, 0] for alike in self._alone]
         found, pairs = self._each(M, slope), list[Hypothesis]()
         logs = np.append(0.0, self._log_weights(found))
-        if np.logaddexp.reduce(logs) > -np.log(LIKELIER):
+        likeliest = int(np.argmax(logs)) - 1
+        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found[likeliest].size < FARTHEST_SIZE:
             counting = np.flatnonzero(logs[1:] > logs.max() + np.log(LEAST_WEIGHT))
             for first in counting.tolist():
                 if found[first].size < FARTHEST_SIZE:

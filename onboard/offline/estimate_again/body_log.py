@@ -7,7 +7,7 @@ from scipy.special import ndtri, stdtrit
 
 from drivers.records import Rows, SampleStatus
 from onboard import config
-from onboard.devices.recorded import RecordedThruster
+from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
@@ -105,7 +105,7 @@ def _usable(rows: Rows) -> Rows:
     return good
 
 
-def _valve(own: RecordedThruster, name: str, time_s: FloatArray, rows: Rows, log: LogReader) -> Valve:
+def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: LogReader) -> Valve:
     values, unit = np.asarray(rows["value_raw"] * rows["scale"], np.float64), rows["unit"][0]
     if own.reads == "on_time":
         if unit != b"s":
