@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 
-MOST = 400  # of smoothed signals of 0.2 s, what is independent in 80 s: twice as many do not change the answers
+MOST = 400  # of signals smoothed over 0.2 s, what is independent in 80 s
 
 
 class Ticks(NamedTuple):

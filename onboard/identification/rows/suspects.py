@@ -1,12 +1,13 @@
 """What may not be as stated of an arm on a fixed base whose cells' scales are estimated, and what follows from each.
 
-Of each link but the payload, mass and inertia, either, the centre of mass, or all ten parameters may be off; of an
-encoder, or of all, the zero, the scale, the delay; of a cell, of those of forces, of moments, or of all, the scale, and
-of a cell the delay; the cells at a frame may be turned in their mount, the base not level. All compete with "as stated"
-in one bank (:mod:`onboard.identification.evidence.bank`), whose state is z: the errors of the prior, ``beta = beta_0 +
-G L z``, and those of instruments, each over its stated sigma. z is found by Gauss and Newton from rows of kept ticks
-that are made again about the likeliest hypothesis (:mod:`onboard.identification.rows.remade`), since gains multiply
-masses and angles turn gravity.
+Of each link but the payload, mass and inertia, either, the centre of mass, or all ten parameters may be off, or the
+factor and the centre of mass (a part exchanged); of an encoder, or of all, the zero, the scale, the delay; of a cell,
+of those of forces, of moments, or of all, the scale and the delay, and of a cell a step of its scale; the cells at a
+frame may be turned in their mount, the base not level. All compete with "as stated" in one bank
+(:mod:`onboard.identification.evidence.bank`), whose state is z: the errors of the prior, ``beta = beta_0 + G L z``, and
+those of instruments, each over its stated sigma. z is found by Gauss and Newton from rows of kept ticks that are made
+again about the likeliest hypothesis (:mod:`onboard.identification.rows.remade`), since gains multiply masses and angles
+turn gravity.
 
 Rows are smoothed, so neighbours say the same: a kept tick stands for as many as lie between two, but for no more than
 are alike. Noise is as large as what the likeliest leaves over of each row, no smaller than stated, and rows far off
@@ -126,14 +127,14 @@ class RowSuspects:
         return tuple(against), tuple(doubts)
 
     def take(self, signals: Signals, at: IndexArray, attached: BoolArray, use: BoolArray, sigma: FloatArray) -> None:
-        """Takes the rows of ticks in that the recursion has taken.
+        """Takes the rows of ticks in, those too that the recursion's residual gate refuses.
 
         Args:
             signals: all of them.
             at: ticks, (t,).
             attached: (t,) whether the payload is held.
-            use: (t, m) which rows were.
-            sigma: of these, as the recursion took it, (r,).
+            use: (t, m) which rows no other gate refuses.
+            sigma: of these, with the noise of the motion and as Huber widens it, (r,).
         """
         weight = np.zeros(use.shape)
         weight[use] = sigma**-2

@@ -8,7 +8,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from hil_sim.plants.body import Body
-from onboard.dynamics.inertia import elements
+from onboard.dynamics.inertia import RigidBody, elements
+from onboard.dynamics.payload import body_of
+from onboard.dynamics.urdf import with_bodies
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.rows import kept_ticks, suspects
 from onboard.identification.rows.considered import Considered
@@ -28,8 +30,8 @@ AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"
 ZEROS = tuple(Considered(f"zero of joint_{k}", f"joint_{k}", "joint_zero", 1e-4) for k in range(1, 6))
 
 
-def identifier():
-    vehicle = VehicleModel(bench.URDF, VehicleSpec(BaseKind.FIXED, "bench", "tool"))
+def identifier(urdf=bench.URDF):
+    vehicle = VehicleModel(urdf, VehicleSpec(BaseKind.FIXED, "bench", "tool"))
     model = RowModel(vehicle, bench.six_axes("wrist"))
     links = dict.fromkeys(vehicle.links, 1.0) | {"gripper": 0.01}
     extras = {"M_tool": 5.0} | {f"{h}_tool": 1.0 for h in ("MX", "MY", "MZ")}
@@ -166,6 +168,20 @@ def test_scales_of_all_cells_are_not_told_from_a_gripper_that_is_heavier():
     assert 0.01 < sigma < 0.1
 
 
+def test_a_gripper_that_was_exchanged_is_not_taken_for_scales_of_all_cells():
+    """The file says 10 % less than it weighs, 3 mm beside its centre."""
+    vehicle = identifier().model.vehicle
+    at = 10 * vehicle.links.index("gripper")
+    mass_kg, centre_m, inertia = body_of(vehicle.chi[at : at + 10])
+    drawn = RigidBody(mass_kg / 1.1, centre_m + np.array([0.003, 0.0, 0.0]), inertia / 1.1)
+    who = identifier(with_bodies(bench.URDF, {"gripper": drawn}))
+    bench.feed(who, run())
+    likeliest = who.suspects.weighed.likeliest
+    assert likeliest.suspect.name == "gripper"
+    assert len(likeliest.numbers) == 1
+    assert abs(mass(who)[0]) < 3.0
+
+
 def test_a_turned_sign_is_no_error_of_a_scale():
     who = fed(read("wrist_force_x", -1.0))
     against = who.findings().against
@@ -245,6 +261,34 @@ def test_derivatives_of_remade_rows_are_differences(rng):
         step[k] = 1e-5
         plus, minus = (remade.at(ticks, beta + way * step[:p], at + way * step[p:]).reading for way in (1.0, -1.0))
         np.testing.assert_allclose(made.slope[..., k], (plus - minus) / 2e-5, atol=3e-4)
+
+
+def test_a_late_encoder_is_corrected_to_second_order(rng):
+    who = identifier()
+    errors, late_s = suspects.suspected(ZEROS, who.model), 0.02
+    remade, beta = RowsRemade(who.model, who.base, errors), rng.standard_normal(len(who.base.names))
+    t = np.linspace(0.0, 1.0, 9)
+    speed, up = rng.uniform(-1.0, 1.0, (2, 5))
+
+    def ticks(at):
+        angle, still = np.outer(at, speed) + 0.5 * np.outer(at**2, up), np.zeros((9, 6))
+        motion = angle, speed + np.outer(at, up), np.tile(up, (9, 1)), np.zeros((9, 5))
+        return Ticks(t, *motion, np.tile([0.0, 0.0, 9.8], (9, 1)), t > 0.5, still, still, still)
+
+    late = np.array([late_s * (one.effect == "joint_delay") for one in errors])
+    corrected = remade.at(ticks(t - late_s), beta, late).reading
+    np.testing.assert_allclose(corrected, remade.at(ticks(t), beta, 0.0 * late).reading, rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_left_over_and_alike_for_long_counts_as_more_noise(rng):
+    left, again = np.zeros((400, 2)), rng.standard_normal((400, 2))
+    for k in range(1, 400):
+        left[k] = [0.7, 0.0] * left[k - 1] + np.sqrt([0.51, 1.0]) * again[k]
+    own = np.zeros((400, 1))
+    ticks = Ticks(own[:, 0], *(own for _ in range(5)), own[:, 0] > 0, left, own, np.ones((400, 2)))
+    alike, white = suspects._Left(np.zeros((400, 2, 1)), left, ticks).noise(np.zeros(1), np.ones(2), 1)
+    assert 3.0 < alike < 8.0  # (1 + r) / (1 - r) is 5.7
+    assert white < 1.4
 
 
 def test_cells_turn_together_only_where_all_axes_are_measured():
