@@ -18,6 +18,7 @@ linearised anew told all masses of a free-flyer without a cell to 6 %, of which 
 
 import numpy as np
 
+from onboard.dynamics.inertia import elements
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
@@ -47,6 +48,7 @@ class Linearised:
             (at, half), first = predictor.drawn[base], 10 * predictor.vehicle.links.index(base)
             drawn = np.linalg.solve(half, predictor.vehicle.chi[first : first + 10])
             self._base[at] = drawn / (drawn @ drawn)
+        self._place, self._axis = _of_last_joint(predictor)
 
     def forget(self) -> None:
         """The next batch is linearised about its own state, as that of a window just solved."""
@@ -60,8 +62,9 @@ class Linearised:
     def known(self, covariance: FloatArray) -> FloatArray:
         """What the batches before have told, (p, p), as it would be about the state of the last prediction.
 
-        They told the payload's parameters over the base's masses, so that a payload found to be larger is one more
-        where the base is heavier.
+        They told the payload's parameters over the base's masses, and where it is along the last joint's axis, not its
+        place in its own frame: a payload found to be larger is one more where the base is heavier, and has a first
+        moment less where that joint is placed farther out.
         """
         before, now = self._known_about, self._about
         self._known_about = now
@@ -70,6 +73,8 @@ class Linearised:
         factor, change = float(np.exp(self._base @ (now - before))), np.eye(len(now))
         change[PAYLOAD, PAYLOAD] *= factor
         change[PAYLOAD] += np.outer(now[PAYLOAD] - factor * before[PAYLOAD], self._base)
+        farther = _displaced(now[PAYLOAD], self._axis) - factor * _displaced(before[PAYLOAD], self._axis)
+        change[PAYLOAD] += np.outer(farther, self._place)
         return np.asarray(change @ covariance @ change.T, np.float64)
 
     def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, Prediction]:
@@ -105,3 +110,26 @@ def _rms(change: FloatArray, ticks: Ticks) -> float:
     """Of a change of a batch's values, (b, lines), in sigmas of a tick."""
     sigmas = (change / ticks.sigma[1:-1])[np.isfinite(ticks.measured[1:-1])]
     return float(np.sqrt(sigmas @ sigmas / max(sigmas.size, 1)))
+
+
+def _displaced(chi: FloatArray, axis: FloatArray) -> FloatArray:
+    """Change of a body's standard parameters, (10,), for a metre by which its frame is moved along a unit vector, (3,).
+
+    By the parallel-axis theorem: first moments by ``-m a``, inertia by ``-2 (h.a) 1 + h a' + a h'``.
+    """
+    h = chi[1:4]
+    across = np.outer(h, axis)
+    return np.concatenate([[0.0], -chi[0] * axis, elements(across + across.T - 2.0 * (h @ axis) * np.eye(3))])
+
+
+def _of_last_joint(predictor: ImuPredictor) -> tuple[FloatArray, FloatArray]:
+    """What its place along its own axis is of a state, (p,), and that axis in the payload's frame, (3,)."""
+    vehicle, along = predictor.vehicle, np.zeros(len(predictor.names))
+    held = vehicle.model.frames[vehicle.frame_id(str(vehicle.spec.payload_link))]
+    if held.parentJoint < 2:  # fixed to the base
+        return along, np.zeros(3)
+    joint = vehicle.joints[held.parentJoint - 2]
+    for axis, part in zip("xyz", joint.axis, strict=True):
+        if (name := f"place_{axis}_{joint.name}") in predictor.names:
+            along[predictor.names.index(name)] = part
+    return along, np.asarray(held.placement.rotation.T @ joint.axis, np.float64)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
 from onboard.identification.exiddm import linearised as module
 from onboard.identification.exiddm.linearised import Linearised
 from onboard.identification.exiddm.prediction.further import DisturbancePrior
@@ -36,6 +38,23 @@ def all_heavier(predictor, x):
     rows = (10 * np.repeat(own, 10) + np.tile(np.arange(10), len(own))).astype(np.intp)
     basis = np.column_stack([(predictor.chi(x + eye[k]) - predictor.chi(x - eye[k])) / 2e-4 for k in links])[rows]
     along[PAYLOAD], along[links] = x[PAYLOAD], np.linalg.solve(basis, predictor.chi(x)[rows])
+    return along
+
+
+def farther_out(predictor, x):
+    """The direction in which the last joint is placed farther along its axis, what hangs on it where it was, (p,)."""
+
+    def of(chi):
+        mass_kg, centre_m, inertia = body_of(chi)
+        up, down = (standard_of(RigidBody(mass_kg, centre_m - [0.0, 0.0, by], inertia)) for by in (1e-4, -1e-4))
+        return (up - down) / 2e-4
+
+    along = np.zeros(len(x))
+    along[predictor.names.index("place_z_joint_5")] = 1.0
+    first = 10 * predictor.vehicle.links.index("link_5")
+    own = [k for k, name in enumerate(predictor.names) if name.startswith("link_5_inertial_")]
+    half = predictor.drawn["link_5"][1]
+    along[PAYLOAD], along[own] = of(x[PAYLOAD]), np.linalg.solve(half, of(predictor.chi(x)[first : first + 10]))
     return along
 
 
@@ -124,8 +143,11 @@ def test_instruments_that_are_not_there_do_not_count(held, predictor, rng):
     np.testing.assert_array_equal(linearised.predict(ticks, there)[0][PAYLOAD], x[PAYLOAD])
 
 
-def test_what_is_known_stays_that_of_ratios_when_the_payload_is_found_to_be_another(held, predictor, rng):
-    """All masses stay unknown where steps go on about a payload and a base that are found to be 20 % heavier."""
+@pytest.mark.parametrize(("direction", "size"), [(all_heavier, 0.1), (farther_out, 0.01)])
+def test_what_no_motion_shows_stays_unknown_when_the_payload_is_found_to_be_another(
+    held, predictor, rng, direction, size
+):
+    """Steps go on about a payload and a base that are found to be 20 to 30 % heavier."""
     ticks, x = ticks_of(held).part(slice(300, 312)), some_state(predictor)
     linearised, sigma = Linearised(predictor), np.where(np.isnan(predictor.sigma), 10.0, predictor.sigma)
     _, found = linearised.predict(ticks, x)
@@ -140,7 +162,7 @@ def test_what_is_known_stays_that_of_ratios_when_the_payload_is_found_to_be_anot
     linearised.predict(ticks, there)
     now = linearised.known(told)
     for covariance, state, alike in ((told, x, True), (told, there, False), (now, there, True)):
-        g = 0.1 * all_heavier(predictor, state) / sigma
+        g = size * direction(predictor, state) / sigma
         by_data = g @ np.linalg.solve(covariance / np.outer(sigma, sigma), g) - g @ g
         assert abs(by_data) < 0.01 if alike else by_data > 1.0  # rounding: 1e-5 of what the prior tells along g
     np.testing.assert_array_equal(linearised.known(now), now)
