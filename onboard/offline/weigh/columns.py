@@ -6,6 +6,7 @@ and the last six the wrench.
 
 import re
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,11 @@ _ORIENTATION = (
     ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
     ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
     ("quaternion", r"^([wxyz])$", "wxyz"),
+)
+_NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
+    (r"(?:.*\.)?(?:wrench|force|ft)", ("fx", "fy", "fz", "mx", "my", "mz")),
+    (r"(?:.*\.)?pose", ("x", "y", "z", "rx", "ry", "rz")),
+    (r"(?:.*\.)?pose", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
 )
 
 
@@ -81,6 +87,7 @@ class Units(NamedTuple):
 
 def split_name(text: str) -> Column:
     """``Fx [N]`` is ``fx`` in ``n``."""
+    text = re.sub(r"(?<=\w)\[(\d)\]", r"_\1", text)  # `wrench[0]` is no unit
     bracket = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", text)
     name, unit = (bracket[1], bracket[2]) if bracket else (text, "")
     if not bracket and (tail := re.fullmatch(r"(.+[^a-zA-Z])([a-zA-Z°]+)", text.strip())):
@@ -117,7 +124,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
     """
     if not any(table.names):
         return _unnamed(table, units, joints, orientation)
-    columns = [split_name(name) for name in table.names]
+    columns = _numbered([split_name(name) for name in table.names])
     said: list[str] = []
     force = _vector(table, columns, [_WRENCH[0]], "xyz")
     moment = _vector(table, columns, list(_WRENCH[1]), "xyz", force or ())
@@ -136,6 +143,19 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
     return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said), named)
+
+
+def _numbered(columns: list[Column]) -> list[Column]:
+    """With ``wrench_0`` to ``wrench_5`` named ``wrench.fx`` to ``wrench.mz``, and so on."""
+    parts = [re.fullmatch(r"(.*?[a-z])\.?(\d)", column.name) for column in columns]
+    stems = dict.fromkeys(part[1] for part in parts if part)
+    for stem, (pattern, axes) in product(stems, _NUMBERED):
+        at = {int(part[2]): k for k, part in enumerate(parts) if part and part[1] == stem}
+        first = min(at)
+        if re.fullmatch(pattern, stem) and sorted(at) == [*range(first, first + len(axes))]:
+            for n, axis in enumerate(axes, first):
+                columns[at[n]] = columns[at[n]]._replace(name=f"{stem}.{axis}")
+    return columns
 
 
 def _said_kind(table: Table, kind: str, said: str) -> str:

@@ -25,8 +25,8 @@ _NAMES = {
     "installation_z": "sensor on its flange, about z",
     "installation_x": "sensor's tilt about its x",
     "installation_y": "sensor's tilt about its y",
-    "base_tilt_1": "base's tilt about its first level axis",
-    "base_tilt_2": "base's tilt about its second level axis",
+    "base_tilt_1": "base's tilt, level axis 1",
+    "base_tilt_2": "base's tilt, level axis 2",
 }
 
 
@@ -68,7 +68,7 @@ def _quantities(answer: Answer, judged: Judged, title: str) -> Table:
 def _axes(answer: Answer) -> Table:
     table = Table(box=SIMPLE_HEAD, title="each axis", title_justify="left")
     table.add_column("")
-    for heading in ("mass by it alone, kg", "zero fitted, kg", "zero at the end", "1 sigma", "zero moved", "noise"):
+    for heading in ("mass by\nit, kg", "zero\nfitted", "zero at\nthe end", "1 sigma", "zero\nmoved", "noise"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
     for one in answer.axes:

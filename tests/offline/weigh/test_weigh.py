@@ -46,7 +46,9 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
     assert len(COMMANDS) == 4
     for command in COMMANDS:
         assert main(shlex.split(command)[1:]) == OK, command
-    assert "sensor on its flange, about z" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "sensor on its flange, about z" in shown
+    assert max(len(line.rstrip()) for line in shown.splitlines()[:24]) <= 80
     assert (tmp_path / "weighed.png").stat().st_size > 10_000
     answer = json.loads((tmp_path / "weighed.json").read_text(encoding="utf-8"))
     assert answer["verdict"]["level"] == "good"
@@ -107,6 +109,24 @@ def test_names_of_columns(one, tmp_path, names, between):
     code, answer = weighed(tmp_path, one.rows, header=names, between=between)
     assert code == OK
     assert all(holds(answer, one.true).values())
+
+
+@pytest.mark.parametrize("named", ["actual_TCP_{}_{}", "{}[{}]"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbered_parts_of_a_pose_and_a_wrench(one, named, first):
+    def understood(names, values):
+        read = table.Table(tuple(names), values, tuple(range(2, len(values) + 2)), "poses.csv")
+        return columns.understood(read, columns.Units())
+
+    rows = np.hstack([np.full((len(one.rows), 3), 7.0), one.rows])
+    pose, wrench = ([named.format(what, first + k) for k in range(n)] for what, n in (("pose", 7), ("force", 6)))
+    meaning = understood(pose + wrench, rows)
+    assert meaning.kind == "quaternion?"
+    np.testing.assert_array_equal(meaning.orientation, rows[:, 3:7])
+    np.testing.assert_array_equal(meaning.wrench, rows[:, 7:])
+    assert understood(pose[:-1] + wrench, np.delete(rows, 6, axis=1)).kind == "angles?"
+    with pytest.raises(PosesError, match="no columns of forces"):
+        understood(pose + wrench[:-1], rows[:, :-1])
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
