@@ -217,7 +217,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "inertia_relative": _M("How well it was swung: relative to half the tensor's trace, 1 sigma."),
     },
     Prior: {
-        "relative": _M("Relative sigma of all parameters, by link; 0 takes the link for exact.", "a link was measured"),
+        "relative": _M("Relative sigma of all parameters of links not weighed; 0: exact.", "a link was measured"),
         "absolute": _M(
             "Absolute sigma of the other columns, SI, by name; by ExIDDM: of friction and offset of joint torques.",
             "a bias is known to be small",
