@@ -113,6 +113,10 @@ def test_first_run_installs_what_the_lock_pins_and_flies(machine: Machine) -> No
     assert done.stdout == "flown with hil rocksat --seed 3 clean 1\n"
 
 
+def test_another_scenario_is_flown_by_its_name(machine: Machine) -> None:
+    assert machine.run("hil.sh", "dymaflex", "--seed", "3").stdout == "flown with hil dymaflex --seed 3 clean 1\n"
+
+
 def test_second_run_calls_neither_venv_nor_pip(machine: Machine) -> None:
     machine.run("hil.sh")
     again = machine.run("hil.sh", lacks="network venv")
