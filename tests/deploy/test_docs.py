@@ -7,10 +7,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from hil_sim.devices.vehicle_file import scenario_of
 from onboard.cli import main, parser
 from tests.flight.missions import Result
 
@@ -56,6 +58,14 @@ def test_every_command_shown_exists_with_its_options(page: Path) -> None:
     for script, module in _SCRIPT.findall(text):
         path = ROOT / (script or module.replace(".", "/"))
         assert path.is_file() or path.is_dir() or path.with_suffix(".py").is_file(), path
+
+
+def test_recipes_are_scenarios_that_differ_from_the_vehicles_own() -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8"), re.DOTALL)
+    usual = scenario_of("dymaflex", {})
+    assert len(blocks) == 5
+    for block in blocks:
+        assert scenario_of("dymaflex", tomllib.loads(block)) != usual, block
 
 
 def test_a_command_that_does_not_exist_is_noticed() -> None:
