@@ -2,12 +2,12 @@
 
 ::
 
-    python -m bench.all --quick [--only NAME ...] [--out DIR]
+    python -m bench.all --quick [--only NAME ...] [--out DIR] [--pages docs/evidence]
 
 ``--quick`` takes few seeds and short flights of each, ten minutes in all on a machine that is otherwise idle; without
 it each runs as ``bench/README.md`` names it, for hours. Benches that need recordings look for them in
-``$HEFT_DATASETS`` or ``../shared/datasets`` and are left out where they are not. Exit code 1 where one failed or missed
-a bar that it judges.
+``$HEFT_DATASETS`` or ``../shared/datasets`` and are left out where they are not. ``--pages`` writes what each printed
+as a page of evidence. Exit code 1 where one failed or missed a bar that it judges.
 """
 
 import argparse
@@ -68,6 +68,12 @@ BENCHES: Final = (
     Bench("resync", "--seeds 2", "--seeds 100"),
     Bench("tudelft_accuracy", "{recordings} --offsets 1", "{recordings}", "tudelft_tumbling"),
     Bench("arms", "", "", "staubli_tx40"),
+    Bench(
+        "faults",
+        "--flights 4 --first 7601 --without-estimator",
+        "--flights 40 --first 7601 --without-estimator",
+        label="faults_random",
+    ),
 )
 
 
@@ -129,18 +135,40 @@ def _lines(path: str) -> list[str]:
         return []
 
 
+def page(done: Outcome, about: str, printed: str, path: Path) -> None:
+    """Write a page of evidence: command, revision, machine, and what the bench printed, word for word."""
+    revision = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    command = done.command.replace(str(DATASETS), "$HEFT_DATASETS")
+    printed = printed.strip().replace(str(DATASETS), "$HEFT_DATASETS")
+    shown = printed if printed.startswith("|") else f"```text\n{printed}\n```"  # a table, or as on a terminal
+    text = f"""# {done.name.replace("_", " ").capitalize()}
+
+Made by `python -m bench.all --only {done.name} --pages docs/evidence`, which ran `{command}`: {about}, code
+{revision.stdout.strip()}, {done.cpu_s:.0f} s of CPU time, {done.said}.
+
+{shown}
+"""
+    path.write_text(text, encoding="utf-8")
+
+
 def main() -> int:
     """Run them, and print what came of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="ten minutes instead of hours")
     parser.add_argument("--only", nargs="+", choices=[bench.name for bench in BENCHES], metavar="NAME")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep what each printed (default: a new one in /tmp)")
+    parser.add_argument("--pages", type=Path, metavar="DIR", help="also write what each printed as a page, NAME.md")
     options = parser.parse_args()
     out: Path = options.out or Path(tempfile.mkdtemp(prefix="heft-benches-"))
     out.mkdir(parents=True, exist_ok=True)
     about, began = machine(), time.monotonic()
     print(about)
     done = [run(bench, options.quick, out) for bench in BENCHES if not options.only or bench.name in options.only]
+    if options.pages:
+        for one in (one for one in done if one.wall_s):
+            page(one, about, (out / f"{one.name}.txt").read_text(encoding="utf-8"), options.pages / f"{one.name}.md")
     table = ["| bench | s | CPU s | exit |", "|---|---|---|---|"]
     table += [f"| `{one.command}` | {one.wall_s:.0f} | {one.cpu_s:.0f} | {one.said} |" for one in done]
     text = "\n".join([about, "", *table, "", f"{time.monotonic() - began:.0f} s in all; load {os.getloadavg()[0]:.1f}"])

@@ -12,13 +12,17 @@ from pathlib import Path
 
 import pytest
 
+from bench.architecture_picture import floors, imports
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard.cli import main, parser
 from tests.flight.missions import Result
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
-    [*(ROOT / page for page in ("README.md", "bench/README.md", "deploy/README.md")), *(ROOT / "docs").glob("*.md")]
+    [
+        *(ROOT / page for page in ("README.md", "CONTRIBUTING.md", "bench/README.md", "deploy/README.md")),
+        *(ROOT / "docs").rglob("*.md"),
+    ]
 )
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _LINE = re.compile(r"^(?: {4}|\$ )?((?:\.venv/bin/)?heft [a-z].*)$", re.MULTILINE)
@@ -66,6 +70,20 @@ def test_recipes_are_scenarios_that_differ_from_the_vehicles_own() -> None:
     assert len(blocks) == 5
     for block in blocks:
         assert scenario_of("dymaflex", tomllib.loads(block)) != usual, block
+
+
+def test_the_picture_of_the_rooms_is_of_this_code() -> None:
+    """Otherwise: ``python -m bench.architecture_picture docs/architecture.svg docs/sample.svg``."""
+    shown = set(re.findall(r">([\w.]+)</text>", (ROOT / "docs" / "architecture.svg").read_text(encoding="utf-8")))
+    rooms = imports(ROOT)
+    assert len(rooms) > 15
+    assert {room.removeprefix("onboard.") for room in rooms} == shown
+
+
+def test_rooms_stand_above_what_they_import_and_circles_are_refused() -> None:
+    assert floors({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == {"c": 0, "b": 1, "a": 2}
+    with pytest.raises(ValueError, match=r"import each other: \['a', 'b'\]"):
+        floors({"a": {"b"}, "b": {"a"}, "c": set()})
 
 
 def test_a_command_that_does_not_exist_is_noticed() -> None:
@@ -117,10 +135,10 @@ def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
     assert "WARNING" not in ran.stderr
-    listed = re.findall(r": (\w+\.md)$", (ROOT / "deploy" / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
-    assert {page.name for page in PAGES if page.parent == ROOT / "docs"} == set(listed)
-    named = {page.with_suffix(".html").name for page in PAGES if page.parent == ROOT / "docs"}
-    assert named <= {page.name for page in tmp_path.glob("*.html")}
+    listed = re.findall(r": ([\w/]+\.md)$", (ROOT / "deploy" / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    pages = {page.relative_to(ROOT / "docs") for page in PAGES if page.is_relative_to(ROOT / "docs")}
+    assert {page.as_posix() for page in pages} == set(listed)
+    assert all((tmp_path / page.with_suffix(".html")).is_file() for page in pages)
     theory = (tmp_path / "estimators.html").read_text(encoding="utf-8")
     assert "<math" in theory
     assert not re.search(r"\$[\\A-Za-z]", theory)  # no formula that was left as text

@@ -1,6 +1,6 @@
 """A part of the fault matrix, flown again: what is promised holds, and the committed table says what comes of it.
 
-The whole of it is flown by ``python -m tests.flight.fault_matrix docs/faults.md --check``.
+The whole of it is flown by ``python -m tests.flight.fault_matrix docs/evidence/faults.md --check``.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.flight.fault_matrix.flights import broken_promises, flights
 from tests.flight.fault_matrix.report import lines_of
 
 pytestmark = pytest.mark.timeout(300)
-COMMITTED = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
+COMMITTED = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "faults.md"
 FLOWN = {  # and whatever shares their flights
     ("rocksat", "imu_base", "stuck"),
     ("rocksat", "imu_base", "garbage"),

@@ -1,8 +1,8 @@
 """Every fault of the vocabulary on every device, flown: what is said, who else suffers, how it ends.
 
-``python -m tests.flight.fault_matrix docs/faults.md`` flies them all and writes the table, ``--check`` compares it.
-Exit code 1: it differs, or a promise of ``cells`` is not kept. A flight has room for two faults of different devices,
-one in each sweep, far enough apart that what is said after one is not about the other.
+``python -m tests.flight.fault_matrix docs/evidence/faults.md`` flies them all and writes the table, ``--check``
+compares it. Exit code 1: it differs, or a promise of ``cells`` is not kept. A flight has room for two faults of
+different devices, one in each sweep, far enough apart that what is said after one is not about the other.
 """
 
 import argparse

@@ -10,9 +10,9 @@ from tests.flight.fault_matrix.flights import Outcome, broken_promises, others_l
 INPUTS = (FaultKind.STUCK, FaultKind.WRONG, FaultKind.DELAYED)
 HEADING = """# Faults: detection, side effects, recovery
 
-Written by `python -m tests.flight.fault_matrix docs/faults.md`, which flies all of them (with `--check` it compares and
-writes nothing); `tests/flight/test_fault_matrix.py` flies a part of them and compares their lines. Each fault of
-`hil_sim/faults` begins and ends in the middle of an 11 s RockSat-X mission in virtual time.
+Written by `python -m tests.flight.fault_matrix docs/evidence/faults.md`, which flies all of them (with `--check` it
+compares and writes nothing); `tests/flight/test_fault_matrix.py` flies a part of them and compares their lines. Each
+fault of `hil_sim/faults` begins and ends in the middle of an 11 s RockSat-X mission in virtual time.
 
 - **driver reports**: event codes and causes of `gap` records. *cannot know*: the data are well-formed and plausible,
   and nothing that the device sends contradicts them.
