@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard import config
-from onboard.offline.bring_in.importer import import_recordings
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.predict import predict
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.predict import predict
+from onboard.ground.log.bring_in.importer import import_recordings
 
 Floats = NDArray[np.float64]
 

@@ -29,11 +29,11 @@ from onboard.config.segments import read
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.before.foresee.plan import plan_of
+from onboard.ground.before.planning.bound import TICK_HZ, FreeBound
+from onboard.ground.log.tables import truth
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.segment_choice import Asked, choose
-from onboard.offline.foresee.plan import plan_of
-from onboard.offline.planning.bound import TICK_HZ, FreeBound
-from onboard.offline.tables import truth
 from onboard.recording.reader import LogReader
 
 OWN = Path(__file__).resolve().parents[1] / "tests" / "flight" / "own"
@@ -223,7 +223,7 @@ def fly(directory: Path, name: str, seed: int, asked: bool, goal: str, seconds: 
 
 def timed(log: Path, directory: Path) -> tuple[float, float, int]:
     """Median ms of CPU of a choice among all segments, of one linearisation, and the number of segments."""
-    from onboard.offline.tables.vehicle_file import vehicle_of  # noqa: PLC0415
+    from onboard.ground.log.tables.vehicle_file import vehicle_of  # noqa: PLC0415
 
     vehicle = vehicle_of(LogReader(log), directory)
     estimator, library = Estimator(vehicle), read(vehicle.segments_path or directory)

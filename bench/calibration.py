@@ -23,13 +23,13 @@ from hil_sim.scenario.load import Scenario
 from onboard import config
 from onboard.estimation.calibration.bifilar import Suspension
 from onboard.flight import bench, hil
-from onboard.offline.calibrate import vehicle_file
-from onboard.offline.calibrate.bifilar import calibrate_bifilar
-from onboard.offline.calibrate.imu import ImuOptions, calibrate_imu
-from onboard.offline.calibrate.load_cell import Masses, calibrate_load_cell
-from onboard.offline.calibrate.place import place
-from onboard.offline.calibrate.readings import readings
-from onboard.offline.views import mission_table
+from onboard.ground.calibrate import vehicle_file
+from onboard.ground.calibrate.bifilar import calibrate_bifilar
+from onboard.ground.calibrate.imu import ImuOptions, calibrate_imu
+from onboard.ground.calibrate.load_cell import Masses, calibrate_load_cell
+from onboard.ground.calibrate.place import place
+from onboard.ground.calibrate.readings import readings
+from onboard.ground.identify.mission import mission_table
 from onboard.recording.reader import LogReader
 
 DATASHEET = {

@@ -24,10 +24,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from onboard.cli.campaign import fly
-from onboard.offline.campaign import plan_file
-from onboard.offline.campaign.design import items
-from onboard.offline.campaign.revision import revision
-from onboard.offline.campaign.store import Content, Store
+from onboard.ground.campaign import plan_file
+from onboard.ground.campaign.design import items
+from onboard.ground.campaign.revision import revision
+from onboard.ground.campaign.store import Content, Store
 
 ROOT = Path(__file__).parents[1]
 MISSION = """[campaign]

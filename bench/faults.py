@@ -46,9 +46,9 @@ from onboard.flight.simulated import RECORDING_NS, VirtualClock, step_ns
 from onboard.flight.store import rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
-from onboard.offline.views import mission_table
-from onboard.offline.views.accounts import Account, accounts, render
-from onboard.offline.views.info import info
+from onboard.ground.identify.mission import mission_table
+from onboard.ground.identify.mission.accounts import Account, accounts, render
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 
 Fault = dict[str, Any]

@@ -26,7 +26,7 @@ import numpy as np
 
 from bench.real_flight import WORKERS, RealFlight, all_processes, busy, cpu_s, flying, longer, pss_mb
 from onboard import config
-from onboard.offline.views.info import info
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
 

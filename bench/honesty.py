@@ -28,11 +28,11 @@ import numpy as np
 
 from bench.honest_flights import scores
 from bench.honest_flights.drawn import HARMLESS, REDUNDANT
+from onboard.ground.campaign.instants import WIDER
+from onboard.ground.campaign.results import Outcome
+from onboard.ground.campaign.statistics import share_of
+from onboard.ground.campaign.store import Store
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.instants import WIDER
-from onboard.offline.campaign.results import Outcome
-from onboard.offline.campaign.statistics import share_of
-from onboard.offline.campaign.store import Store
 
 _SIGMAS = 1.9600  # of the half width of a 95 % interval
 

@@ -16,8 +16,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.ground.identify.identify import identify
+from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
 NORMAL = 1.960  # half a 95 % interval, sigmas

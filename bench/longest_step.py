@@ -18,8 +18,8 @@ import numpy as np
 
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
-from onboard.offline.estimate_again.replay import Pass, steps
-from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.ground.identify.replay.replay import Pass, steps
+from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
 

@@ -23,7 +23,7 @@ from onboard.dynamics.mechanics import barycentric, virtual_manipulator
 from onboard.dynamics.mechanics.block_system import BlockSystem
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.reaction import reaction
-from onboard.offline.mechanics.analysis import arm_of
+from onboard.ground.before.mechanics.analysis import arm_of
 
 LIMIT_US = 50.0
 

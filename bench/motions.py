@@ -26,14 +26,14 @@ from hil_sim.plants.planned import default_plan, planned, room_for_motion
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_model
+from onboard.ground.before.foresee.plan import plan_of
+from onboard.ground.before.planning.bound import TICK_HZ, FreeBound, Outcome
+from onboard.ground.before.planning.criteria import Criterion
+from onboard.ground.before.planning.limits import Limits, LimitsFile
+from onboard.ground.before.planning.planning import PIECE_s, ticks_of
+from onboard.ground.before.planning.search import FINE_HZ, Search, search
+from onboard.ground.before.planning.splines import Splines
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.offline.foresee.plan import plan_of
-from onboard.offline.planning.bound import TICK_HZ, FreeBound, Outcome
-from onboard.offline.planning.criteria import Criterion
-from onboard.offline.planning.limits import Limits, LimitsFile
-from onboard.offline.planning.planning import PIECE_s, ticks_of
-from onboard.offline.planning.search import FINE_HZ, Search, search
-from onboard.offline.planning.splines import Splines
 
 HALF = 1.959964  # of a 95 % interval, in standard deviations
 SWEEP_s = 10.0  # of the dissertation's motions: 10 to 15 s

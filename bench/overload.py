@@ -18,8 +18,8 @@ import time
 from pathlib import Path
 
 from bench.real_flight import cpu_s, flying, processes
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views.info import info
+from onboard.ground.identify.replay.replay import replay
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 
 PERIOD_S = 0.25

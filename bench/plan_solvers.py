@@ -22,10 +22,10 @@ from scipy.optimize import minimize
 from bench.motions import bench_of
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.offline.planning.criteria import Criterion
-from onboard.offline.planning.planning import PIECE_s
-from onboard.offline.planning.search import Problem, Search, descend
-from onboard.offline.planning.splines import Splines
+from onboard.ground.before.planning.criteria import Criterion
+from onboard.ground.before.planning.planning import PIECE_s
+from onboard.ground.before.planning.search import Problem, Search, descend
+from onboard.ground.before.planning.splines import Splines
 
 STEP = 1e-4  # of the way to a joint's limit, as in the search
 PENALTY = 100.0  # times the mean square excess of each limit

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from onboard.flight.store.harvest import harvest
-from onboard.offline.views.info import info
+from onboard.ground.log.views.info import info
 
 TARGETS = {"recorder": "heft-record", "estimator": "heft-estimate", "acquisition": "heft-acquire"}
 KINDS = ("kill", "stop", "clock", "disk", "term", "hup", "removed")

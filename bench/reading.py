@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers import records
-from onboard.offline.export.dump import dump
+from onboard.ground.log.export.dump import dump
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -88,14 +88,14 @@ def dump_stock(path: Path, directory: Path) -> None:
 
 def write_report(path: Path, output: Path) -> None:
     """Make the report."""
-    from onboard.offline.report import report
+    from onboard.ground.report import report
 
     report(path, output)
 
 
 def replay_all(path: Path) -> None:
     """Replay a flight, which must be identical."""
-    from onboard.offline.estimate_again.replay import replay
+    from onboard.ground.identify.replay.replay import replay
 
     assert replay(path).identical
 
@@ -106,7 +106,7 @@ def fly_long(path: Path, minutes: float) -> float:
     from hil_sim.scenario.load import load
     from onboard import config
     from onboard.flight import hil
-    from onboard.offline.tables import truth
+    from onboard.ground.log.tables import truth
 
     table = tomllib.loads(files("hil_sim.scenario").joinpath("packaged", "rocksat.toml").read_text(encoding="utf-8"))
     sequence = table["sequence"]

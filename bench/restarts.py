@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.real_flight import WORKERS, busy, flying, longer, memory_line, processes
-from onboard.offline.views.info import info
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 
 BACK_MS, HOLE_MS = 300.0, 500.0

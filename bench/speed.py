@@ -33,7 +33,7 @@ COMMANDS: Final = {
 }
 LAYERS: Final = (
     ("imports", ("<frozen importlib",)),
-    ("foresight", ("onboard/offline/foresee/", "hil_sim/plants/planned")),
+    ("foresight", ("onboard/ground/before/foresee/", "onboard/offline/foresee/", "hil_sim/plants/planned")),
     ("plant, sensing noise", ("hil_sim/plants/", "hil_sim/sensing/")),
     (
         "emulators, wires, drivers, ring, recorder",

@@ -29,11 +29,11 @@ import numpy as np
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.campaign.instants import WIDER
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.mission.own_mission import true_values
+from onboard.ground.identify.replay.feed import feed
 from onboard.identification.verdict import LEVELS
-from onboard.offline.campaign.instants import WIDER
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.views.own_mission import true_values
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 

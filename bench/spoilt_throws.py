@@ -27,12 +27,12 @@ import numpy as np
 from drivers.records import Rows
 from onboard import config
 from onboard.dynamics.inertia import principal_moments
+from onboard.ground.campaign.instants import WIDER
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.kinds.throws import carrier_of
+from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.identification.verdict import Level
-from onboard.offline.bring_in.importer import import_recordings
-from onboard.offline.campaign.instants import WIDER
-from onboard.offline.estimate_again.identified import Identified
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.throws import carrier_of
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 

@@ -8,16 +8,16 @@
     heft.identify("flight.mcap")     # the onboard estimator, offline
     heft.subscribe("quantity")       # answers of the flight that is running
 
-Re-exports of ``onboard.offline.api``; nothing is defined here.
+Re-exports of ``onboard.ground.api``; nothing is defined here.
 """
 
-from onboard.offline.api.flight_log import FlightLog, LogChannel, open_log
-from onboard.offline.api.identify import identify
-from onboard.offline.api.subscribe import subscribe
-from onboard.offline.api.table import ChannelTable
-from onboard.offline.estimate_again.identify import Identification
-from onboard.offline.estimate_again.reestimate import Reestimate
-from onboard.offline.estimate_again.replay import Replay, replay
+from onboard.ground.api.flight_log import FlightLog, LogChannel, open_log
+from onboard.ground.api.identify import identify
+from onboard.ground.api.subscribe import subscribe
+from onboard.ground.api.table import ChannelTable
+from onboard.ground.identify.identify import Identification
+from onboard.ground.identify.replay.reestimate import Reestimate
+from onboard.ground.identify.replay.replay import Replay, replay
 
 open = open_log  # noqa: A001  # heft.open reads as what it does
 

@@ -1,1 +1,1 @@
-"""Flight computer side of heft: records, vehicle time, measurement rows, estimation, log, and offline tools."""
+"""Flight computer side of heft: records, vehicle time, measurement rows, estimation, log, and tools on the ground."""

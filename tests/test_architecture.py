@@ -122,7 +122,7 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
 LAYERS = {  # each room may import those before it, and itself
     "onboard": (
         *("estimation", "dynamics", "regressor", "identification", "control"),
-        *("section", "npz", "timebase", "devices", "config", "flight", "offline", "cli"),
+        *("section", "npz", "timebase", "devices", "config", "flight", "ground", "cli"),
     ),
     "hil_sim": (
         *("arrays", "scenario", "plants", "sensing", "faults", "devices", "buses"),
@@ -181,9 +181,11 @@ def strangers_use_different_dynamics(path: str, source: str) -> list[str]:
 
 def campaigns_foresee_nothing(path: str, source: str) -> list[str]:
     """The table before a flight is for who waits for it."""
-    if not path.startswith("onboard/offline/campaign/"):
+    if not path.startswith("onboard/ground/campaign/"):
         return []
-    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "onboard.offline.foresee")]
+    return [
+        f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "onboard.ground.before.foresee")
+    ]
 
 
 def only_the_command_line_prints(path: str, source: str) -> list[str]:
@@ -236,12 +238,12 @@ def files_stay_short(path: str, source: str) -> list[str]:
 
 
 def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
-    """``heft`` names what ``onboard.offline`` defines; nobody of ours imports it."""
+    """``heft`` names what ``onboard.ground`` defines; nobody of ours imports it."""
     if not path.startswith("heft/"):
         return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "heft")]
     made = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Lambda
     found = [f"{path}:{n.lineno}: a definition" for n in ast.walk(parsed(path, source)) if isinstance(n, made)]
-    names = [i for i in imports(path, source) if not within(i.name, "onboard.offline")]
+    names = [i for i in imports(path, source) if not within(i.name, "onboard.ground")]
     return found + [f"{path}:{i.line}: {i.name}" for i in names]
 
 
@@ -345,7 +347,7 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (
         rooms_stand_on_those_before_them,
         "onboard/flight/estimate/estimator.py",
-        "def f():\n    from onboard.offline import views",
+        "def f():\n    from onboard.ground import views",
     ),
     (rooms_stand_on_those_before_them, "onboard/devices/qsb.py", "from onboard.config import Vehicle"),
     (rooms_stand_on_those_before_them, "hil_sim/plants/world.py", "from hil_sim.sensing import analog"),
@@ -368,8 +370,8 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (strangers_use_different_dynamics, "hil_sim/plants/servo_flight.py", "import pinocchio as pin"),
     (
         campaigns_foresee_nothing,
-        "onboard/offline/campaign/flights.py",
-        "def f():\n    from onboard.offline.foresee.kept import kept",
+        "onboard/ground/campaign/flights.py",
+        "def f():\n    from onboard.ground.before.foresee.kept import kept",
     ),
     (strangers_use_different_dynamics, "onboard/regressor/rows.py", "from mujoco import MjModel"),
     (only_the_command_line_prints, "onboard/flight/supervise/runner.py", "print('tick')"),
@@ -423,9 +425,13 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (simulator_knows_the_ports_only, "hil_sim/buses/media.py", "from drivers import ports"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "def hil():\n    from hil_sim import serve"),
     (strangers_use_different_dynamics, "hil_sim/plants/servo_flight.py", "import mujoco"),
-    (campaigns_foresee_nothing, "onboard/offline/planning/planning.py", "from onboard.offline.foresee import foresee"),
+    (
+        campaigns_foresee_nothing,
+        "onboard/ground/before/planning/planning.py",
+        "from onboard.ground.before.foresee import foresee",
+    ),
     (only_the_command_line_prints, "onboard/cli/looking.py", "print()"),
-    (only_the_command_line_prints, "onboard/offline/report.py", "console.print()\nprint_table()"),
+    (only_the_command_line_prints, "onboard/ground/report.py", "console.print()\nprint_table()"),
     (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),
     (
         only_transports_and_runners_read_clocks,
@@ -441,7 +447,7 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (
         the_python_interface_only_re_exports,
         "heft/__init__.py",
-        "from onboard.offline.api.table import Table\nt = Table",
+        "from onboard.ground.api.table import Table\nt = Table",
     ),
 ]
 

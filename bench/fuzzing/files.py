@@ -25,11 +25,11 @@ from onboard.config.errors import ConfigError
 from onboard.config.segments import read
 from onboard.dynamics.errors import ModelError
 from onboard.flight.estimate.estimator import Estimator
-from onboard.offline.bring_in.errors import ImportFileError
-from onboard.offline.bring_in.importer import import_recordings
-from onboard.offline.export.dump import dump
-from onboard.offline.tables.flight_tables import FlightTables
-from onboard.offline.views import info, summary
+from onboard.ground.log.bring_in.errors import ImportFileError
+from onboard.ground.log.bring_in.importer import import_recordings
+from onboard.ground.log.export.dump import dump
+from onboard.ground.log.tables.flight_tables import FlightTables
+from onboard.ground.log.views import info, summary
 from onboard.recording.errors import RecordingError
 from onboard.recording.mcap_format import MAGIC, RECORD_HEAD, Chunk, Metadata
 from onboard.recording.reader import LogReader

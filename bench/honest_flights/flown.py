@@ -11,9 +11,9 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
-from onboard.offline.campaign import instants
-from onboard.offline.campaign.results import FlightResult, of_mission
-from onboard.offline.views import mission_table
+from onboard.ground.campaign import instants
+from onboard.ground.campaign.results import FlightResult, of_mission
+from onboard.ground.identify.mission import mission_table
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:

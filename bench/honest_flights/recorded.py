@@ -20,9 +20,9 @@ from hil_sim.plants.free_flyer import Body, JointMotion
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
 from onboard import config
 from onboard.dynamics.inertia import elements
+from onboard.ground.campaign.results import FlightResult, of_log
+from onboard.ground.identify.identify import identify
 from onboard.identification.quantities import BODY
-from onboard.offline.campaign.results import FlightResult, of_log
-from onboard.offline.estimate_again.identify import identify
 from onboard.recording.writer import LogWriter
 
 Floats = NDArray[np.float64]

@@ -29,13 +29,13 @@ from onboard.flight.estimate.cyclic import cyclic_functions
 from onboard.flight.estimate.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import CYCLIC_LEFT
+from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.verdict import Level, standing
-from onboard.offline.campaign.results import Answer, FlightResult
 
 Floats = NDArray[np.float64]
 

@@ -22,11 +22,11 @@ from onboard.dynamics.kinematics import composite_inertia, link_motions, momentu
 from onboard.dynamics.payload import BodyEstimate, standard_covariance, standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.ground.campaign.results import Answer
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.results import Answer
 
 Floats = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
+from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.results import Answer, FlightResult
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
 from onboard.regressor.signals import SignalNoise, Signals

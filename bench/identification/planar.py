@@ -21,10 +21,10 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
+from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.results import Answer, FlightResult
 
 Floats = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.errors import ConvergenceError
+from onboard.ground.campaign.results import FlightResult
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.free_base import free_exiddm
@@ -22,7 +23,6 @@ from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursive import RecursiveExiddm, SOLVED_AT_s
-from onboard.offline.campaign.results import FlightResult
 
 Floats = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from hil_sim.plants.body import Body
 from onboard import config
 from onboard.dynamics.inertia import elements
 from onboard.flight import hil
+from onboard.ground.campaign.results import FlightResult, of_log
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.kinds.identified import Identified
 from onboard.identification.quantities import BODY
-from onboard.offline.campaign.results import FlightResult, of_log
-from onboard.offline.estimate_again.identified import Identified
-from onboard.offline.estimate_again.identify import identify
 
 
 def payload(tool: Body) -> dict[str, Any]:

@@ -24,10 +24,10 @@ from onboard.cli.common import (
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.offline.calibrate.guide import Step
-    from onboard.offline.calibrate.readings import Span
-    from onboard.offline.calibrate.result import Calibration
-    from onboard.offline.calibrate.supports import PartRig
+    from onboard.ground.calibrate.guide import Step
+    from onboard.ground.calibrate.readings import Span
+    from onboard.ground.calibrate.result import Calibration
+    from onboard.ground.calibrate.supports import PartRig
     from onboard.recording.reader import LogReader
 
     Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[Span]], Calibration]
@@ -131,7 +131,7 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 def _calibrate(arguments: argparse.Namespace) -> int:
     from onboard.estimation.errors import CalibrationError
-    from onboard.offline.calibrate import readings, vehicle_file
+    from onboard.ground.calibrate import readings, vehicle_file
     from onboard.recording.reader import LogReader
 
     vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
@@ -155,7 +155,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
 def _part(a: argparse.Namespace, vehicle: "config.Vehicle") -> int | None:
     """A part on edges or scales, whose readings stand in the rig file; None where the rig is of a load cell."""
     from onboard.estimation.errors import CalibrationError
-    from onboard.offline.calibrate import supports
+    from onboard.ground.calibrate import supports
 
     rig = supports.part_rig(a.rig)
     if rig is None:
@@ -195,7 +195,7 @@ def _written(
     """Show what was found, and write it into the vehicle file."""
     import datetime
 
-    from onboard.offline.calibrate import result, vehicle_file
+    from onboard.ground.calibrate import result, vehicle_file
 
     note = f"{datetime.date.fromtimestamp(time.time())}, {source.name}, heft calibrate {arguments.what}"
     tables = dict.fromkeys(one.table for one in found.changes if one.table[0] in ("device", "link"))
@@ -244,7 +244,7 @@ def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: 
     """A log of the devices, step by step, or of a simulated bench."""
     from onboard.flight import bench
     from onboard.flight.estimate.roles import roles_of
-    from onboard.offline.calibrate import steps
+    from onboard.ground.calibrate import steps
 
     if arguments.at:
         raise ValueError("--at says which stretches of a log to use: give --log as well")
@@ -268,7 +268,7 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
     except ModuleNotFoundError as error:
         raise ValueError(f"--hil simulates with MuJoCo ({error}): pip install mujoco") from error
     from onboard.flight import bench
-    from onboard.offline.calibrate import steps
+    from onboard.ground.calibrate import steps
 
     if arguments.latitude_deg is None:
         arguments.latitude_deg = LATITUDE_deg
@@ -306,7 +306,7 @@ def _guided(steps: "list[Step]", vehicle: "config.Vehicle", log: Path) -> None:
 
 
 def _place(arguments: argparse.Namespace) -> Any:
-    from onboard.offline.calibrate.place import place
+    from onboard.ground.calibrate.place import place
 
     return place(arguments.latitude_deg, arguments.height_m)
 
@@ -314,9 +314,9 @@ def _place(arguments: argparse.Namespace) -> Any:
 def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
     import math
 
-    from onboard.offline.calibrate import allan
-    from onboard.offline.calibrate.imu import ImuOptions, calibrate_imu
-    from onboard.offline.calibrate.readings import readings
+    from onboard.ground.calibrate import allan
+    from onboard.ground.calibrate.imu import ImuOptions, calibrate_imu
+    from onboard.ground.calibrate.readings import readings
 
     options = ImuOptions(
         _place(a), 1e-3 * a.fixture_mrad, math.radians(a.turn_deg), 1e-3 * a.turn_sigma_mrad, a.allan is not None
@@ -330,8 +330,8 @@ def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: s
 
 
 def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
-    from onboard.offline.calibrate.load_cell import Masses, calibrate_load_cell
-    from onboard.offline.calibrate.readings import readings
+    from onboard.ground.calibrate.load_cell import Masses, calibrate_load_cell
+    from onboard.ground.calibrate.readings import readings
 
     hung = Masses(
         a.masses_kg, 1e-3 * a.mass_sigma_g, _place(a), a.arm_m, 1e-3 * a.arm_sigma_mm, 1e-2 * a.combined_error_percent
@@ -343,9 +343,9 @@ def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", dev
 def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
     import math
 
-    from onboard.offline.calibrate import steps
-    from onboard.offline.calibrate.encoder import Stops, calibrate_encoder
-    from onboard.offline.calibrate.readings import readings
+    from onboard.ground.calibrate import steps
+    from onboard.ground.calibrate.encoder import Stops, calibrate_encoder
+    from onboard.ground.calibrate.readings import readings
 
     angles = tuple(math.radians(angle) for angle in steps.angles_deg(a, v, device))
     stops = Stops(angles, math.radians(a.angle_sigma_deg))
@@ -354,8 +354,8 @@ def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
 
 def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
     from onboard.estimation.calibration.bifilar import Suspension
-    from onboard.offline.calibrate.bifilar import calibrate_bifilar
-    from onboard.offline.calibrate.readings import readings
+    from onboard.ground.calibrate.bifilar import calibrate_bifilar
+    from onboard.ground.calibrate.readings import readings
 
     missing = [f"--{key}" for key in ("mass-kg", "spacing-m", "length-m") if getattr(a, key.replace("-", "_")) is None]
     if missing:
@@ -369,8 +369,8 @@ def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
 
 def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
     from onboard.flight.estimate.roles import roles_of
-    from onboard.offline.calibrate.balance import calibrate_balance, rig
-    from onboard.offline.calibrate.readings import readings
+    from onboard.ground.calibrate.balance import calibrate_balance, rig
+    from onboard.ground.calibrate.readings import readings
 
     channel, imus = next(iter(v.file.device[device].channels(device))), roles_of(v).imus
     imu = imus[0].channels[0] if imus and imus[0].channels[0] in log.channels else None

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from onboard.cli.common import FAILED, OK, Commands, add_json, complain, console, progress, show, write_json
 
 if TYPE_CHECKING:
-    from onboard.offline.campaign.design import Item
-    from onboard.offline.campaign.results import Done
-    from onboard.offline.campaign.store import Content, Store
+    from onboard.ground.campaign.design import Item
+    from onboard.ground.campaign.results import Done
+    from onboard.ground.campaign.store import Content, Store
 
 _REPORT = Path("report")
 
@@ -57,9 +57,9 @@ def _campaign(arguments: argparse.Namespace) -> int:
         raise ValueError(f"heft campaign {arguments.plan} {arguments.directory}: the campaign's directory is -o DIR")
     if arguments.jobs is not None and not 1 <= arguments.jobs <= 1024:
         raise ValueError(f"--jobs {arguments.jobs}: give 1 to 1024")
-    from onboard.offline.campaign import design, plan_file
-    from onboard.offline.campaign.revision import revision
-    from onboard.offline.campaign.store import Content, Store
+    from onboard.ground.campaign import design, plan_file
+    from onboard.ground.campaign.revision import revision
+    from onboard.ground.campaign.store import Content, Store
 
     plan = plan_file.read(arguments.plan, first_seed=arguments.first, seeds=arguments.seeds)
     if plan.file.flight.call:
@@ -93,7 +93,7 @@ def _check_function(call: str) -> None:
 
 
 def _check_missions(items: Mapping[str, "Item"]) -> None:
-    from onboard.offline.campaign.flights import check
+    from onboard.ground.campaign.flights import check
 
     try:
         check(items.values(), _world)
@@ -103,7 +103,7 @@ def _check_missions(items: Mapping[str, "Item"]) -> None:
 
 def fly(item: "Item", revision: str) -> "Done":
     """What a worker does with an item."""
-    from onboard.offline.campaign.flights import done
+    from onboard.ground.campaign.flights import done
 
     return done(item, revision, _world)
 
@@ -118,10 +118,10 @@ def _world(mission: str, over: Path | None, seed: int, faults: Sequence[str]) ->
 
 def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> int:
     try:
-        from onboard.offline.campaign import engine
+        from onboard.ground.campaign import engine
     except ModuleNotFoundError as error:
         raise ValueError(f"heft campaign runs on Dask ({error}): pip install 'heft-flight[cluster]'") from error
-    from onboard.offline.campaign.view import failures
+    from onboard.ground.campaign.view import failures
 
     items = content.items
     left = {address: item for address, item in items.items() if not store.is_done(address)}
@@ -162,7 +162,7 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
 
 
 def _list(items: Mapping[str, "Item"], store: "Store") -> int:
-    from onboard.offline.campaign.view import listed
+    from onboard.ground.campaign.view import listed
 
     done = [address for address in items if store.is_done(address)]
     show(listed(items, done))
@@ -195,10 +195,10 @@ def _again(address: str, items: Mapping[str, "Item"], code: str) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from onboard.offline.campaign.statistics import by_level, summary
-    from onboard.offline.campaign.store import Store
-    from onboard.offline.campaign.view import failures, summed
-    from onboard.offline.report import campaign
+    from onboard.ground.campaign.statistics import by_level, summary
+    from onboard.ground.campaign.store import Store
+    from onboard.ground.campaign.view import failures, summed
+    from onboard.ground.report import campaign
 
     if arguments.directory is None:
         raise ValueError("heft campaign report DIR: name the directory of the campaign")

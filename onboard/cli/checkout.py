@@ -72,9 +72,9 @@ def _without(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
         from hil_sim.plants.planned import default_plan
     except ModuleNotFoundError as error:
         raise ValueError(f"the motion is the simulator's, which is not installed ({error})") from error
-    from onboard.offline.foresee.contingency import foresee_without
-    from onboard.offline.foresee.plan import plan_of
-    from onboard.offline.views import contingency
+    from onboard.ground.before.foresee import contingency_view as contingency
+    from onboard.ground.before.foresee.contingency import foresee_without
+    from onboard.ground.before.foresee.plan import plan_of
 
     scenario = scenario_of(vehicle.path, arguments.scenario)
     with busy(f"what is left without {', '.join(arguments.without)}"):

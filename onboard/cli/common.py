@@ -252,10 +252,10 @@ def show_foreseen(vehicle: "config.Vehicle", planned: Any, motion: str) -> list[
         planned: the motion, by the simulator.
         motion: whose it is, in words.
     """
-    from onboard.offline.foresee.foresee import foresee
-    from onboard.offline.foresee.kept import kept
-    from onboard.offline.foresee.plan import plan_of
-    from onboard.offline.views import foreseen
+    from onboard.ground.before.foresee import foreseen
+    from onboard.ground.before.foresee.foresee import foresee
+    from onboard.ground.before.foresee.kept import kept
+    from onboard.ground.before.foresee.plan import plan_of
 
     try:
         plan = plan_of(vehicle, planned)

@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from onboard.offline.views.compare import compare, render
+    from onboard.ground.log.views.compare import compare, render
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import logs
 
@@ -25,7 +25,7 @@ def _compare(arguments: argparse.Namespace) -> int:
     show(render(found))
     write_json(arguments.json, found.as_json())
     if arguments.report:
-        from onboard.offline.report import side_by_side
+        from onboard.ground.report import side_by_side
 
         side_by_side.write(found, arguments.report)
         print(arguments.report)

@@ -10,7 +10,7 @@ from onboard.cli.common import FAILED, OK, console, next_log, progress, show, wr
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.offline.control.run import Run
+    from onboard.ground.before.control.run import Run
 
 NAMES = ("learning_pd", "learning_pi", "learning_forgetting", "computed_torque")
 _FEWEST, _MOST = 1, 1000
@@ -34,7 +34,7 @@ def add(hil: argparse.ArgumentParser) -> None:
 
 def fly(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> int:
     """Run the trials that were asked for; the exit status."""
-    from onboard.offline.control import view
+    from onboard.ground.before.control import view
 
     _check(arguments)
     log: Path | None = arguments.log
@@ -101,9 +101,9 @@ def _run(
     from onboard.dynamics.errors import ModelError
     from onboard.flight.estimate.identification import build_model
     from onboard.flight.trials import PERIOD_MS
-    from onboard.offline.control import run
-    from onboard.offline.control.adopted import adopted_urdf
-    from onboard.offline.control.trials_log import TrialsLog
+    from onboard.ground.before.control import run
+    from onboard.ground.before.control.adopted import adopted_urdf
+    from onboard.ground.before.control.trials_log import TrialsLog
 
     adopted = None if arguments.identified is None else adopted_urdf(vehicle, arguments.identified, arguments.seed)
     asked = run.Asked(

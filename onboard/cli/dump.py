@@ -37,10 +37,10 @@ def add(commands: Commands) -> None:
 
 
 def _dump(arguments: argparse.Namespace) -> int:
-    from onboard.offline.export import opener
-    from onboard.offline.export.dump import DumpResult, dump
-    from onboard.offline.tables.flight_tables import FlightTables
-    from onboard.offline.tables.selection import Selection
+    from onboard.ground.log.export import opener
+    from onboard.ground.log.export.dump import DumpResult, dump
+    from onboard.ground.log.tables.flight_tables import FlightTables
+    from onboard.ground.log.tables.selection import Selection
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import flights, logs
 
@@ -69,7 +69,7 @@ def _dump(arguments: argparse.Namespace) -> int:
             if arguments.aligned is None:
                 result = dump(log, where, selection, kind=kind, values=arguments.values, force=force, progress=bar)
             else:
-                from onboard.offline.export.aligned import dump_aligned
+                from onboard.ground.log.export.aligned import dump_aligned
 
                 result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, force=force, progress=bar)
             for path in result.files:
@@ -80,8 +80,8 @@ def _dump(arguments: argparse.Namespace) -> int:
 
 
 def _standard(arguments: argparse.Namespace, target: Path) -> int:
-    from onboard.offline.export.standard import dump_standard
-    from onboard.offline.tables.flight_tables import FlightTables
+    from onboard.ground.log.export.standard import dump_standard
+    from onboard.ground.log.tables.flight_tables import FlightTables
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import flights, logs
 

@@ -73,7 +73,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         if plan.before is not None and vehicle.arm:
             raise ValueError("this start goes on with a flight that lost its power, and does not drive the arm: --new")
     if arguments.earlier:
-        from onboard.offline.estimate_again import warm_start
+        from onboard.ground.identify.replay import warm_start
         from onboard.recording.reader import LogReader
 
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))

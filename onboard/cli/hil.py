@@ -133,8 +133,8 @@ def _told(
     arguments: argparse.Namespace, vehicle: "config.Vehicle", flown: "Flown", expected: list[dict[str, Any]]
 ) -> int:
     """Print the result, then write it, which a full disk may refuse, and give the exit code."""
-    from onboard.offline.tables import truth
-    from onboard.offline.views import mission_table, own_mission
+    from onboard.ground.identify.mission import mission_table, own_mission
+    from onboard.ground.log.tables import truth
     from onboard.recording.space import refusal
 
     result, log, shown = mission_table.result(flown, vehicle) | {"expected": expected}, flown.log, console()

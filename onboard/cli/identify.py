@@ -56,7 +56,7 @@ def add(commands: Commands) -> None:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
-    from onboard.offline.tables.vehicle_file import flown_by
+    from onboard.ground.log.tables.vehicle_file import flown_by
     from onboard.recording.reader import LogReader
 
     if arguments.vehicle:
@@ -73,9 +73,9 @@ def _identify(arguments: argparse.Namespace) -> int:
 def _identify_with(
     vehicle: "config.Vehicle", arguments: argparse.Namespace, logs: "Sequence[Path | LogReader]" = ()
 ) -> int:
-    from onboard.offline.estimate_again import identify, identify_view
-    from onboard.offline.estimate_again import warm_start as carrying
-    from onboard.offline.estimate_again.predict import predict
+    from onboard.ground.identify import identify, identify_view
+    from onboard.ground.identify.predict import predict
+    from onboard.ground.identify.replay import warm_start as carrying
     from onboard.recording.reader import LogReader
 
     if arguments.method:
@@ -99,7 +99,7 @@ def _identify_with(
         show(identify_view.budgets(found))
     write_json(arguments.json, found.as_json())
     if arguments.report:
-        from onboard.offline.report import identified
+        from onboard.ground.report import identified
 
         identified.write(found, arguments.report)
         print(arguments.report)
@@ -112,7 +112,7 @@ def _identify_with(
 
 
 def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
-    from onboard.offline.estimate_again import parameters
+    from onboard.ground.before.mechanics import parameters
 
     if arguments.logs:
         raise ValueError("--parameters depend on the vehicle only; leave the logs out")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from onboard.cli.common import OK, Commands, add_json, busy, load_vehicle, progress, write_json
 
 if TYPE_CHECKING:
-    from onboard.offline.bring_in.guess.propose import Names
+    from onboard.ground.log.bring_in.guess.propose import Names
 
 
 def add(commands: Commands) -> None:
@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from onboard.offline.bring_in.importer import import_recordings
+    from onboard.ground.log.bring_in.importer import import_recordings
 
     if arguments.guess is not None:
         return _guess(arguments)
@@ -55,7 +55,7 @@ def _import(arguments: argparse.Namespace) -> int:
 def _guess(arguments: argparse.Namespace) -> int:
     import os
 
-    from onboard.offline.bring_in.guess.propose import Names, propose
+    from onboard.ground.log.bring_in.guess.propose import Names, propose
 
     if arguments.mapping is not None:
         raise ValueError("--guess FILE makes the mapping: give no other one")
@@ -79,7 +79,7 @@ def _guess(arguments: argparse.Namespace) -> int:
 def _names(vehicle: str) -> "Names":
     from onboard.devices.roles import TorqueKeys
     from onboard.flight.estimate.roles import roles_of
-    from onboard.offline.bring_in.guess.propose import Names
+    from onboard.ground.log.bring_in.guess.propose import Names
 
     roles = roles_of(load_vehicle(vehicle))
     torques = [(cell.channel, cell.keys) for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]

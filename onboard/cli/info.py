@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from onboard.offline.views import info, summary
+    from onboard.ground.log.views import info, summary
     from onboard.recording.reader import LogReader
 
     log = LogReader(arguments.log)
@@ -27,7 +27,7 @@ def _info(arguments: argparse.Namespace) -> int:
     show(info.render(about))
     show(summary.render(said))
     if arguments.clocks:
-        from onboard.offline.report import clock_plot
+        from onboard.ground.report import clock_plot
 
         clock_plot(said.clocks, about.start_ns, about.duration_s, arguments.clocks)
     return about.exit_code

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from onboard.cli.common import OK, Commands, bus_and_url
 
 if TYPE_CHECKING:
-    from onboard.offline.begin.drawing import Drawn
-    from onboard.offline.begin.vehicle import Wanted
+    from onboard.ground.before.init.drawing import Drawn
+    from onboard.ground.before.init.vehicle import Wanted
 
 _QUESTIONS = (
     ("base", "What is the base? free, prescribed, fixed, planar", "free"),
@@ -63,7 +63,7 @@ def add(commands: Commands) -> None:
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from onboard.offline.begin import vehicle
+    from onboard.ground.before.init import vehicle
 
     notes: tuple[str, ...] = ()
     if arguments.packaged:
@@ -85,7 +85,7 @@ def _init(arguments: argparse.Namespace) -> int:
 
 def _body(arguments: argparse.Namespace) -> int:
     """A body without joints."""
-    from onboard.offline.begin import body, drawing
+    from onboard.ground.before.init import body, drawing
 
     if arguments.base != "planar":
         raise ValueError(f"--thrusters move a body on a table: --base planar, not {arguments.base}")
@@ -131,8 +131,8 @@ def _ask(arguments: argparse.Namespace) -> None:
 
 
 def _wanted(arguments: argparse.Namespace) -> "Wanted":
-    from onboard.offline.begin import drawing
-    from onboard.offline.begin.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
+    from onboard.ground.before.init import drawing
+    from onboard.ground.before.init.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
 
     encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
     usual = "recorded" if encoder == "recorded" else "mpu6050"

@@ -10,7 +10,7 @@ from onboard.cli.common import FAILED, OK, Commands, add_json, busy, complain, l
 if TYPE_CHECKING:
     from onboard import config
     from onboard.estimation.arrays import FloatArray
-    from onboard.offline.mechanics.analysis import Mechanics
+    from onboard.ground.before.mechanics.analysis import Mechanics
 
 
 def add(commands: Commands) -> None:
@@ -38,7 +38,7 @@ def _mechanics(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from onboard.dynamics.errors import ModelError
-    from onboard.offline.mechanics import view
+    from onboard.ground.before.mechanics import view
 
     step_m = None if arguments.line is None else np.array(_triple("--line", arguments.line))
     turn_rad = None if arguments.turn is None else np.deg2rad(_triple("--turn", arguments.turn))
@@ -68,7 +68,7 @@ def _analysed(
     vehicle: "config.Vehicle", arguments: argparse.Namespace, step_m: "FloatArray | None", turn_rad: "FloatArray | None"
 ) -> "Mechanics":
     from onboard.dynamics.mechanics import nonholonomic, workspace
-    from onboard.offline.mechanics import analysis
+    from onboard.ground.before.mechanics import analysis
 
     arm = analysis.arm_of(vehicle, arguments.tip)
     joints = {joint.name: joint for joint in arm.vehicle.joints}

@@ -32,8 +32,8 @@ def add(commands: Commands) -> None:
 
 
 def _merge(arguments: argparse.Namespace) -> int:
-    from onboard.offline.rescue.in_turn import in_turn
-    from onboard.offline.rescue.merge import Part, merge
+    from onboard.ground.log.rescue.in_turn import in_turn
+    from onboard.ground.log.rescue.merge import Part, merge
     from onboard.recording.segments import flights, logs
 
     clocks = dict(_clock(text) for text in arguments.align)

@@ -55,10 +55,10 @@ def _plan(arguments: argparse.Namespace) -> int:
         from hil_sim.plants.planned import default_plan, room_for_motion
     except ModuleNotFoundError as error:
         raise ValueError(f"the rehearsal is the simulator's, which is not installed ({error}); install it") from error
-    from onboard.offline.planning import files, limits, view
-    from onboard.offline.planning.criteria import Criterion
-    from onboard.offline.planning.planning import Wanted, plan_motion
-    from onboard.offline.planning.segments import plan_segments
+    from onboard.ground.before.planning import files, limits, view
+    from onboard.ground.before.planning.criteria import Criterion
+    from onboard.ground.before.planning.planning import Wanted, plan_motion
+    from onboard.ground.before.planning.segments import plan_segments
 
     _check(arguments)
     vehicle = load_vehicle(arguments.vehicle)

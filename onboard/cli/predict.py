@@ -32,10 +32,10 @@ def add(commands: Commands) -> None:
 def _predict(arguments: argparse.Namespace) -> int:
     from onboard.dynamics.errors import ModelError
     from onboard.dynamics.mechanics.momentum_form import Method
-    from onboard.offline.base_motion import view
-    from onboard.offline.base_motion.flown import SHORTEST_S
-    from onboard.offline.base_motion.predicted import predict
-    from onboard.offline.tables.vehicle_file import vehicle_of
+    from onboard.ground.identify.base_motion.flown import SHORTEST_S
+    from onboard.ground.identify.base_motion.predicted import predict
+    from onboard.ground.log.tables.vehicle_file import vehicle_of
+    from onboard.ground.report import base_motion as view
     from onboard.recording.reader import LogReader
 
     seconds: float = arguments.seconds

@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
 def _replay(arguments: argparse.Namespace) -> int:
     if arguments.settings is not None:
         return _reestimate(arguments)
-    from onboard.offline.estimate_again.replay import replay
+    from onboard.ground.identify.replay.replay import replay
 
     with progress() as bar:
         result = replay(arguments.log, bar)
@@ -37,7 +37,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _reestimate(arguments: argparse.Namespace) -> int:
-    from onboard.offline.estimate_again.reestimate import reestimate, render
+    from onboard.ground.identify.replay.reestimate import reestimate, render
 
     with progress() as bar:
         found = reestimate(arguments.log, arguments.settings, bar)

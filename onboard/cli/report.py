@@ -16,8 +16,8 @@ def add(commands: Commands) -> None:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from onboard.offline.report import report
-    from onboard.offline.report.gallery import zooms
+    from onboard.ground.drawing.gallery import zooms
+    from onboard.ground.report import report
 
     output = arguments.output or arguments.log.with_suffix(".html")
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None

@@ -33,8 +33,8 @@ def add(commands: Commands) -> None:
 
 
 def _resync(arguments: argparse.Namespace) -> int:
-    from onboard.offline.rescue.merge import Part, merge
-    from onboard.offline.rescue.resync import render, resync
+    from onboard.ground.log.rescue.merge import Part, merge
+    from onboard.ground.log.rescue.resync import render, resync
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import flights
     from onboard.recording.segments import logs as named

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from onboard.cli.common import DAMAGED, OK, Commands, console, warn
 
 if TYPE_CHECKING:
-    from onboard.offline.views.watch import Board
+    from onboard.ground.log.views.watch import Board
     from onboard.ring import RingReader
 
 _FRAME_S = 0.2
@@ -54,7 +54,7 @@ def _screen(board: "Board") -> Iterator[Any]:
 
 
 def _play(path: Path, speed: float) -> int:
-    from onboard.offline.views.watch import Board
+    from onboard.ground.log.views.watch import Board
     from onboard.recording.reader import LogReader
 
     log = LogReader(path)
@@ -79,7 +79,7 @@ def _play(path: Path, speed: float) -> int:
 
 def _live() -> int:
     from onboard.flight.store import manifest
-    from onboard.offline.views.watch import Board
+    from onboard.ground.log.views.watch import Board
 
     flights = manifest.running()
     if not flights:

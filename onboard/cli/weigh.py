@@ -24,9 +24,9 @@ from onboard.cli.common import (
 if TYPE_CHECKING:
     from onboard import config
     from onboard.flight.bench import BenchRun
-    from onboard.offline.weigh.columns import Meaning
-    from onboard.offline.weigh.live import Session
-    from onboard.offline.weigh.weigh import Answer, Known
+    from onboard.ground.calibrate.weigh.columns import Meaning
+    from onboard.ground.calibrate.weigh.live import Session
+    from onboard.ground.calibrate.weigh.weigh import Answer, Known
 
 
 def add(commands: Commands) -> None:
@@ -94,11 +94,11 @@ def _add_live(weigh: Any) -> None:
 
 def _weigh(arguments: argparse.Namespace) -> int:
     from onboard.estimation.errors import CalibrationError
+    from onboard.ground.calibrate.weigh import tare, view
+    from onboard.ground.calibrate.weigh.further import further
+    from onboard.ground.calibrate.weigh.judge import judge, judge_live
+    from onboard.ground.calibrate.weigh.weigh import weigh
     from onboard.identification.verdict import Level
-    from onboard.offline.weigh import tare, view
-    from onboard.offline.weigh.further import further
-    from onboard.offline.weigh.judge import judge, judge_live
-    from onboard.offline.weigh.weigh import weigh
 
     _require_one_source(arguments)
     extra: dict[str, Any] = {}
@@ -159,10 +159,10 @@ def _require_one_source(a: argparse.Namespace) -> None:
 def _by_device(a: argparse.Namespace) -> "tuple[Session, Path]":
     """Weigh live, or in a simulated world; the poses, and the log of all that was read."""
     from onboard.flight import bench
-    from onboard.offline.calibrate import vehicle_file
-    from onboard.offline.weigh.conventions import Said
-    from onboard.offline.weigh.live import Session
-    from onboard.offline.weigh.wrist_sensor import wrist_sensor
+    from onboard.ground.calibrate import vehicle_file
+    from onboard.ground.calibrate.weigh.conventions import Said
+    from onboard.ground.calibrate.weigh.live import Session
+    from onboard.ground.calibrate.weigh.wrist_sensor import wrist_sensor
 
     vehicle = with_urls(load_vehicle(a.device), a.url)
     if a.vehicle is not None and not a.dry_run:
@@ -217,8 +217,8 @@ def _simulated(a: argparse.Namespace, vehicle: "config.Vehicle", session: "Sessi
 def _meaning(a: argparse.Namespace) -> "Meaning":
     import numpy as np
 
-    from onboard.offline.weigh import arm, columns, table
-    from onboard.offline.weigh.errors import PosesError
+    from onboard.ground.calibrate.weigh import arm, columns, table
+    from onboard.ground.calibrate.weigh.errors import PosesError
 
     read = table.read(a.poses)
     if a.columns:
@@ -239,9 +239,9 @@ def _meaning(a: argparse.Namespace) -> "Meaning":
 def _known(a: argparse.Namespace, scale_percent: float | None = None) -> "Known":
     import math
 
-    from onboard.offline.calibrate.place import place
-    from onboard.offline.weigh.conventions import Said
-    from onboard.offline.weigh.weigh import Known
+    from onboard.ground.calibrate.place import place
+    from onboard.ground.calibrate.weigh.conventions import Said
+    from onboard.ground.calibrate.weigh.weigh import Known
 
     try:
         x, y, z = (float(part) for part in a.gravity.split(","))
@@ -260,8 +260,8 @@ def _known(a: argparse.Namespace, scale_percent: float | None = None) -> "Known"
 
 def _tare(a: argparse.Namespace, answer: "Answer", refused: bool) -> dict[str, Any]:
     """Write the zeros, or show what would change; a weighing that is not to be used changes nothing."""
-    from onboard.offline.calibrate import vehicle_file
-    from onboard.offline.weigh import tare
+    from onboard.ground.calibrate import vehicle_file
+    from onboard.ground.calibrate.weigh import tare
 
     vehicle = load_vehicle(a.vehicle)
     found = tare.changes(vehicle, answer)

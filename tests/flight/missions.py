@@ -9,7 +9,7 @@ from hil_sim.mission import open_in_process
 from hil_sim.scenario.load import Scenario
 from onboard import config
 from onboard.flight import hil
-from onboard.offline.views import mission_table as table
+from onboard.ground.identify.mission import mission_table as table
 from onboard.recording.reader import LogReader
 
 _SWEEP = {

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from onboard import cli, config
-from onboard.offline.export import FORMATS
+from onboard.ground.log.export import FORMATS
 from onboard.recording.reader import LogReader
 from tests.flight.missions import SHORT_REAL, inline
 

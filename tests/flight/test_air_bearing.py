@@ -16,10 +16,10 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.urdf import with_bodies
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.kinds.planar_log import _Recorder
+from onboard.ground.identify.replay.feed import feed
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.planar_log import _Recorder
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.regressor.rows import BaseMotion

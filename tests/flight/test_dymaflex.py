@@ -10,9 +10,9 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
+from onboard.ground.identify.mission import mission_table as table
+from onboard.ground.identify.replay.replay import replay
 from onboard.identification.exiddm.captured_body import NAMES
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views import mission_table as table
 from tests.flight.missions import Result, fly, inline
 
 SEED = 2

@@ -15,9 +15,9 @@ from onboard.dynamics.payload import standard_of
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.offline.bring_in.importer import import_recordings
-from onboard.offline.estimate_again.feed import feed
 from onboard.recording.reader import LogReader
 from onboard.regressor.rows import BaseMotion
 from onboard.regressor.signals import Signals

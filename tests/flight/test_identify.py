@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from onboard import config
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.identify_view import render
+from onboard.ground.identify.mission.mission_table import last_answers
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.identify_view import render
-from onboard.offline.views.mission_table import last_answers
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 

@@ -13,10 +13,10 @@ from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm, build_online
 from onboard.flight.estimate.roles import roles_of
+from onboard.ground.identify.mission import mission_table
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.replay import replay
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views import mission_table
 from tests.flight.missions import Result
 
 OVER = '[payload]\nmass_kg = [4.0, 5.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'

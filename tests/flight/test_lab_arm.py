@@ -10,7 +10,7 @@ from bench import arms
 from drivers.records import SCALAR, Batch
 from onboard import cli, config
 from onboard.flight.estimate.estimator import Estimator
-from onboard.offline.estimate_again.feed import feed
+from onboard.ground.identify.replay.feed import feed
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.conftest import SEED

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from onboard import cli
-from onboard.offline.export.aligned import dump_aligned
-from onboard.offline.export.dump import dump
-from onboard.offline.tables.selection import Selection
-from onboard.offline.tables.vehicle_file import attached_vehicle
+from onboard.ground.log.export.aligned import dump_aligned
+from onboard.ground.log.export.dump import dump
+from onboard.ground.log.tables.selection import Selection
+from onboard.ground.log.tables.vehicle_file import attached_vehicle
 from tests.flight.missions import Result
 
 

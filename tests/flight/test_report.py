@@ -17,13 +17,14 @@ from PIL import Image
 from drivers import records
 from onboard import cli, config
 from onboard.flight.estimate.identification import build_identifier
-from onboard.offline.report import report, theme, zoom
-from onboard.offline.report.alone import alone
-from onboard.offline.report.flight_data import SweepData
-from onboard.offline.report.gallery import Gallery
-from onboard.offline.tables import truth
-from onboard.offline.tables.phases import Phase
-from onboard.offline.views.own_mission import with_quantities
+from onboard.ground.drawing import theme, zoom
+from onboard.ground.drawing.gallery import Gallery
+from onboard.ground.identify.mission.own_mission import with_quantities
+from onboard.ground.log.tables import truth
+from onboard.ground.log.tables.phases import Phase
+from onboard.ground.report import report
+from onboard.ground.report.flight.alone import alone
+from onboard.ground.report.flight.flight_data import SweepData
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 
@@ -182,7 +183,7 @@ class TestZoom:
             draw, (figure, _) = Gallery(), theme.subplots()
             assert "<svg" in draw(figure, "a caption")
             assert set(draw.packed()) == {"bokeh", "figures", "roles"}
-            monkeypatch.setattr("onboard.offline.report.gallery.zooms", lambda: False)
+            monkeypatch.setattr("onboard.ground.drawing.gallery.zooms", lambda: False)
             assert draw.packed() == {}
 
 

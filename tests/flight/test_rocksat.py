@@ -14,9 +14,9 @@ from onboard import cli, config
 from onboard.estimation.gates import GateReason
 from onboard.flight.check import host
 from onboard.flight.estimate.estimator import Estimator
-from onboard.offline.estimate_again import replay as replay_module
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views import mission_table as table
+from onboard.ground.identify.mission import mission_table as table
+from onboard.ground.identify.replay import replay as replay_module
+from onboard.ground.identify.replay.replay import replay
 from tests.flight.missions import SHORT, Result, fly
 from tests.hil_sim.built import AS_DRAWN
 

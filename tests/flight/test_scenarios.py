@@ -9,8 +9,8 @@ from drivers.records import EVENT, GAP, Severity
 from hil_sim.scenario.load import names
 from onboard import config
 from onboard.flight import hil, simulated
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views import mission_table as table
+from onboard.ground.identify.mission import mission_table as table
+from onboard.ground.identify.replay.replay import replay
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result, fly, inline
 

@@ -17,14 +17,14 @@ from onboard.flight.estimate import state
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_online
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.replay import replay
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.useful import sizes
 from onboard.identification.verdict import Level, standing
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.replay import replay
 from tests.flight.missions import Result, fly
 
 NAMES = (*FREE_BODY, "move_trim_x", "move_trim_y", "move_trim_z")

@@ -9,10 +9,10 @@ from onboard import config
 from onboard.cli import main
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.identify.mission import mission_table
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.replay import replay
 from onboard.identification.verdict import LEVELS, Level
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.replay import replay
-from onboard.offline.views import mission_table
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result
 from tests.flight.test_pose_tracker import DEVICE

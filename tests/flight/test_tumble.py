@@ -8,9 +8,9 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import config
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.replay.replay import replay
 from onboard.identification.rows.free_body import FREE_BODY
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.estimate_again.replay import replay
 from tests.flight.missions import Result, fly
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from onboard import config
 from onboard.flight.estimate.identification import build_exiddm, build_online
-from onboard.offline.estimate_again.replay import replay
+from onboard.ground.identify.replay.replay import replay
 from tests.flight.missions import Result, fly
 from tests.flight.test_dymaflex import SHORT
 

@@ -21,15 +21,15 @@ from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import ChannelAtTicks
 from onboard.flight.estimate.witness import RateWitness
+from onboard.ground.drawing import theme
+from onboard.ground.drawing.gallery import Gallery
+from onboard.ground.identify.identify import identify
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.report.flight.base_rate import base_rate
+from onboard.ground.report.flight.flight_data import FlightData, gather
+from onboard.ground.report.flight.sections import _base_rate
 from onboard.identification.change import Change
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.feed import feed
-from onboard.offline.estimate_again.identify import identify
-from onboard.offline.report import theme
-from onboard.offline.report.base_rate import base_rate
-from onboard.offline.report.flight_data import FlightData, gather
-from onboard.offline.report.gallery import Gallery
-from onboard.offline.report.sections import _base_rate
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result, fly

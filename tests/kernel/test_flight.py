@@ -23,7 +23,7 @@ from drivers import records
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.hil import Flown
-from onboard.offline.views import mission_table as table
+from onboard.ground.identify.mission import mission_table as table
 from onboard.recording.reader import LogReader
 
 CHECKOUT = Path(__file__).resolve().parents[2]

@@ -73,5 +73,5 @@ def test_modules_of_foresight(mission: str, tmp_path: Path, monkeypatch: pytest.
     )
     said, modules = json.loads(done.stdout.splitlines()[-1])
     assert said >= 10
-    assert "onboard.offline.foresee.foresee" in modules
+    assert "onboard.ground.before.foresee.foresee" in modules
     assert [name for name in _HEAVY if name in modules] == []

@@ -35,7 +35,7 @@ from onboard.config.parabola import Parabola
 from onboard.config.pivot import Balance, Pivot
 from onboard.config.planar import Body, Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
-from onboard.offline.tables.columns import unit_of
+from onboard.ground.log.tables.columns import unit_of
 from onboard.section import LARGEST, Section
 from tests.onboard.device_page import _toml, _type
 

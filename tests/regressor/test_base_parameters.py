@@ -12,7 +12,7 @@ from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.offline.mechanics.counts import counted
+from onboard.ground.before.mechanics.counts import counted
 from onboard.regressor.base_parameters import (
     BaseParameters,
     SampledMotion,

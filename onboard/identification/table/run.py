@@ -2,7 +2,7 @@
 
 The velocity follows from the joints only from the start of the run on, so the run is estimated in one batch afterwards
 (:mod:`onboard.identification.table.air_bearing`); so are runs between release and catch by hand
-(:mod:`onboard.offline.estimate_again.parabolic_log`).
+(:mod:`onboard.ground.identify.kinds.parabolic_log`).
 """
 
 from collections.abc import Sequence

@@ -8,7 +8,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import rate_of_momentum
 from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.offline.base_motion.fit import fit
+from onboard.ground.identify.base_motion.fit import fit
 from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import START, URDF, fly, spline
 

@@ -18,8 +18,8 @@ from onboard import cli, config
 from onboard.flight.health.status import Status
 from onboard.flight.store import directories, manifest
 from onboard.flight.supervise.resume import load, path_of
-from onboard.offline.tables.vehicle_file import vehicle_of
-from onboard.offline.views.info import info
+from onboard.ground.log.tables.vehicle_file import vehicle_of
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
 

@@ -14,7 +14,7 @@ from onboard.flight.estimate.shedding import Shedding
 from onboard.flight.supervise import runner_processes
 from onboard.flight.supervise.runner_forks import ForkServer
 from onboard.flight.supervise.runner_processes import Worker
-from onboard.offline.estimate_again.replay import replay
+from onboard.ground.identify.replay.replay import replay
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader

@@ -17,7 +17,7 @@ from onboard.flight.estimate import estimation
 from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store import rings
-from onboard.offline.estimate_again.replay import replay
+from onboard.ground.identify.replay.replay import replay
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter

@@ -17,7 +17,7 @@ import pytest
 from onboard import cli, config
 from onboard.flight.supervise.runner_forks import ForkServer
 from onboard.flight.supervise.runner_processes import Worker
-from onboard.offline.views.info import info
+from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.recording.segments import segment_path
 from tests.flight import forked

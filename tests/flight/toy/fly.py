@@ -7,7 +7,7 @@ from pathlib import Path
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
-from onboard.offline.views import mission_table
+from onboard.ground.identify.mission import mission_table
 
 scenario, vehicle, log = sys.argv[1:]
 world, urls = open_in_process(scenario, 3)

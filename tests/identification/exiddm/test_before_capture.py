@@ -5,7 +5,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.errors import SignalError
-from onboard.offline.estimate_again.identify_view import _within
+from onboard.ground.identify.identify_view import _within
 from tests.identification.exiddm.captures import LARGE, Case
 
 

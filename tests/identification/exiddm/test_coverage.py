@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from bench.identification.coverage import BOXES, Lies, flight, flown
-from onboard.offline.campaign.results import Outcome
+from onboard.ground.campaign.results import Outcome
 
 FAR = 3.291  # half a 99.9 % interval, sigmas
 

@@ -9,10 +9,10 @@ from onboard import config
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.gates import GateReason, reasons
 from onboard.flight.estimate.identification import build_identifier
+from onboard.ground.before.foresee.plan import Plan, plan_of
+from onboard.ground.before.foresee.rows import StatedNoise
+from onboard.ground.before.init.vehicle import Wanted, make
 from onboard.identification.rows.identifier import Identifier
-from onboard.offline.begin.vehicle import Wanted, make
-from onboard.offline.foresee.plan import Plan, plan_of
-from onboard.offline.foresee.rows import StatedNoise
 
 BIAS_m_s2 = 0.03
 HZ = 50.0

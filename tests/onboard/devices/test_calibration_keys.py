@@ -9,8 +9,8 @@ from onboard.devices import si
 from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import _values
-from onboard.offline.tables.columns import columns
-from onboard.offline.tables.meaning import Meaning
+from onboard.ground.log.tables.columns import columns
+from onboard.ground.log.tables.meaning import Meaning
 
 PATH = config.packaged("dymaflex")
 TEXT = PATH.read_text(encoding="utf-8")

@@ -1,0 +1,59 @@
+"""The bound of a planned motion, by the vehicle's method and base."""
+
+import numpy as np
+
+from onboard import config
+from onboard.ground.before.foresee.free import foresee_free
+from onboard.ground.before.foresee.pivot import foresee_pivot
+from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
+from onboard.ground.before.foresee.planar import foresee_planar
+from onboard.ground.before.foresee.rows import foresee_rows
+from onboard.identification.verdict import LEVELS
+
+_MOST_TICKS = 100_000  # of all motions of the base
+
+
+def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
+    """What a vehicle can determine with a planned motion.
+
+    Args:
+        vehicle: its file.
+        plan: the motion, at the estimator's ticks.
+        coarse: the ticks are fewer than the estimator's, and stand for as many as it has.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        SignalError: a motion with which nothing can be predicted.
+        EstimationError: something that nothing tells.
+    """
+    if vehicle.file.planar is not None:
+        return foresee_planar(vehicle, plan)
+    if vehicle.file.vehicle.base == "pivot":
+        return foresee_pivot(vehicle, plan)
+    if vehicle.file.estimation.method == "exiddm":
+        return foresee_free(vehicle, plan)
+    most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next
+    return _over(foresee_rows(vehicle, plan.by_base()[:most], coarse=coarse))
+
+
+def _over(found: list[Foreseen]) -> Foreseen:
+    """Of several motions of the base that are all as likely: sigmas are rms of theirs, so that errors over them are."""
+    first = found[0]
+    if len(found) == 1:
+        return first
+    quantities, parameters = (
+        tuple(_rms(of) for of in zip(*each, strict=True))
+        for each in ([one.quantities for one in found], [one.parameters for one in found])
+    )
+    return first._replace(quantities=quantities, parameters=parameters)
+
+
+def _rms(of: tuple[Expected, ...]) -> Expected:
+    """One quantity over all motions; weak where most leave it weak."""
+    sigmas = np.array([one.sigma for one in of])
+    told = sigmas[np.isfinite(sigmas)]
+    by_level = sorted(of, key=lambda one: LEVELS.index(one.level))
+    middle = by_level[len(of) // 2]
+    return of[0]._replace(
+        sigma=float(np.sqrt(np.mean(told**2))) if told.size else np.nan, level=middle.level, why=middle.why
+    )

@@ -1,0 +1,127 @@
+"""A load cell by known masses: scale and offset, or the lever of one that measures a moment."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.devices.roles import LoadCellKeys
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.calibration.linear import line
+from onboard.estimation.errors import CalibrationError
+from onboard.ground.calibrate.place import Place
+from onboard.ground.calibrate.readings import Readings, Span, require_within, steps
+from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+
+GAIN = 0.25  # a scale further off is a wrong unit or mass
+
+
+class Masses(NamedTuple):
+    """What was hung on the cell, in this order.
+
+    Attributes:
+        masses_kg: as marked; 0 for none.
+        sigma_kg: of each but none.
+        place: gravity.
+        arm_m: of a moment: from the axis, horizontally, to where they hang; None where they hang on the cell itself.
+        arm_sigma_m: how well.
+        combined_error: of the cell's data sheet, relative: creep and non-linearity, which no fit takes out.
+    """
+
+    masses_kg: tuple[float, ...]
+    sigma_kg: float
+    place: Place
+    arm_m: float | None = None
+    arm_sigma_m: float = 2e-4
+    combined_error: float = 3e-4
+
+
+def calibrate_load_cell(
+    read: Readings, vehicle: config.Vehicle, device: str, hung: Masses, at: Sequence[Span] = ()
+) -> Calibration:
+    """From readings in which the masses hung on the cell one after the other, still for some seconds each.
+
+    Args:
+        read: without their present calibration.
+        vehicle: whose cell it is.
+        device: its name.
+        hung: the masses.
+        at: when they hung still; found where not given.
+
+    Raises:
+        CalibrationError: the run does not tell, or contradicts itself.
+    """
+    section = vehicle.file.device[device]
+    if not isinstance(section, LoadCellKeys):
+        raise CalibrationError(f"{device} is a {section.kind} and no load cell")
+    if hung.arm_m is not None and section.measures != "moment":
+        raise CalibrationError(f"{device} measures a force and has no lever: leave --arm-m out")
+    if min(hung.masses_kg) < 0.0:
+        raise CalibrationError("a mass is negative; give what hangs, 0 for nothing")
+    require_within(read, section.capacity_N, "hang less on it")
+    spans = steps(read, at, len(hung.masses_kg), "masses")
+    means = [read.mean(span) for span in spans]
+    reading = np.array([float(mean[0]) for mean, _ in means])
+    sigma = np.array([float(spread[0]) for _, spread in means])
+    sigma = np.hypot(sigma, hung.combined_error * np.abs(reading - reading[np.abs(reading).argmin()]))
+    masses, g = np.array(hung.masses_kg), hung.place
+    known = masses * g.gravity_m_s2
+    known_sigma = np.where(masses > 0.0, hung.sigma_kg * g.gravity_m_s2, 0.0)
+    lever = hung.arm_m is not None
+    found = line(known, reading, known_sigma, sigma)
+    common = float(
+        np.linalg.norm([found.slope_sigma / found.slope, g.sigma_m_s2 / g.gravity_m_s2, hung.combined_error])
+    )
+    result = Calibration(notes=[_fitted(found.residual, spans, reading, masses)])
+    if len(masses) < 3:
+        result.notes.append("two masses fit any line: a third would show a wrong one")
+    table = ("device", device)
+    if lever:
+        _lever(result, table, section, hung, found.slope, common)
+    else:
+        if abs(found.slope - 1.0) > GAIN:
+            raise CalibrationError(
+                f"it reads {found.slope:.3g} N for a newton; check the masses, kg, the unit, and how the cell is held"
+            )
+        gain_sigma = found.slope * common
+        result.found.append(Found("gain", found.slope, gain_sigma, "N/N", section.gain))
+        result.changes.append(Change(table, "gain", rounded(np.array(found.slope), gain_sigma), f"{gain_sigma:.2g}"))
+        result.changes.append(Change(table, "scale_sigma", two_digits(common)))
+    result.found.append(Found("offset", found.offset, found.offset_sigma, "N", section.offset_N))
+    value = rounded(np.array(found.offset), found.offset_sigma)
+    result.changes.append(Change(table, "offset_N", value, f"{found.offset_sigma:.2g}"))
+    return result
+
+
+def _lever(
+    result: Calibration,
+    table: tuple[str, ...],
+    section: LoadCellKeys,
+    hung: Masses,
+    slope: float,
+    common: float,
+) -> None:
+    """``reading = m g arm / lever``: the lever, its scale in it."""
+    assert hung.arm_m is not None
+    if not slope > 0.0:
+        raise CalibrationError("it reads less for more mass; turn the joint so that they pull the other way")
+    lever = hung.arm_m / slope
+    sigma = lever * float(np.hypot(common, hung.arm_sigma_m / hung.arm_m))
+    if abs(lever / section.lever_m - 1.0) > GAIN:
+        raise CalibrationError(
+            f"a lever of {1e3 * lever:.4g} mm where the file has {1e3 * section.lever_m:.4g} mm; check --arm-m, the "
+            "masses, and lever_m in the file"
+        )
+    result.found.append(Found("lever", lever, sigma, "m", section.lever_m))
+    result.changes += [
+        Change(table, "lever_m", rounded(np.array(lever), sigma), f"{sigma:.2g}"),
+        Change(table, "lever_sigma_m", two_digits(sigma)),
+        Change(table, "scale_sigma", 0.0, "in lever_sigma_m"),
+        Change(table, "gain", 1.0, "in lever_m"),
+    ]
+
+
+def _fitted(residual: float, spans: list[Span], reading: FloatArray, masses: FloatArray) -> str:
+    shown = "; ".join(f"{m:g} kg {r:.4f} N at {span}" for m, r, span in zip(masses, reading, spans, strict=True))
+    return f"{shown}; {1e3 * residual:.2g} mN off the line"

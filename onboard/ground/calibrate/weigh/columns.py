@@ -1,0 +1,313 @@
+"""Which columns are what, by their names: ``fx``, ``Fx [N]``, ``force_x``, ``wrench.force.x``, ``qw``, ``roll_deg``.
+
+A table without names is recognised by its numbers: four columns of length one are a quaternion, nine a rotation matrix,
+and the last six the wrench.
+"""
+
+import re
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.ground.calibrate.weigh.errors import PosesError
+from onboard.ground.calibrate.weigh.table import Table
+
+FORCE_UNITS = {"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216}
+MOMENT_UNITS = {
+    **{"nm": 1.0, "nmm": 1e-3, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "kgfm": 9.80665},
+    **{"kgfcm": 0.0980665, "lbfin": 0.11298483, "lbfft": 1.3558179, "ozfin": 0.0070615518},
+}
+ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
+_UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
+_LENGTH_OF_ONE = 0.05  # of a quaternion: what four digits or a careless average make
+_FULL_TURN = 2.0 * np.pi + 0.1
+
+# Names, without marks between their parts, in the order in which they are looked for
+_WRENCH = (
+    r"(?:.*force|.*f)([xyz])$",
+    (r".*torque([xyz])$", r".*moment([xyz])$", r".*tau([xyz])$", r"(?:.*[^a-z])?m([xyz])$", r"(?:.*[^a-z])?t([xyz])$"),
+)
+_ORIENTATION = (
+    ("quaternion", r"(?:.*quat(?:ernion)?|.*orientation|.*ori|.*rot(?:ation)?|(?:.*[^a-z])?q)([wxyz])$", "wxyz"),
+    ("quaternion?", r"(?:.*quat(?:ernion)?|q)([0-3])$", "0123"),
+    ("matrix", r"(?:.*rot(?:ation)?(?:matrix|mat)?|r|m)([0-3][0-3])$", ""),
+    ("rotvec", r".*(?:rotvec|rotationvector|axisangle|rotvector)([xyz])$", "xyz"),
+    ("xyz", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
+    ("xyz", r"(?:.*)(?:rpy)([xyz])$", "xyz"),
+    ("angles", r"(?:.*euler)([xyz])$", "xyz"),
+    ("angles?", r"(?:.*[^a-z])?r([xyz])$", "xyz"),
+    ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
+    ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
+    ("quaternion", r"^([wxyz])$", "wxyz"),
+)
+_NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
+    (r"(?:.*\.)?(?:wrench|force|ft)", ("fx", "fy", "fz", "mx", "my", "mz")),
+    (r"(?:.*\.)?pose", ("x", "y", "z", "rx", "ry", "rz")),
+    (r"(?:.*\.)?pose", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
+)
+
+
+class Column(NamedTuple):
+    """A name without its unit, and the unit; both without marks, in small letters."""
+
+    name: str
+    unit: str
+
+
+class Meaning(NamedTuple):
+    """What the columns of a table are.
+
+    Attributes:
+        kind: of the orientation: ``quaternion`` (w, x, y, z), ``quaternion?`` (of unknown order), ``quaternion:xyzw``,
+            ``matrix`` (by rows), ``rotvec``, ``angles`` (about x, y, z in an unknown order), ``angles?`` (these or a
+            rotation vector), an order of Euler angles (``xyz``, ``ZYX``: SciPy's letters) or ``joints``.
+        orientation: (n, k); angles are in rad.
+        wrench: (n, 6) N, N m.
+        said: how it was understood, in words.
+        moments_named: whether the unit of the moments was given.
+    """
+
+    kind: str
+    orientation: FloatArray
+    wrench: FloatArray
+    said: tuple[str, ...]
+    moments_named: bool
+
+
+class Units(NamedTuple):
+    """Units that a person gave; empty for none."""
+
+    force: str = ""
+    moment: str = ""
+    angle: str = ""
+
+
+def split_name(text: str) -> Column:
+    """``Fx [N]`` is ``fx`` in ``n``."""
+    text = re.sub(r"(?<=\w)\[(\d)\]", r"_\1", text)  # `wrench[0]` is no unit
+    bracket = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", text)
+    name, unit = (bracket[1], bracket[2]) if bracket else (text, "")
+    if not bracket and (tail := re.fullmatch(r"(.+[^a-zA-Z])([a-zA-Z°]+)", text.strip())):
+        plain = _plain(tail[2])
+        # `force_m`, `q_s`: single letters are units only where they cannot be a part of the name
+        if plain in _UNITS and plain not in ("m", "s") and _plain(tail[1]):
+            name, unit = tail[1], tail[2]
+    return Column(_marked(re.sub(r"(?i)[\s_.-]+(mean|avg|average)$", "", name)), _plain(unit))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^a-z0-9°]", "", text.lower())
+
+
+def _marked(text: str) -> str:
+    """Small letters and digits; a mark between parts that are read apart (``tcp_m_x`` is ``tcp.mx``)."""
+    parts = [part for part in re.split(r"[^a-z0-9]+", text.strip().lower()) if part]
+    if len(parts) > 1 and len(parts[-1]) <= 2:  # the axis
+        parts[-2:] = [parts[-2] + parts[-1]]
+    return ".".join(parts)
+
+
+def understood(table: Table, units: Units, joints: Sequence[str] = (), orientation: str = "") -> Meaning:
+    """Find orientation and wrench.
+
+    Args:
+        table: read.
+        units: that a person gave.
+        joints: of the URDF, where angles of joints are in the table.
+        orientation: what a person said of it: ``xyzw``, ``wxyz``, ``matrix``, ``rotvec`` or an order of Euler angles.
+
+    Raises:
+        PosesError: something is not there, or could be more than one thing.
+    """
+    if not any(table.names):
+        return _unnamed(table, units, joints, orientation)
+    columns = _numbered([split_name(name) for name in table.names])
+    said: list[str] = []
+    force = _vector(table, columns, [_WRENCH[0]], "xyz")
+    moment = _vector(table, columns, list(_WRENCH[1]), "xyz", force or ())
+    if force is None or moment is None:
+        what = "forces (fx, fy, fz)" if force is None else "moments (mx, my, mz or tx, ty, tz)"
+        raise PosesError(
+            f"{table.label}: no columns of {what} among {_shown(table.names)}; give names by --columns NAME,NAME,..."
+        )
+    wrench, named = _scaled(table, columns, force, moment, units, said)
+    if joints:
+        at, kind = _joints(table, columns, joints), "joints"
+    else:
+        kind, at = _orientation(table, columns, {*force, *moment})
+    values = table.values[:, at]
+    if kind not in ("quaternion", "quaternion?", "matrix"):
+        values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
+    said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
+    return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said), named)
+
+
+def _numbered(columns: list[Column]) -> list[Column]:
+    """With ``wrench_0`` to ``wrench_5`` named ``wrench.fx`` to ``wrench.mz``, and so on."""
+    parts = [re.fullmatch(r"(.*?[a-z])\.?(\d)", column.name) for column in columns]
+    stems = dict.fromkeys(part[1] for part in parts if part)
+    for stem, (pattern, axes) in product(stems, _NUMBERED):
+        at = {int(part[2]): k for k, part in enumerate(parts) if part and part[1] == stem}
+        first = min(at)
+        if re.fullmatch(pattern, stem) and sorted(at) == [*range(first, first + len(axes))]:
+            for n, axis in enumerate(axes, first):
+                columns[at[n]] = columns[at[n]]._replace(name=f"{stem}.{axis}")
+    return columns
+
+
+def _said_kind(table: Table, kind: str, said: str) -> str:
+    """What a person said holds, where the columns can be that."""
+    if not said:
+        return kind
+    quaternions = said in ("xyzw", "wxyz")
+    fits = {
+        **{"quaternion": quaternions, "quaternion?": quaternions, "matrix": said == "matrix", "joints": False},
+    }.get(kind, not quaternions and said != "matrix")
+    if not fits:
+        raise PosesError(f"{table.label}: --orientation {said}, but its columns are {kind.rstrip('?')}: leave it out")
+    return kind if kind in ("quaternion", "matrix") else f"quaternion:{said}" if quaternions else said
+
+
+def _vector(
+    table: Table,
+    columns: Sequence[Column],
+    patterns: Sequence[str],
+    axes: str | tuple[str, ...],
+    taken: Sequence[int] = (),
+) -> list[int] | None:
+    """Columns that a pattern finds for every axis.
+
+    Raises:
+        PosesError: more than one for an axis.
+    """
+    for pattern in patterns:
+        found: dict[str, list[int]] = {}
+        for k, column in enumerate(columns):
+            if k not in taken and (match := re.fullmatch(pattern, column.name)):
+                found.setdefault(match[1], []).append(k)
+        if set(found) >= set(axes):
+            if doubled := [k for axis in axes for k in found[axis] if len(found[axis]) > 1]:
+                raise PosesError(
+                    f"{table.label}: {_shown([table.names[k] for k in doubled])} could be the same thing; name the "
+                    "columns by --columns, - for those that are not meant"
+                )
+            return [found[axis][0] for axis in axes]
+    return None
+
+
+def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tuple[str, list[int]]:
+    for kind, pattern, axes in _ORIENTATION:
+        if kind == "matrix":
+            for first in "10":
+                wanted = tuple(f"{int(first) + i}{int(first) + j}" for i in range(3) for j in range(3))
+                if (at := _vector(table, columns, [pattern], wanted, tuple(taken))) is not None:
+                    return kind, at
+        elif (at := _vector(table, columns, [pattern], axes, tuple(taken))) is not None:
+            return kind, at
+    raise PosesError(
+        f"{table.label}: no orientation among {_shown(table.names)}: quaternion (qw, qx, qy, qz), matrix (r11 .. r33), "
+        "rotation vector (rotvec_x ..), Euler angles (roll, pitch, yaw), or joints with --urdf; give names by --columns"
+    )
+
+
+def _joints(table: Table, columns: Sequence[Column], joints: Sequence[str]) -> list[int]:
+    """Columns of joints, by the URDF's names, or numbered: ``q1``, ``joint_1``, ``j1``."""
+    by_name = {_plain(name): k for k, name in enumerate(table.names)} | {
+        column.name.replace(".", ""): k for k, column in enumerate(columns)
+    }
+    for first in (None, 1, 0):
+        names = [_plain(joint) for joint in joints]
+        for word in ("q", "joint", "j", "a", "axis", "angle", "theta", "position", "jointposition", "actualq"):
+            if first is not None:
+                names = [f"{word}{first + n}" for n in range(len(joints))]
+            if all(name in by_name for name in names):
+                return [by_name[name] for name in names]
+    raise PosesError(
+        f"{table.label}: no columns for the joints {_shown(joints)} among {_shown(table.names)}; name them so"
+    )
+
+
+def _scaled(
+    table: Table,
+    columns: Sequence[Column],
+    force: Sequence[int],
+    moment: Sequence[int],
+    units: Units,
+    said: list[str],
+) -> tuple[FloatArray, bool]:
+    """The wrench in N and N m, and whether the unit of its moments is known."""
+    factors = []
+    known = True
+    for at, table_of, given, usual, option in (
+        (force, FORCE_UNITS, units.force, "n", "--force-unit"),
+        (moment, MOMENT_UNITS, units.moment, "nm", "--moment-unit"),
+    ):
+        names = {columns[k].unit for k in at}
+        unit = _plain(given) or (names.pop() if len(names) == 1 else "?")
+        known = bool(unit)
+        if unit == "mn" and option == "--moment-unit":
+            unit = "mnm"
+        if (unit or usual) not in table_of:
+            raise PosesError(
+                f"{table.label}: the unit {given or unit!r} of {_shown([table.names[k] for k in at])} is not known; "
+                f"give {option}, one of {', '.join(table_of)}"
+            )
+        factors.append(table_of[unit or usual])
+    if not known:
+        said.append("no unit is named: forces are taken as N, moments as N m")
+    wrench = np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
+    return wrench, known
+
+
+def _angle(values: FloatArray, names: Sequence[str], given: str, said: list[str]) -> float:
+    """Radians in the unit of the angles."""
+    unit = _plain(given) or next((name for name in names if name in ANGLE_UNITS), "")
+    if unit:
+        if unit not in ANGLE_UNITS:
+            raise PosesError(f"the unit {given!r} of angles is not known: --angle-unit deg or rad")
+        return ANGLE_UNITS[unit]
+    degrees = bool(np.nanmax(np.abs(values)) > _FULL_TURN)
+    said.append(f"angles go to {np.nanmax(np.abs(values)):.3g}: taken as {'degrees' if degrees else 'radians'}")
+    return ANGLE_UNITS["deg"] if degrees else 1.0
+
+
+def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str) -> Meaning:
+    """By the numbers.
+
+    Raises:
+        PosesError: they show no orientation, or not six columns after it.
+    """
+    values = table.values
+    width = values.shape[1]
+    remedy = "give names by --columns, e.g. --columns -,-,-,qx,qy,qz,qw,fx,fy,fz,mx,my,mz"
+    kinds = []
+    for first in range(width - 9):
+        four = np.linalg.norm(values[:, first : first + 4], axis=1)
+        if np.nanmedian(np.abs(four - 1.0)) < 1e-3:
+            kinds.append(("quaternion?", first, 4))
+        if first + 15 <= width:
+            nine = values[:, first : first + 9].reshape(-1, 3, 3)
+            off = np.abs(nine @ nine.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+            if np.nanmedian(off) < 1e-2:
+                kinds.append(("matrix", first, 9))
+    if orientation and orientation not in ("xyzw", "wxyz", "matrix"):  # three angles before the wrench, as is said
+        kinds = [("angles", width - 9, 3)]
+    if joints or len(kinds) != 1 or kinds[0][1] < 0 or width - kinds[0][1] - kinds[0][2] != 6:
+        raise PosesError(f"{table.label} has {width} columns without names: {remedy}")
+    kind, first, count = kinds[0]
+    said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
+    names = [Column("", "")] * width
+    last = range(first + count, width)
+    wrench, named = _scaled(table, names, last[:3], last[3:], units, said)
+    found = values[:, first : first + count]
+    if kind == "angles":
+        found = found * _angle(found, [], units.angle, said)
+    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
+
+
+def _shown(names: Sequence[str]) -> str:
+    some = ", ".join(name[:40] or "(no name)" for name in names[:20])
+    return some + (f" and {len(names) - 20} more" if len(names) > 20 else "")

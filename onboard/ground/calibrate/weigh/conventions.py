@@ -1,0 +1,171 @@
+"""What a table may mean: order of a quaternion, pose or its inverse, axes of the wrench, and its sign.
+
+Where nobody says, every meaning is fitted and the likeliest is taken; where two are as likely and differ in the answer,
+a person has to say.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.ground.calibrate.weigh.columns import Meaning
+from onboard.ground.calibrate.weigh.errors import PosesError
+
+_UNIT = 0.05  # of a quaternion's length or a matrix's elements: rounding, a mean
+_SAME_RAD = np.deg2rad(0.5)  # a robot's dither; the gravity along an axis changes by less than 1 %
+_DWELL = 5  # rows a pose, from which on rows between poses are motion
+_SETTLED = 3  # rows that a pose has at least then
+
+Sense = Literal["sensor-in-base", "base-in-sensor"]
+Axes = Literal["sensor", "base"]
+Sign = Literal["weight", "reaction"]
+
+
+class Said(NamedTuple):
+    """What a person said; None: every possibility is tried."""
+
+    sense: Sense | None = None
+    axes: Axes | None = None
+    sign: Sign | None = None
+
+
+class Convention(NamedTuple):
+    """One meaning of the table."""
+
+    orientation: str
+    sense: Sense
+    axes: Axes
+    sign: Sign
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        pose = "the sensor's in the base" if self.sense == "sensor-in-base" else "the base's in the sensor"
+        force = "the weight on the sensor" if self.sign == "weight" else "what the sensor pushes with (the reaction)"
+        return f"{self.orientation}; orientation is {pose}; wrench in the {self.axes}'s axes, {force}"
+
+
+class Poses(NamedTuple):
+    """Static poses by one convention."""
+
+    convention: Convention
+    R: FloatArray  # (n, 3, 3) sensor's frame in the base
+    wrench: FloatArray  # (n, 6) weight on the sensor, in its axes
+
+
+class Still(NamedTuple):
+    """Rows that belong to poses."""
+
+    groups: tuple[FloatArray, ...]  # rows of each pose, intp
+    moving: int  # rows left out, between poses
+    bad: int  # rows left out: a cell that is no number, a quaternion that is none
+
+
+def rotations(meaning: Meaning) -> Iterator[tuple[str, FloatArray]]:
+    """Rotation matrices (n, 3, 3) by each way to read the orientation, NaN where a row is none; with its name."""
+    values = meaning.orientation
+    match meaning.kind:
+        case "quaternion":
+            yield "quaternion by its names", _of_quaternion(values)
+        case "quaternion?" | "quaternion:xyzw" | "quaternion:wxyz":
+            if not meaning.kind.endswith("xyzw"):
+                yield "quaternion w, x, y, z", _of_quaternion(values)
+            if not meaning.kind.endswith("wxyz"):
+                yield "quaternion x, y, z, w", _of_quaternion(values[:, [3, 0, 1, 2]])
+        case "matrix":
+            matrices = values.reshape(-1, 3, 3)
+            off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+            good = (off < 2.0 * _UNIT) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)
+            yield "rotation matrix", _where(good, lambda rows: Rotation.from_matrix(matrices[rows]))
+        case "rotvec":
+            yield "rotation vector", _of_vector(values)
+        case "angles" | "angles?":
+            if meaning.kind == "angles?":
+                yield "rotation vector", _of_vector(values)
+            for order in ("xyz", "XYZ"):
+                yield f"Euler angles {order}", of_euler(order, values)
+        case order:
+            yield f"Euler angles {order}", of_euler(order, values)
+
+
+def of_euler(order: str, values: FloatArray) -> FloatArray:
+    """Angles about x, y, z (n, 3), or in the order of the letters where an axis comes twice.
+
+    Raises:
+        PosesError: no such order.
+    """
+    letters = order.lower()
+    if len(order) != 3 or set(letters) - set("xyz") or order not in (letters, letters.upper()):
+        raise PosesError(
+            f"{order!r} is no order of Euler angles; write xyz (fixed axes), ZYX (moving axes) and the like"
+        )
+    columns = ["xyz".index(letter) for letter in letters] if len(set(letters)) == 3 else [0, 1, 2]
+    good = np.asarray(np.isfinite(values).all(axis=1))
+    return _where(good, lambda rows: Rotation.from_euler(order, values[rows][:, columns]))
+
+
+def _of_quaternion(values: FloatArray) -> FloatArray:
+    good = np.asarray(np.abs(np.linalg.norm(values, axis=1) - 1.0) < _UNIT)
+    return _where(good, lambda rows: Rotation.from_quat(values[rows], scalar_first=True))
+
+
+def _of_vector(values: FloatArray) -> FloatArray:
+    return _where(np.asarray(np.isfinite(values).all(axis=1)), lambda rows: Rotation.from_rotvec(values[rows]))
+
+
+def _where(good: BoolArray, made: Callable[[BoolArray], Rotation]) -> FloatArray:
+    out = np.full((len(good), 3, 3), np.nan)
+    if good.any():
+        out[good] = made(good).as_matrix()
+    return out
+
+
+def still(R: FloatArray, wrench: FloatArray) -> Still:
+    """Rows grouped by pose: those next to each other with the same orientation.
+
+    Where poses were held for some rows each, single rows between them were taken in motion and are left out.
+    """
+    usable = np.isfinite(R).all(axis=(1, 2)) & np.isfinite(wrench).all(axis=1)
+    rows = np.flatnonzero(usable)
+    groups: list[list[int]] = []
+    for row in rows.tolist():
+        if groups and _angle(R[groups[-1][0]], R[row]) < _SAME_RAD:
+            groups[-1].append(row)
+        else:
+            groups.append([row])
+    moving = 0
+    if groups and np.median([len(one) for one in groups for _ in one]) >= _DWELL:
+        moving = sum(len(one) for one in groups if len(one) < _SETTLED)
+        groups = [one for one in groups if len(one) >= _SETTLED]
+    return Still(tuple(np.array(one) for one in groups), moving, int((~usable).sum()))
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    return float(2.0 * np.arcsin(min(1.0, float(np.linalg.norm(a - b)) / np.sqrt(8.0))))
+
+
+def averaged(R: FloatArray, wrench: FloatArray, groups: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Mean orientation and wrench of each pose."""
+    means = [Rotation.from_matrix(R[rows]).mean().as_matrix() for rows in groups]
+    return np.array(means).reshape(-1, 3, 3), np.array([wrench[rows].mean(axis=0) for rows in groups]).reshape(-1, 6)
+
+
+def meanings(orientation: str, R: FloatArray, wrench: FloatArray, said: Said) -> Iterator[Poses]:
+    """Every meaning that a person did not exclude, the usual one first."""
+    senses: tuple[Sense, ...] = ("sensor-in-base", "base-in-sensor") if said.sense is None else (said.sense,)
+    axes: tuple[Axes, ...] = ("sensor", "base") if said.axes is None else (said.axes,)
+    signs: tuple[Sign, ...] = ("weight", "reaction") if said.sign is None else (said.sign,)
+    for sense in senses:
+        turned = R if sense == "sensor-in-base" else R.transpose(0, 2, 1)
+        for which in axes:
+            parts = wrench.reshape(-1, 2, 3)
+            own = parts if which == "sensor" else parts @ turned  # R' f, by rows
+            for sign in signs:
+                yield Poses(
+                    Convention(orientation, sense, which, sign),
+                    turned,
+                    (own if sign == "weight" else -own).reshape(-1, 6),
+                )

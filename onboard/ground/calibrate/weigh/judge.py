@@ -1,0 +1,138 @@
+"""Level and reasons of a weighing, by the rules of all estimates (:mod:`onboard.identification.verdict`)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.calibration import wrist
+from onboard.ground.calibrate.weigh.weigh import Answer
+from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELIER
+from onboard.identification.quantities import Findings
+from onboard.identification.useful import Size, Useful
+from onboard.identification.verdict import Evidence, Level, Standing, Verdict, standing, verdict
+
+FARTHEST_m = 2.0
+"""Centre of mass beyond which a unit is wrong: no wrist that a person handles holds a tool so; moments of a held tool
+in N mm that are taken for N m are a thousand times too large."""
+_SEATED_rad = np.deg2rad(3.0)  # a sensor on its flange: by bolts and a pin
+_DENSITY_kg_m3 = 500.0  # of a body whose size is not told, as of the fits' first guess
+
+
+class Judged(NamedTuple):
+    """What is said of an answer."""
+
+    verdict: Verdict
+    standings: dict[str, Standing]
+    notes: tuple[str, ...]
+
+
+def judge(answer: Answer) -> Judged:
+    """Level of each quantity and of the whole."""
+    findings = _findings(answer)
+    body = answer.quantities[:4]
+    mass, centre = body[0].mean, np.array([one.mean for one in body[1:]])
+    radius = (0.75 * max(mass, 0.0) / (np.pi * _DENSITY_kg_m3)) ** (1.0 / 3.0)
+    size = float(np.sqrt(centre @ centre + 0.6 * radius**2))  # root mean square distance of a sphere's mass
+    useful = Useful()
+    sizes = {"m": Size(mass, useful.mass, "it")} | {
+        one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
+    }
+    standings = {one.name: standing(one, findings, sizes.get(one.name)) for one in body}
+    corrections = {f"the scale of {one.name}": one.scale for one in answer.axes}
+    own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}  # findings stand in the verdict
+    evidence = Evidence(
+        answer.count["poses"] - len(answer.outliers),
+        {},  # outliers weaken an answer: of some dozen poses one or two are soon a twentieth
+        {one.name: one.supported for one in body},
+        answer.held_out,
+        findings=findings,
+        standings=own,
+        corrections=corrections,
+        unchecked="too few poses to predict one half from the other: twelve or more",
+    )
+    return Judged(verdict(evidence), standings, tuple(_notes(answer)))
+
+
+def judge_live(answer: Answer, frame: str) -> Judged:
+    """The same of a sensor that a vehicle file describes: its sign and its mounting are held against the file."""
+    judged = judge(answer)
+    said, notes = [], list(judged.notes)
+    if answer.poses.convention.sign == "weight":
+        said.append(
+            f"the cells of {frame} read the weight, and a vehicle file's cells read what holds it: turn the sign of "
+            "each `axis`"
+        )
+    turned = [one for one in answer.quantities if one.name.startswith("installation")]
+    off = [one for one in turned if one.supported and not -_SEATED_rad < one.mean < _SEATED_rad]
+    if off:
+        told = ", ".join(f"{np.rad2deg(one.mean):.1f} deg about its {one.name[-1]}" for one in off)
+        notes.append(
+            f"the sensor sits turned against {frame} as it is drawn, by {told}: correct the URDF or each `axis`"
+        )
+    if said:
+        level, reasons = Level.DO_NOT_USE, (*said, *judged.verdict.reasons)
+        judged = judged._replace(verdict=judged.verdict._replace(level=level, reasons=reasons))
+    return judged._replace(notes=tuple(notes))
+
+
+def _findings(answer: Answer) -> Findings:
+    against, doubts = [], []
+    for axis in answer.axes:
+        if axis.frozen:
+            against.append(f"{axis.name} reads the same in poses that differ: it is stuck, or another column is meant")
+    if answer.wrong is not None and not against:
+        against.append(f"{answer.wrong.what}: so the readings agree, by {answer.wrong.nats:.0f} nats")
+    mass, *centre = answer.quantities[:4]
+    far = float(np.linalg.norm([one.mean for one in centre]))
+    if mass.supported and far > FARTHEST_m:
+        against.append(
+            f"the centre of mass would be {far:.3g} m from the sensor: its moments are in another unit than N m "
+            "(--moment-unit Nmm, mNm ...)"
+        )
+    if answer.outliers:
+        doubts.append(f"{len(answer.outliers)} of {answer.count['poses']} poses contradict the others: left out")
+    spread = float(answer.weighing.weights[wrist.SPREADS > FARTHEST_SIZE].sum())
+    if mass.supported and spread > LIKELIER:
+        doubts.append(
+            f"the axes contradict each other: {fitted(answer)}, where scales are stated to "
+            f"{100.0 * answer.known.scale:.2g} %; hang a known mass on it, or calibrate the sensor"
+        )
+    plain, _ = answer.plain
+    if mass.supported and not mass.low <= plain <= mass.high:
+        k = int(np.abs([one.moved / one.noise for one in answer.axes[:3]]).argmax())
+        axis = answer.axes[k]
+        weight = abs(mass.mean) * answer.known.place.gravity_m_s2
+        moved = float(np.ptp(answer.zeros[:, k]))
+        said = f"{alone(answer)}: the axes contradict each other while their zeros are taken for constant"
+        if moved > 0.0:
+            said += f"; the zero of {axis.name} moved by {moved:.2g} N ({moved / weight:.0%} of the weight)"
+        doubts.append(f"{said}; plain least squares would say {plain:.4g} kg")
+    return Findings(tuple(against), tuple(doubts))
+
+
+def alone(answer: Answer) -> str:
+    """``x, y, z alone give 1.189, 1.165, 1.254 kg``."""
+    return f"x, y, z alone give {', '.join(f'{one.alone_kg:.4g}' for one in answer.axes[:3])} kg"
+
+
+def fitted(answer: Answer) -> str:
+    """``by axis, zeros fitted, x, y, z say 1.168, 1.164, 1.19 kg``."""
+    return f"by axis, zeros fitted, x, y, z say {', '.join(f'{one.mass_kg:.4g}' for one in answer.axes[:3])} kg"
+
+
+def _notes(answer: Answer) -> list[str]:
+    count = answer.count
+    said = [f"{count['poses']} poses of {count['rows']} rows: {answer.poses.convention.text}"]
+    if len(answer.others) > 1:
+        second = max((one for one in answer.others if one[0] != answer.poses.convention), key=lambda one: one[1])
+        said.append(f"the next likeliest of {len(answer.others)} meanings is worse by {-second[1]:.0f} nats")
+    for kind, why in (("bad", "a cell that is no number, or no orientation"), ("moving", "taken between poses")):
+        if count[kind]:
+            said.append(f"{count[kind]} rows left out: {why}")
+    if answer.outliers:
+        said.append(f"left out as outliers: rows {', '.join(str(row + 1) for row in answer.outliers[:10])}")
+    if answer.quantities[0].supported:
+        said.append(fitted(answer))
+    if answer.quantities[0].leans:
+        said.append(f"the mass {answer.quantities[0].leans}: what the scales of all axes share, no pose shows")
+    return said

@@ -1,0 +1,147 @@
+"""Tables of numbers as people write them: CSV, semicolons, tabs or blanks; with or without names; several side by side.
+
+A cell that is no number is NaN and spoils its row only; a row of another length is NaN throughout. Both are counted by
+who uses them.
+"""
+
+import codecs
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.ground.calibrate.weigh.errors import PosesError
+
+LARGEST_BYTES = 64 << 20  # of text; static poses are some hundred rows, a whole recording at 100 Hz some hours
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+
+
+class Table(NamedTuple):
+    """Columns side by side.
+
+    Attributes:
+        names: of the columns; empty where a file has none.
+        values: (n, columns).
+        lines: (n,) line of each row in the first file, from 1.
+        label: the files, for messages.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    lines: tuple[int, ...]
+    label: str
+
+
+def read(paths: Sequence[Path]) -> Table:
+    """Read files whose rows belong together.
+
+    Raises:
+        PosesError: a file without rows, or files of different length.
+        OSError: a file cannot be read.
+    """
+    tables = [_one(path) for path in paths]
+    label = " + ".join(path.name for path in paths)
+    if len({len(one.values) for one in tables}) > 1:
+        counts = ", ".join(f"{len(one.values)} in {one.label}" for one in tables)
+        raise PosesError(f"rows of different number ({counts}): give files with a row for each pose, in the same order")
+    names = tuple(name for one in tables for name in one.names)
+    return Table(names, np.hstack([one.values for one in tables]), tables[0].lines, label)
+
+
+def named(text: str, width: int) -> tuple[str, ...]:
+    """Names of the columns as a person gives them: each in turn, or ``qx=4,qy=5``, by their numbers from 1.
+
+    Raises:
+        PosesError: another number of names than columns, or no such column.
+    """
+    given = [one.strip() for one in text.split(",")]
+    if not any("=" in one for one in given):
+        if len(given) != width:
+            raise PosesError(f"--columns has {len(given)} names, the table {width} columns: name each, or NAME=NUMBER")
+        return tuple(given)
+    names = ["-"] * width
+    for one in given:
+        name, _, number = one.partition("=")
+        if not number.strip().isdecimal() or not 1 <= int(number) <= width:
+            raise PosesError(f"--columns {one}: write NAME=NUMBER, the number from 1 to {width}")
+        names[int(number) - 1] = name.strip()
+    return tuple(names)
+
+
+def _one(path: Path) -> Table:
+    if path.stat().st_size > LARGEST_BYTES:
+        raise PosesError(f"{path} has more than {LARGEST_BYTES >> 20} MB: average the readings of each pose first")
+    raw = path.read_bytes()
+    if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise PosesError(f"{path} is no text; give a table of numbers, CSV for instance")
+    text = _text(path, raw)
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
+    comments = [(number, line.lstrip("#% ")) for number, line in lines if line[0] in "#%"]
+    lines = [one for one in lines if one[1][0] not in "#%"]
+    if not lines:
+        raise PosesError(f"{path} has no rows")
+    between = _delimiter([line for _, line in lines[:20]])
+    rows = [(number, _cells(line, between)) for number, line in lines]
+    names: Sequence[str] = ()
+    if not any(_is_number(cell) for cell in rows[0][1]):
+        names = [cell.strip().strip("\"'") for cell in rows[0][1]]
+        rows = rows[1:]
+    elif comments and len(_cells(comments[-1][1], between)) == len(rows[0][1]):
+        names = [cell.strip() for cell in _cells(comments[-1][1], between)]
+    if not rows:
+        raise PosesError(f"{path} has no rows below the names of its columns")
+    width = len(names) or int(np.median([len(row) for _, row in rows]))
+    while names and not names[-1]:  # a delimiter at the end of each line
+        names, width = names[:-1], width - 1
+    values = np.full((len(rows), width), np.nan)
+    for k, (_, row) in enumerate(rows):
+        cells = row[:-1] if len(row) == width + 1 and not row[-1].strip() else row
+        if len(cells) == width:
+            values[k] = [_number(cell) for cell in cells]
+    return Table(tuple(names) or ("",) * width, values, tuple(number for number, _ in rows), path.name)
+
+
+def _text(path: Path, raw: bytes) -> str:
+    """UTF-8 or, by its mark, UTF-16; else Latin-1, whose letters stand in names alone."""
+    try:
+        return raw.decode("utf-16" if raw[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        text = raw.decode("latin-1")
+        if any(ord(mark) < 32 and mark not in "\t\n\v\f\r\x1a" for mark in text):
+            raise PosesError(
+                f"{path} is no text ({error.reason}); give a table of numbers, CSV for instance"
+            ) from error
+        return text
+
+
+def _delimiter(lines: Sequence[str]) -> str | None:
+    """None: blanks. A comma is a decimal one where there are semicolons, or tabs or blanks and no points."""
+    body = lines[-1]
+    for mark in (";", "\t"):
+        if mark in body:
+            return mark
+    if "," not in body:
+        return None
+    words = body.split()
+    decimal = len(words) > 3 and all(re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", word) for word in words)
+    return None if decimal else ","
+
+
+def _cells(line: str, between: str | None) -> list[str]:
+    return line.split() if between is None else line.split(between)
+
+
+def _number(cell: str) -> float:
+    text = _DECIMAL_COMMA.sub(".", cell.strip().strip("\"'"))
+    try:
+        value = float(text)
+    except ValueError:
+        return np.nan
+    return value if np.isfinite(value) else np.nan
+
+
+def _is_number(cell: str) -> bool:
+    return bool(np.isfinite(_number(cell))) or cell.strip().lower() in ("nan", "inf", "-inf")

@@ -1,0 +1,1 @@
+"""How pages look: theme of the figures, HTML fragments, figures that zoom."""

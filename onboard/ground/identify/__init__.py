@@ -1,0 +1,1 @@
+"""Recorded flights through the onboard estimator or a batch fit (``heft replay``, ``heft identify``)."""

@@ -1,0 +1,127 @@
+"""Joints and base rate of a log's longest run with one payload or none; the flight's estimator makes the ticks."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.vehicle import BaseKind, VehicleModel
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.gates import ReasonArray
+from onboard.flight.estimate.answers import change_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import METHODS, build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.identify.kinds.likelihood_log import EXIDDM, runs_of
+from onboard.ground.identify.replay.feed import feed
+from onboard.ground.log.tables.source import Interleaved
+from onboard.identification.change import Change
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.table.run import TableRun
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+from onboard.regressor.signals import Signals
+
+SHORTEST_S = 0.25  # a throw by hand
+_STEP_s = 1.0  # in which the log is read
+_EVENTS = "event" + SUFFIX
+
+
+class Flown(NamedTuple):
+    """A run of ticks without a gap."""
+
+    model: VehicleModel
+    period_s: float
+    time_s: FloatArray  # (n,) since the log's start
+    q: FloatArray  # (n, joints)
+    dq: FloatArray
+    rate: FloatArray  # (n, 3) of the base, its axes, rad/s
+    held: bool  # whether a payload is
+
+
+class _Recorder(TableRun):
+    """Keeps ticks; rates of the base in its own axes."""
+
+    def __init__(self, model: VehicleModel, R_BS: FloatArray, *, means: bool) -> None:
+        super().__init__(model.spec.payload_link or "payload")
+        self._R_BS, self._means = R_BS, means  # whether what is measured is the IMU, and not the wrench
+        self.ticks = [Ticks.none(len(model.joints))]
+        self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        found = super().update(signals, attached, excluded)
+        rate = signals.measured[:, :3] @ self._R_BS.T if self._means else signals.motion.rate_rad_s
+        rate = np.where(
+            np.asarray(excluded)[:, None] == 0, rate, np.nan
+        )  # of what is no free flight nothing is predicted
+        self.ticks.append(ticks_of(signals, np.concatenate([rate, np.zeros_like(rate)], axis=1)))
+        self.attached.append(attached)
+        return found
+
+
+def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
+    """The last ``longest_s`` of the longest run with one payload; of one with none where no payload was ever held.
+
+    Raises:
+        ChannelError: a log of another vehicle, or no run long enough.
+        ConfigError: a vehicle whose base does not float, or without an IMU or joints.
+    """
+    model, roles = build_model(vehicle), roles_of(vehicle)
+    if model.spec.base not in (BaseKind.FREE, BaseKind.PLANAR):
+        raise config.ConfigError(
+            f'{vehicle.label}: base = "{model.spec.base}"; only of a floating base is a motion predicted'
+        )
+    if not roles.imus or not model.joints:
+        raise config.ConfigError(f"{vehicle.label}: an IMU and a joint are needed to predict and compare a motion")
+    settings = vehicle.file.estimation
+    recorder = _Recorder(model, model.pose_in_base(roles.imu.frame)[0], means=METHODS[settings.method].tick_means)
+    estimator = Estimator(vehicle, recorder)
+    for _ in feed(estimator, log, _STEP_s):
+        pass
+    ticks, attached = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
+    known = np.isfinite(ticks.measured[:, :3]).all(axis=1)
+    ticks.q[~known] = np.nan  # a run ends where the gyro has a gap
+    period_s = 1.0 / settings.row_rate_hz
+    if settings.method == EXIDDM and model.spec.base is BaseKind.FREE:
+        changes, held = _told(log), settings.exiddm.held_at_start or settings.carried is not None
+    else:
+        changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])
+    runs = runs_of(ticks, changes, held, period_s)
+    best = max(runs, key=lambda run: (run.payload > 0, run.ticks.stop - run.ticks.start), default=None)
+    if best is None or (best.ticks.stop - best.ticks.start) * period_s < SHORTEST_S:
+        raise ChannelError(
+            f"{log.path}: no {SHORTEST_S:g} s without a gap in joints and gyro while the payload stays the same; "
+            "heft info says what is missing"
+        )
+    part = ticks.part(slice(max(best.ticks.start, best.ticks.stop - round(longest_s / period_s)), best.ticks.stop))
+    payload_held = best.payload > 0 and model.spec.payload_link is not None
+    time_s = part.time_s - 1e-9 * (Interleaved(log, estimator.inputs).start_ns or 0)
+    return Flown(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
+
+
+def _told(log: LogReader) -> list[Change]:
+    """Changes of the payload that the onboard estimator reported."""
+    found = (
+        [] if _EVENTS not in log.channels else [change_of(row) for _, rows in log.batches([_EVENTS]) for row in rows]
+    )
+    return sorted((change for change in found if change is not None), key=lambda change: change.time_s)
+
+
+def _edges(time_s: FloatArray, attached: BoolArray) -> list[Change]:
+    """Changes of the payload by the mission's phases."""
+    at = np.flatnonzero(np.diff(attached)) + 1
+    return [
+        Change("capture" if attached[k] else "ejection", float(time_s[k - 1]), float(time_s[k]), np.nan) for k in at
+    ]
+
+
+def payload_in(log: LogReader) -> FloatArray | None:
+    """Standard parameters of the payload by the last onboard estimate, (10,); None where the log has none."""
+    found: FloatArray | None = None
+    if "estimate" in log.channels:
+        for _, rows in log.batches(["estimate"]):
+            if rows["mean"].shape[1:] == (10,):
+                known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
+                found = np.array(rows["mean"][known][-1], np.float64) if known.any() else found
+    return found

@@ -1,0 +1,291 @@
+"""``heft identify``: runs the onboard estimator on recorded flights and reports its final estimates.
+
+For any vehicle these are the last quantities with their intervals, as in the onboard QUANTITY channel. For a free body
+(``[free_body]`` in the vehicle file) the load is computed from them, with a summary of loads of known truth.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.records import Rows
+from onboard import config
+from onboard.config.checks import check
+from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.vehicle import STANDARD
+from onboard.estimation.smoothing import CUTS_OFF
+from onboard.flight.estimate.answers import useful_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.identify.kinds import throws
+from onboard.ground.identify.kinds.body_log import identify_body
+from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
+from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.likelihood_log import EXIDDM
+from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
+from onboard.ground.identify.kinds.pivot_log import identify_pivot
+from onboard.ground.identify.kinds.planar_log import identify_planar
+from onboard.ground.identify.kinds.residuals import keep_rows
+from onboard.ground.identify.kinds.throws import Calibration, LoadSummary, Throw
+from onboard.ground.identify.replay.as_recorded import as_recorded
+from onboard.ground.identify.replay.feed import check_channels, check_times, feed
+from onboard.identification.essential import essential
+from onboard.identification.observability import observed_directions
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
+from onboard.identification.rows.budget import budget
+from onboard.identification.rows.held_out import held_out
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.prediction import HeldOutFit
+from onboard.identification.rows.standard import identified_links, without_rotors
+from onboard.identification.useful import Useful, sizes
+from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
+from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
+
+_PRINCIPAL = ("I_1", "I_2", "I_3")  # moments of a thrown load
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Results of all logs and their summary."""
+
+    vehicle: config.Vehicle
+    logs: tuple[Identified, ...]
+    calibration: Calibration | None
+    together: Mapping[str, Throw] = field(default_factory=dict)  # by load: all its throws in one estimate
+    predicted: tuple[tuple[Path, HeldOutFit], ...] = ()  # other logs, from the first of these
+    recorded: tuple[str, ...] = ()  # what the recording says of itself, other than the vehicle file
+
+    @property
+    def supported(self) -> bool:
+        """Whether every log gives an estimate."""
+        return all(log.supported for log in self.logs)
+
+    @property
+    def usable(self) -> bool:
+        """Whether every log gives a usable estimate."""
+        return all(log.usable for log in self.logs)
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """Damaged parts, with their log."""
+        return tuple(f"{log.log}: {one}" for log in self.logs for one in log.damage)
+
+    @property
+    def summaries(self) -> list[LoadSummary]:
+        """Summary by load, for loads with known truth."""
+        return throws.summaries([log.throw for log in self.logs if log.throw is not None], self.together)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "vehicle": self.vehicle.file.vehicle.name,
+            "logs": [log.as_json() for log in self.logs],
+            "loads": [summary.as_json() for summary in self.summaries],
+            "recorded": list(self.recorded),
+            "calibration": self.calibration.as_json() if self.calibration else None,
+            **({"predicted": {str(log): one._asdict() for log, one in self.predicted}} if self.predicted else {}),
+        }
+
+
+def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
+    """The same vehicle with another estimator.
+
+    Raises:
+        ConfigError: its file lacks settings for it.
+    """
+    settings = vehicle.file.estimation.model_copy(update={"method": method})
+    other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    check(other)
+    if method != EXIDDM and not (settings.base_rows or roles_of(other).cells):
+        raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")
+    return other
+
+
+def identify(
+    vehicle: config.Vehicle, logs: Sequence[Path | LogReader], progress: Callable[[int], None] | None = None
+) -> Identification:
+    """Identify every log separately, and calibration throws also together by role.
+
+    Args:
+        vehicle: the vehicle flown.
+        logs: its logs; one that was read through is not read through again.
+        progress: called with the number of logs done.
+
+    Raises:
+        LogFormatError: a file is not a log.
+        ChannelError: a log of another vehicle.
+        LoadError: a log of a free body that matches no load or several.
+        ConfigError: the vehicle file does not fit its URDF.
+    """
+    readers = [log if isinstance(log, LogReader) else LogReader(log) for log in logs]
+    vehicle, said = as_recorded(vehicle, readers[0])
+    for reader in readers:
+        check_channels(vehicle, reader)
+        check_times(vehicle, reader)
+    loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
+    pools, found = dict[str, Identifier](), []
+    by_rows = vehicle.file.estimation.method != EXIDDM
+    by_likelihood = likelihood_of(vehicle)
+    for reader, load in zip(readers, loads, strict=True):
+        found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
+        if load is not None:
+            again = Estimator(vehicle, pools.get(load.name), at_the_end=True)
+            pools[load.name] = again.identifier
+            for _ in feed(again, reader):
+                pass
+        if progress:
+            progress(len(found))
+    loaded = {load.name: load for load in loads if load is not None}
+    calibration = throws.calibrate(vehicle, {loaded[name].role: pool for name, pool in pools.items()})
+    together = {name: throws.throw(vehicle, load, pools[name]) for name, load in loaded.items()}
+    return Identification(vehicle, tuple(found), calibration, together, recorded=said)
+
+
+def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReader], Identified]:
+    """What estimates a log of a vehicle by maximum likelihood."""
+    if vehicle.file.parabola is not None:
+        return identify_parabolas
+    if vehicle.file.vehicle.base == "pivot":
+        return identify_pivot
+    if vehicle.file.body is not None:
+        return identify_body
+    return identify_exiddm if vehicle.file.planar is None else identify_planar
+
+
+def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
+    estimator = Estimator(vehicle, at_the_end=True)
+    who = estimator.identifier
+    kept = keep_rows(who)
+    method = vehicle.file.estimation.method
+    last = None
+    for channel, rows in feed(estimator, log):
+        if channel == "quantity":
+            last = rows
+    refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
+    if last is None:
+        nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
+        none = throws.throw(vehicle, load, who) if load else None
+        return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
+    held = held_out(who.seen, who)
+    estimate = who.estimate()
+    answers = _answers(last, who)
+    thrown = throws.throw(vehicle, load, who) if load else None
+    names = _asked_names(vehicle, who)
+    if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
+        told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
+    else:
+        told = dict(zip(estimate.names, estimate.supported.tolist(), strict=True))
+        told |= {quantity.name: quantity.supported for quantity in estimate.quantities}
+    links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
+    asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
+    if thrown is not None and thrown.principal is not None:
+        away[f"the load {thrown.load.name}"] = thrown.principal.away
+    failure = _no_payload(who, estimate)
+    evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
+    useful = useful_of(vehicle)
+    findings = who.findings()
+    if load is not None:
+        unlike = throws.unlike_the_carrier(vehicle, load, estimate)
+        findings = findings._replace(doubts=(*findings.doubts, *unlike))
+    evidence = evidence._replace(findings=findings, standings=_standings(estimate, thrown, useful))
+    if thrown is not None and thrown.principal is not None:
+        evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
+    return Identified(
+        log.path,
+        method,
+        answers,
+        who.rows_used,
+        refused,
+        log.damage,
+        verdict(evidence),
+        thrown,
+        held,
+        observability=observed_directions(who.taken.rls.observability(), who.base.names),
+        essential=_essential(who, estimate),
+        budget={} if thrown is not None else budget(who),
+        left_over=kept.left_over(who.block_jackknife().mean) if roles_of(vehicle).cells else {},
+        band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
+        links=links,
+        standings=standings(answers, useful),
+        residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
+    )
+
+
+def _standings(estimate: Estimate, thrown: throws.Throw | None, useful: Useful) -> dict[str, Standing]:
+    """What each determined answer is good for, the principal moments of a throw's load among them."""
+    answers = [one for one in estimate.quantities if one.supported]
+    if thrown is not None and thrown.principal is not None:
+        rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
+        for name, value, sigma, low, high in rows:
+            answers.append(QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, ""))
+    size = sizes(answers, useful)
+    return {one.name: standing(one, Findings(), size.get(one.name)) for one in answers}
+
+
+def _no_payload(who: Identifier, estimate: Estimate) -> str:
+    """Reason why rows that could determine a payload do not; empty if they do."""
+    payload = estimate.quantities[len(who.quantities) :]
+    return "" if any(one.supported for one in payload) or not payload else payload[0].note
+
+
+def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
+    """Determined base parameters that differ significantly from zero (Pham and Gautier 1991)."""
+    told = np.flatnonzero(estimate.supported)
+    if not told.size:
+        return ()
+    jackknife = who.block_jackknife()
+    kept = essential(jackknife.mean[told], jackknife.covariance[np.ix_(told, told)]).kept
+    return tuple(estimate.names[k] for k in told[kept])
+
+
+def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
+    """Requested names: the quantities; without any, the payload's base parameters, or else all."""
+    if who.quantity_names:
+        return list(who.quantity_names)
+    names = [name for name in who.base.names if name not in vehicle.file.estimation.nuisance]
+    payload = who.model.vehicle.spec.payload_link
+    own = [name for name in names if payload is not None and name.removesuffix("_R").endswith(f"_{payload}")]
+    return own or names
+
+
+def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
+    """The last QUANTITY rows, with the bound of each; of a payload that is told as a body, not its base parameters."""
+    link, held = who.model.vehicle.spec.payload_link, who.payload is not None
+    told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
+    twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()
+    return tuple(
+        Answer(
+            printable(row["name"]),
+            printable(row["unit"]),
+            float(row["value"]),
+            float(row["sigma"]),
+            float(row["low"]),
+            float(row["high"]),
+            bool(row["supported"]),
+            float(bound),
+        )
+        for row, bound in zip(rows, who.bounds(), strict=True)
+        if printable(row["name"]) not in twice
+    )
+
+
+def urdf(vehicle: config.Vehicle, found: Identified) -> str:
+    """The vehicle's URDF with the bodies identified from a log.
+
+    Raises:
+        ValueError: the verdict is ``do not use``, or no link is determined.
+    """
+    if found.verdict.level is Level.DO_NOT_USE:
+        raise ValueError(f"{found.log}: {found.verdict.text}; no URDF is made of it")
+    bodies = {one.link: one.body for one in found.links if one.body is not None}
+    if not bodies:
+        raise ValueError(f"{found.log} determines no link of the URDF; there is nothing to write")
+    if found.throw is not None:
+        model = build_model(vehicle)
+        bodies = {link: without_rotors(model, body) for link, body in bodies.items()}
+    return with_bodies(vehicle.urdf_text, bodies)

@@ -1,0 +1,193 @@
+"""Terminal output of ``heft identify``, 80 columns."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from onboard.ground.calibrate.result import digits
+from onboard.ground.identify import runs_view
+from onboard.ground.identify.identify import Identification
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.kinds.throws import LoadSummary
+from onboard.identification.rows.free_body import PrincipalMoments
+from onboard.identification.verdict import Level, Verdict
+
+_BAR, _LEAST_SHARE = 20, 0.01
+PER_KG_MM2 = 1e6
+_STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE: "bold red"}
+
+
+def render(found: Identification) -> RenderableType:
+    """The result as tables."""
+    if not any(log.throw for log in found.logs):
+        told = [Text(f"by the recording: {one}") for one in found.recorded]
+        return Group(*(part for log in found.logs for part in _one(log)), *told, *_predicted(found))
+    parts: list[RenderableType] = []
+    for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
+        mine = [log for log in found.logs if log.throw and log.throw.load.name == name]
+        parts.append(_throws(mine, found.together[name].principal))
+    if found.summaries:
+        parts.append(_summary(found.summaries))
+    parts += [Text.assemble(f"{log.log.stem}: ", _verdict(log.verdict)) for log in found.logs if not _good(log)]
+    if found.calibration:
+        rotor = found.calibration.rotor
+        text = (
+            f"calibration from the throws above: the rotor's inertia in {found.vehicle.file.vehicle.urdf} times "
+            f"{rotor.factor:.4f} ± {rotor.sigma:.4f} (sigma), misfit {100 * rotor.misfit:.2f} %; for the vehicle file:"
+        )
+        parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
+    return Group(*parts)
+
+
+def budgets(found: Identification) -> RenderableType:
+    """What each answer's interval is made of, the largest part first, with a bar of its share of the variance."""
+    parts: list[RenderableType] = []
+    for log in found.logs:
+        width = {one.name: one.high - one.value for one in log.answers if one.supported}
+        for name in (name for name in log.budget if name in width):
+            unit = next(one.unit for one in log.answers if one.name == name)
+            table = _table(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
+            for one in log.budget[name]:
+                if one.share >= _LEAST_SHARE:
+                    bar = "#" * max(1, round(_BAR * one.share))
+                    table.add_row(
+                        f"{one.share:4.0%} {bar:{_BAR}s}", f"{one.sigma:.2g}", Text(one.cause, justify="left")
+                    )
+            parts.append(table)
+    return Group(*parts)
+
+
+def _predicted(found: Identification) -> Iterator[Text]:
+    for log, one in found.predicted:
+        yield Text(f"{log} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %")
+
+
+def _good(log: Identified) -> bool:
+    return log.verdict.level is Level.GOOD
+
+
+def _verdict(verdict: Verdict) -> Text:
+    said = Text(verdict.text)
+    said.stylize(_STYLE[verdict.level], 0, len(verdict.level))
+    return said
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(headings[0], no_wrap=True)
+    for heading in headings[1:]:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _one(log: Identified) -> list[RenderableType]:
+    """Estimates of a log, and below them the evidence."""
+    answers = _table("", "", "unit", "value", "95 % interval", "bound")
+    for answer in log.answers:
+        if answer.supported:
+            interval = f"{answer.low:.4g} .. {answer.high:.4g}"
+            answers.add_row(answer.name, answer.unit, f"{answer.value:.4g}", interval, f"{answer.bound:.1g}")
+    notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    notes.add_column(no_wrap=True)
+    notes.add_column(overflow="fold")
+    notes.add_row("verdict", _verdict(log.verdict))
+    notes.add_row("method", log.method)
+    if any(answer.supported for answer in log.answers):
+        notes.add_row("bound", "smallest sigma possible with this motion (Cramér-Rao)")
+    for name, text in _notes(log):
+        notes.add_row(name, text)
+    head = Text(str(log.log), style="bold")
+    told = runs_view.render([run.as_json() for run in log.runs])
+    return [head, *([answers] if answers.rows else []), notes, *told, Text()]
+
+
+def _notes(log: Identified) -> Iterator[tuple[str, str]]:
+    for answer in (one for one in log.answers if one.leans and one.unit == "kg"):
+        yield answer.name, answer.leans
+    if unknown := [answer.name for answer in log.answers if not answer.supported]:
+        yield "undetermined", ", ".join(unknown)
+    told = [answer.name for answer in log.answers if answer.supported and not answer.unit]
+    if nothing := [name for name in told if name not in log.essential]:
+        yield "no different", f"from zero: {', '.join(nothing)}; essential: {', '.join(log.essential)}"
+    if log.held_out is not None:
+        later, earlier, fit = (f"{100 * one.relative_error:.1f} %" for one in log.held_out)
+        yield "held out", f"later half predicted from the earlier to {later}, earlier from the later to {earlier}"
+        yield "", f"left over by the fit of all: {fit}"
+    if log.left_over and log.band_Hz is not None:
+        each = (f"{name} {one.rms:.2g} of {one.of_rms:.2g}" for name, one in log.left_over.items())
+        yield "unweighted", f"rms below {log.band_Hz:.2g} Hz, in the unit of each: {', '.join(each)}"
+    if log.misfit is not None:
+        yield "misfit", f"{log.misfit:.2f} of the noise"
+    if log.observability is not None:
+        seen = log.observability
+        condition = f", condition number {seen.condition:.0f}" if seen.determined else ""
+        yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
+    if log.before is not None:
+        half = 1.96 * log.before.sigma
+        yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s in space, and"
+        yield "", f"came at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s to the gripper, in its axes"
+    for one in log.links:
+        if one.body is not None:
+            said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
+            moved = "; most likely possible body: the estimate is physically impossible" if one.away else ""
+            yield one.link, said + moved
+    if log.refused.get("stuck"):
+        said = "readings repeat where they must change; where a recorder writes them more than once, say repeats = true"
+        yield "stuck", f"{said} in the [device] of its channel"
+    left_out = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in log.refused.items())
+    yield "rows", f"{log.rows_used} used; left out: {left_out or 'none'}"
+
+
+def _numbers(values: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value:.1f}" for value in values)
+
+
+def _within(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
+    places = (digits(wide) for wide in half)
+    return ", ".join(f"{value:.{n}f} ± {wide:.{n}f}" for value, wide, n in zip(values, half, places, strict=True))
+
+
+def _moments(principal: PrincipalMoments) -> list[str]:
+    rows = zip(principal.moments, principal.high, strict=True)
+    return [f"{PER_KG_MM2 * value:.1f} ± {PER_KG_MM2 * (high - value):.1f}" for value, high in rows]
+
+
+def _throws(logs: Sequence[Identified], together: PrincipalMoments | None) -> Table:
+    """One load's throws, and all of them in one estimate."""
+    stems = [log.log.stem for log in logs]
+    heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # common prefix, already in the title
+    shared = len(heads.pop()) if len(heads) == 1 else 0
+    load = next(log.throw.load for log in logs if log.throw)
+    title = f"{load.name}, {1e3 * load.mass_kg:g} g: principal moments ± 95 %, kg mm²"
+    table = _table(title, "", "I1", "I2", "I3", "err %", "held out %")
+    for log, stem in zip(logs, stems, strict=True):
+        principal = log.throw.principal if log.throw else None
+        if log.throw is None or principal is None:
+            table.add_row(stem[shared:], "—", "not determined", "—")
+            continue
+        error = "" if log.throw.error_percent is None else f"{log.throw.error_percent:.2f}"
+        held_out = "" if log.held_out is None else f"{100 * log.held_out.worst.relative_error:.1f}"
+        table.add_row(stem[shared:], *_moments(principal), error, held_out)
+    if together is not None and len(logs) > 1:
+        table.add_section()
+        table.add_row("all together", *_moments(together), "", "")
+    if load.truth_kg_m2:
+        table.add_section()
+        table.add_row("truth", *(f"{PER_KG_MM2 * value:.1f}" for value in sorted(load.truth_kg_m2)))
+    return table
+
+
+def _summary(summaries: Sequence[LoadSummary]) -> Table:
+    title = "error of the principal moments, norm over norm of the truth"
+    table = _table(title, "", "throws", "mean %", "bar", "worst %", "bar", "in interval")
+    for one in summaries:
+        mean_bar, worst_bar = (f"{bar:g}" for bar in one.load.bars_percent) if one.load.bars_percent else ("", "")
+        throws_said = f"{one.throws}" if one.answered == one.throws else f"{one.answered} of {one.throws}"
+        mean, worst = f"{one.mean_percent:.2f}", f"{one.worst_percent:.2f}"
+        table.add_row(one.load.name, throws_said, mean, mean_bar, worst, worst_bar, f"{one.covered_percent:.0f} %")
+    return table

@@ -1,0 +1,196 @@
+"""``heft identify`` of a body without joints: its commands and its tracked pose, fitted in one batch."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from drivers.records import Rows, SampleStatus
+from onboard import config
+from onboard.devices.recorded import ThrusterKeys
+from onboard.dynamics.errors import ModelError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.flight.estimate.answers import useful_of
+from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
+from onboard.flight.estimate.identification import build_model
+from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, Poses, WINDOW_s
+from onboard.identification.body.valves import Valve, valve_of_on_times
+from onboard.identification.corrections import contradicted, doubtful, together
+from onboard.identification.leaning import Causes
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
+from onboard.identification.verdict import WORST_MISFIT, Evidence, verdict
+from onboard.identification.windows import against
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+
+_LEVEL = 0.95
+_MISSED = 3.5  # periods without a command: what was commanded then is not known
+_DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
+_TOLD = "of what the motion tells"
+_SENSORS = ("position", "yaw", "steady accelerations of the table")
+
+
+def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of a body without joints.
+
+    Raises:
+        ConfigError: the vehicle file does not fit the URDF.
+        ChannelError: commands or poses that cannot be used.
+    """
+    try:
+        poses, valves, known_s, unknown = _recorded(vehicle, log)
+        model = body_model(vehicle, build_model(vehicle), valves)
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    names = (*model.names[:BODY], "delay")
+    try:
+        fit = model.fit(poses, known_s, unknown)
+    except EstimationError as error:
+        nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=f"the fit failed: {error}")
+        return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
+    answers = _answers(vehicle, model, fit)
+    each = standings(answers, useful_of(vehicle))
+    evidence = Evidence(
+        fit.found.rows,
+        {},
+        {one.name: one.supported for one in answers if one.name in names},
+        None,
+        findings=_findings(model, fit),
+        standings=each,
+        unchecked="",  # its windows are held against each other
+    )
+    known = log.path, "exiddm", answers, fit.found.rows, dict[str, int](), log.damage, verdict(evidence)
+    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), standings=each)
+
+
+def _recorded(
+    vehicle: config.Vehicle, log: LogReader
+) -> tuple[Poses, dict[str, Valve], tuple[float, float], list[tuple[float, float]]]:
+    """Poses, valves by thruster, from when to when these are known, and when they are not in between."""
+    name, tracker = tracker_of(vehicle)
+    rows = [_usable(log.read(f"{name}_{of}")) for of in ("x", "y", "yaw")]
+    common = rows[0]["host_ns"]
+    for one in rows[1:]:
+        common = np.intersect1d(common, one["host_ns"])
+    if len(common) < 2:
+        raise ChannelError(f"{log.path}: {name} has no poses of x, y and yaw at the same times; give them one clock")
+    start_ns = int(common[0])
+    values = []
+    for one, of, units in zip(rows, ("x", "y", "yaw"), ((b"m",), (b"m",), (b"rad",)), strict=True):
+        if (unit := one["unit"][0]) not in units:
+            raise ChannelError(f"{log.path}: {name}_{of} is in {unit.decode()!r}; it needs {units[0].decode()!r}")
+        values.append((one["value_raw"] * one["scale"])[np.isin(one["host_ns"], common)])
+    values[2] = np.unwrap(values[2])
+    time_s, measured = 1e-9 * (common - start_ns).astype(np.float64), np.stack(values, axis=1)
+    fresh = np.append(True, (np.diff(measured, axis=0) != 0.0).any(axis=1)) | tracker.repeats
+    poses = Poses(time_s[fresh], measured[fresh])
+    valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, list[tuple[float, float]]()
+    for thruster, own in thrusters_of(vehicle).items():
+        commands = _usable(log.read(thruster))
+        if not len(commands):
+            raise ChannelError(f"{log.path}: {thruster} has no commands; leave it out if it never pushed")
+        time_s = 1e-9 * (commands["host_ns"] - start_ns).astype(np.float64)
+        valves[thruster] = _valve(own, thruster, time_s, commands, log)
+        begin_s, end_s = max(begin_s, float(time_s[0])), min(end_s, float(time_s[-1]) + 1e-3 * own.period_ms)
+        if own.reads == "level":
+            missed = np.flatnonzero(np.diff(time_s) > _MISSED * 1e-3 * own.period_ms)
+            unknown += [(float(time_s[k]), float(time_s[k + 1])) for k in missed]
+    return poses, valves, (begin_s, end_s), unknown
+
+
+def _usable(rows: Rows) -> Rows:
+    good: Rows = rows[rows["status"] == SampleStatus.OK]
+    return good
+
+
+def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: LogReader) -> Valve:
+    values, unit = np.asarray(rows["value_raw"] * rows["scale"], np.float64), rows["unit"][0]
+    if own.reads == "on_time":
+        if unit != b"s":
+            raise ChannelError(f"{log.path}: {name} is in {unit.decode()!r}; an on-time needs s: correct the mapping")
+        return valve_of_on_times(time_s, values)
+    if unit not in (b"1", b"N"):
+        raise ChannelError(f"{log.path}: {name} is in {unit.decode()!r}; a level needs 1, or N: correct the mapping")
+    level = values / (own.force_N if unit == b"N" else 1.0)
+    if (level < 0.0).any():
+        raise ChannelError(f"{log.path}: {name} is negative; a thruster pushes one way: give each its own column")
+    if level.max() > 1.5:
+        text = f"{name} reaches {level.max():.3g} times its force"
+        raise ChannelError(f"{log.path}: {text}; give its unit and scale in the mapping, or its force_N")
+    return Valve(time_s, level)
+
+
+def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[Answer, ...]:
+    """Body, delay and tilt, with their intervals."""
+    found, p = fit.found, fit.found.globals
+    P = found.fit.covariance[:p, :p]
+    mass_kg, centre_m, inertia = model.body(fit.x)
+    at = [*range(BODY), *(model.names.index(one) for one in ("delay", "tilt_x", "tilt_y") if one in model.names)]
+    scale = np.array([mass_kg, 1.0, 1.0, inertia] + [1.0] * (len(at) - BODY))
+    values = np.array([mass_kg, *centre_m, inertia, *fit.x[at[BODY:]]])
+    half = float(stdtrit(found.noise.freedom, 0.5 + 0.5 * _LEVEL))
+    own = np.sqrt(found.variances(model.sigma)[at])
+    sigma = half / float(ndtri(0.5 + 0.5 * _LEVEL)) * own
+    stretch = np.array([True, False, False, True] + [False] * (len(at) - BODY))  # logarithms
+    low = np.where(stretch, values * np.exp(-half * own), values - half * own)
+    high = np.where(stretch, values * np.exp(half * own), values + half * own)
+    causes = Causes([key_of(name, vehicle) for name in model.names], model.sigma)
+    leans = causes.said(causes.effects(scale[:, None] * P[at]), scale * sigma, np.abs(values))
+    told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
+    if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:
+        told[0] = True  # stated; what is found of it cannot be less known
+    units = ("kg", "m", "m", "kg m^2", "s", "m/s^2", "m/s^2")
+    bound = scale * np.sqrt(np.diag(P)[at])
+    numbers = (of.tolist() for of in (values, scale * sigma, low, high, told, bound))
+    return tuple(
+        Answer(*one) for one in zip([model.names[k] for k in at], units[: len(at)], *numbers, leans, strict=True)
+    )
+
+
+def _findings(model: BodyModel, fit: BodyFit) -> Findings:
+    """Corrections larger than stated, windows in which something else pushed, and what is left over of a sensor."""
+    found = fit.found
+    P, x, names = found.fit.covariance, found.fit.x, model.names
+    at = [k for k, name in enumerate(names) if k >= BODY and name != "delay"]
+    at = [0, *at] if model.weighed else at
+    sigma = model.sigma[at]
+    left = P[np.ix_(at, at)] / np.outer(sigma, sigma)
+    in_told = against(x[at] / sigma, np.diag(left), found.wider)
+    each = {names[k]: float(one) for k, one in zip(at, in_told, strict=True)}
+    scales = [k for k, name in enumerate(names) if name.startswith("scale_")]
+    if scales and model.weighed:
+        whole = np.linalg.norm(model.sigma[scales])
+        mean = model.sigma[scales] / whole
+        own = float(mean @ (P[np.ix_(scales, scales)] / np.outer(model.sigma[scales], model.sigma[scales])) @ mean)
+        each["the thrusters' common force, the mass or the tracker's lengths"] = float(
+            against(np.array([x[scales].sum() / whole]), np.array([own]))[0]
+        )
+    each |= dict(_by_window(model, fit))
+    of_all = together(x[at] / sigma, left)
+    bad = list(contradicted(each) or of_all.refused())
+    if not fit.settled:
+        bad.append(
+            "the fit does not settle: thrusters, axes or units are not as stated, or the motion tells too little"
+        )
+    doubts = [*doubtful(each, _TOLD), *of_all.doubted()]
+    if not model.weighed:
+        doubts.append("nothing checks the thrusters' common force: weigh the body, give its mass and body.mass_sigma")
+    for sensor, misfit in zip(_SENSORS, found.by_sensor, strict=True):
+        if misfit > _DOUBTED:
+            (bad if misfit > WORST_MISFIT else doubts).append(
+                f"residuals of the {sensor} are {misfit**0.5:.1f} times what is stated"
+            )
+    return Findings(tuple(bad), tuple(doubts))
+
+
+def _by_window(model: BodyModel, fit: BodyFit) -> Iterator[tuple[str, float]]:
+    """The largest steady acceleration of each window, in sigmas of what its poses tell of it."""
+    P, x = np.diag(fit.found.fit.covariance), fit.found.fit.x
+    for k, start_s in enumerate(fit.start_s.tolist()):
+        own = slice(fit.found.globals + STATE * k + STATE - 3, fit.found.globals + STATE * (k + 1))
+        sigmas = against(x[own] / model.steady_sigma, P[own] / model.steady_sigma**2, fit.found.wider)
+        which = int(np.abs(sigmas).argmax())
+        what = ("push along x", "push along y", "turning")[which]
+        yield f"the {what} besides the thrusters, {start_s:.0f} to {start_s + WINDOW_s:.0f} s", float(sigmas[which])

@@ -1,0 +1,346 @@
+"""``heft identify --method exiddm``: a free-flyer's log by maximum likelihood, the whole flight in one fit.
+
+The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was
+held the longest, and fitted by :mod:`onboard.identification.whole_flight.fit`, with all instruments that the flight
+fused but one that was left out on board or contradicts the others
+(:mod:`onboard.identification.whole_flight.witnesses`). Changes and starting values are those of the onboard answer in
+the log. A log without one, or whose fit fails a test from there, is run through the recursive estimator first, and
+the fit starts from its state.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.errors import ModelError, SignalError
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.gates import ReasonArray
+from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_exiddm
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.kinds.likelihood_log import (
+    LONGEST_S,
+    SHORTEST_S,
+    Fitted,
+    Kept,
+    Run,
+    half_too_short,
+    no_answer,
+    runs_of,
+    told,
+)
+from onboard.ground.identify.kinds.residuals import by_axis
+from onboard.ground.identify.replay.feed import feed
+from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.corrections import doubtful
+from onboard.identification.exiddm.before_capture import (
+    ANNOUNCED_s,
+    BeforeCapture,
+    Payload,
+    Zeros,
+    before_capture,
+)
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.further import Further
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.table.run import TableRun
+from onboard.identification.verdict import Evidence
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.parts import halves
+from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
+from onboard.identification.whole_flight.witnesses import HARDLY, Tested, tested, without_each
+from onboard.recording.reader import LogReader
+from onboard.regressor.signals import Signals
+
+_FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
+_STAGES_s = (4.0,)  # part of each segment that is fitted first
+
+
+_ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
+_STEP_s = 1.0  # in which the log is read
+_EVENTS = "event" + SUFFIX  # of the estimator, in a log
+
+
+class TickRecorder(TableRun):
+    """Gates the ticks and keeps them."""
+
+    def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
+        super().__init__(payload, further)
+        self.ticks: list[Ticks] = [Ticks.none(joints, len(self.row_names))]
+        self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Gates new ticks and keeps them."""
+        found = super().update(signals, attached, excluded)
+        self.ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
+        self.attached.append(attached)
+        return found
+
+
+class _Onboard(NamedTuple):
+    """What an onboard estimator found."""
+
+    changes: Sequence[Change]
+    constants: FloatArray  # of the predictor's state without the rate; zeros where nothing is known
+    stages_s: tuple[float, ...]  # lengths that are fitted first: it is far from the minimum
+    left_out: frozenset[str] = frozenset()  # instruments that it did without at the end
+
+
+def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of the payload that a free-flyer held the longest.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    online, model = build_exiddm(vehicle, tracked=False)
+    payload = str(model.spec.payload_link)
+    recorder = TickRecorder(payload, len(model.joints), online.further)
+    estimator = Estimator(vehicle, recorder)
+    for _ in feed(estimator, log, _STEP_s):
+        pass
+    flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached))
+    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+
+    def phase_at(time_s: float) -> int:
+        return int(estimator.phase_at(np.array([round(1e9 * time_s)], np.int64))[0])
+
+    return flight.identified(log, payload, refused, phase_at)
+
+
+class _Flight:
+    """The ticks of a flight, and the fits of them."""
+
+    def __init__(self, vehicle: config.Vehicle, online: ExiddmIdentifier, ticks: Ticks, attached: BoolArray) -> None:
+        settings = vehicle.file.estimation
+        self._online, self._ticks, self._attached = online, ticks, attached
+        self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
+        self._held = settings.exiddm.held_at_start or settings.carried is not None
+
+    def identified(
+        self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
+    ) -> Identified:
+        """Estimates and verdict of the flight."""
+        kept = Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
+        seen = int(np.isfinite(self._ticks.measured).sum())
+        if self._online.exiddm.predictor.bends.size:
+            return no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
+        failure = ""
+        best: Tested | None = None
+        for known in self._starts(log):
+            segments = self._segments(known.changes)
+            if not any(one.held for one in segments):
+                failure = ""
+                continue
+            try:
+                found, agrees = self._fitted(known, segments, phase_at)
+            except (EstimationError, ModelError) as error:
+                failure = f"the fit failed: {error}"
+                continue
+            if best is None or found.found.misfit < best.found.misfit:
+                best = found
+            if agrees:
+                break
+        if best is None:
+            idle = {} if failure else {"while nothing was held": seen}
+            return no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
+        try:
+            fit = freely(best.flight, best.found, best.kinds)
+        except EstimationError as error:
+            return no_answer(kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}")
+        if fit.glitches:
+            refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
+        made = best._replace(found=fit)
+        said = told(kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names))
+        return said.with_before(self._before(made))
+
+    def _before(self, made: Tested) -> BeforeCapture | None:
+        """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
+        segments = made.flight.segments
+        taken = [(k, a, b) for k, (a, b) in enumerate(pairwise(segments)) if b.held and not a.held]
+        if not taken or 0 not in made.flight.devices:
+            return None
+        number, free, held = taken[0]
+        from_s, until_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
+        announced = until_s < from_s
+        touched_s = (from_s - ANNOUNCED_s, from_s + ANNOUNCED_s) if announced else (from_s, until_s)
+        ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
+        about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
+        found, predictor = made.found, self._online.exiddm.predictor
+        state, zeros = made.flight.state(found.fit.x, number), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
+        try:
+            payload = Payload(found.chi, found.chi_covariance)
+            return before_capture(predictor, state, about, zeros, payload, touched_s)
+        except SignalError:
+            return None
+
+    def _fitted(
+        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+    ) -> tuple[Tested, bool]:
+        """The fit with all instruments but those that contradict the others, its tests, and whether it passes them.
+
+        Raises:
+            EstimationError, ModelError: as :meth:`WholeFlight.fit`.
+        """
+        names = self._online.exiddm.predictor.instruments
+        told = {at for at, name in enumerate(names) if name in known.left_out}
+        hardly = {at: share for at, share in self._shares().items() if share < HARDLY}
+        exiddm = self._online.exiddm
+
+        def without(*more: int) -> WholeFlight:
+            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, {*told, *hardly, *more})
+
+        flight = without()
+        start = flight.start(known.constants)
+        made, failure = None, None
+        try:
+            made = tested(flight, flight.fit(start, known.stages_s), phase_at)
+            start = made.found.fit.x
+        except (EstimationError, ModelError) as error:
+            failure = error
+        if (made is None or not made.passes) and len(flight.devices) > 1 and not told:
+            fits = without_each(without, flight.devices, start, phase_at)
+            passing = [(device, found) for device, found in fits if found.passes]
+            if len(passing) == 1:
+                told, made = {passing[0][0]}, passing[0][1]
+            elif passing and made is not None:
+                either = " or ".join(names[device] for device, _ in passing)
+                made = made.plus(against=[f"{either} contradicts the others"])
+        if made is None:
+            assert failure is not None
+            raise failure
+        doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(told)]
+        doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
+        several = [f"{' and '.join(names[at] for at in sorted(told))} contradict the others"] if len(told) > 1 else []
+        return made.plus(several, doubts), made.passes
+
+    def _shares(self) -> dict[int, float]:
+        """Of the ticks with any instrument, those with each one that is not the only IMU, by its number."""
+        seen = np.isfinite(self._ticks.measured)
+        ticks = max(1, int(seen.any(axis=1).sum()))
+        predictor = self._online.exiddm.predictor
+        shares = {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(predictor.lines)}
+        others = [shares[at] for at in range(1, len(predictor.imu_frames))]
+        return shares if max(others, default=0.0) >= HARDLY else {at: share for at, share in shares.items() if at}
+
+    def _segments(self, changes: Sequence[Change]) -> list[Segment]:
+        """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
+        runs = runs_of(self._ticks, changes, self._held, self._period_s)
+        lengths: dict[int, int] = {}
+        for run in runs:
+            lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
+        held = {payload: ticks for payload, ticks in lengths.items() if payload > 0}
+        if not held or max(held.values()) * self._period_s < SHORTEST_S:
+            return []
+        longest = max(held, key=lambda payload: held[payload])
+        runs = self._without_pauses(runs, longest)
+        chosen = [*self._some(runs, longest), *self._some(runs, 0)]
+        return [Segment(self._ticks.part(run.ticks), run.payload > 0) for run in sorted(chosen, key=_begin)]
+
+    def _without_pauses(self, runs: Sequence[Run], payload: int) -> list[Run]:
+        """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
+        longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
+        begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
+        stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > LONGEST_S)])
+        return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
+
+    def _some(self, runs: Sequence[Run], payload: int) -> list[Run]:
+        left, found = round(LONGEST_S / self._period_s), []
+        for run in runs:
+            ticks = slice(run.ticks.start, min(run.ticks.stop, run.ticks.start + left))
+            if run.payload == payload and ticks.stop > ticks.start:
+                found.append(Run(ticks, payload))
+                left -= ticks.stop - ticks.start
+        return found
+
+    def _starts(self, log: LogReader) -> Iterator[_Onboard]:
+        """Where a fit can begin: the onboard answer in the log, and what the recursive estimator says now."""
+        in_log = self._in_log(log)
+        if in_log is not None:
+            yield in_log
+        yield self._again()
+
+    def _in_log(self, log: LogReader) -> _Onboard | None:
+        """The onboard answer that the log has; None without one."""
+        changes: list[Change] = []
+        mean, left_out = np.zeros(10), set[str]()
+        for name, rows in log.batches([name for name in ("estimate", _EVENTS) if name in log.channels]):
+            if name == _EVENTS:
+                for row in rows:
+                    if (change := change_of(row)) is not None:
+                        changes.append(change)
+                    elif (instrument := instrument_of(row)) is not None:
+                        (left_out.add if instrument.kind == "left_out" else left_out.discard)(instrument.what)
+            elif rows["mean"].shape[1:] == (10,):
+                known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
+                mean = rows["mean"][known][-1] if known.any() else mean
+        if not mean[0] > 0.0:
+            return None
+        rest = np.zeros(len(self._online.exiddm.predictor.names) - PAYLOAD.stop)
+        changes.sort(key=lambda change: change.time_s)
+        return _Onboard(changes, np.concatenate([mean, rest]), (), frozenset(left_out))
+
+    def _again(self) -> _Onboard:
+        """What the recursive estimator makes of the ticks."""
+        exiddm, before = self._online.exiddm, None
+        edges = [0, *(np.flatnonzero(np.diff(self._attached)) + 1), len(self._attached)]
+        for first, last in pairwise(edges):
+            held = bool(self._attached[first]) if last > first else before
+            if before is not None and held != before:
+                exiddm.told(bool(held), float(self._ticks.time_s[first]))
+            before = held
+            for at in range(first, last, BATCH_TICKS):
+                exiddm.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
+        exiddm.finish()
+        size = len(exiddm.predictor.names) - RATE.stop
+        state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
+        known = state[RATE.stop] > 0.0
+        left_out = frozenset(exiddm.fusion.contradicting)
+        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
+
+
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted:
+    """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
+
+    Args:
+        made: the fit.
+        period_s: between ticks.
+        row_names: of the lines.
+    """
+    flight, found = made.flight, made.found
+    held_out, unchecked = None, Evidence._field_defaults["unchecked"]
+    try:
+        held_out = halves(flight, found)
+    except EstimationError as error:
+        unchecked = half_too_short(error)
+    return Fitted(
+        found.payload,
+        found.chi,
+        found.chi_covariance,
+        bound_of(flight, found),
+        sum(block.rows for block in found.blocks),
+        found.misfit,
+        max(1.0, found.misfit, *found.by_instrument.values()),
+        made.corrections,
+        held_out,
+        unchecked,
+        by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
+        findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
+        leans=leans_on(flight, found),
+    )
+
+
+def _begin(run: Run) -> int:
+    return int(run.ticks.start)
+
+
+def _end(run: Run) -> int:
+    return int(run.ticks.stop) - 1

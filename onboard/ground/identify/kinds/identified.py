@@ -1,0 +1,180 @@
+"""Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from onboard.dynamics.inertia import elements
+from onboard.dynamics.vehicle import STANDARD
+from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
+from onboard.ground.identify.kinds.throws import Throw, plain
+from onboard.identification.exiddm.before_capture import BeforeCapture
+from onboard.identification.observability import ObservedDirections
+from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.rows.budget import Contribution
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.standard import LinkEstimate
+from onboard.identification.useful import Useful, sizes
+from onboard.identification.verdict import Level, Standing, Verdict, standing
+
+
+class Answer(NamedTuple):
+    """One quantity; numbers are NaN if the data do not determine it."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float
+    low: float
+    high: float
+    supported: bool
+    bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
+    leans: str = ""  # on which stated sigmas, where these make up a good part of its own
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values, None for NaN."""
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
+
+
+def standings(answers: Iterable[Answer], useful: Useful) -> dict[str, Standing]:
+    """What each that the data determine is good for, by its name."""
+    told = [
+        QuantityEstimate(one.name, one.unit, one.value, *one[3:6], math.nan, one.supported, "", leans=one.leans)
+        for one in answers
+        if one.supported
+    ]
+    size = sizes(told, useful)
+    return {one.name: standing(one, Findings(), size.get(one.name)) for one in told}
+
+
+class RunAnswer(NamedTuple):
+    """A run of parabolic flights, and what it says by itself."""
+
+    parabola: int  # its number, from 0
+    cut: dict[str, Any]  # release, catch, bumps, motions
+    state: str  # "identified", "pooled" (it determines too little by itself), "refused"
+    reason: str
+    answers: tuple[Answer, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        said = {"state": self.state, "reason": self.reason}
+        return {**self.cut, **said, "quantities": [answer.as_json() for answer in self.answers]}
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Result for one log."""
+
+    log: Path
+    method: str
+    answers: tuple[Answer, ...]  # base parameters without a unit, then the quantities
+    rows_used: int
+    refused: dict[str, int]  # rows by reason
+    damage: tuple[object, ...]
+    verdict: Verdict
+    throw: Throw | None = None
+    held_out: HeldOut | None = None
+    misfit: float | None = None  # of a maximum likelihood fit, over its degrees of freedom
+    observability: ObservedDirections | None = None
+    standings: Mapping[str, Standing] = field(default_factory=dict)  # of each answer that the data determine
+    essential: tuple[str, ...] = ()  # base parameters that differ from zero
+    links: tuple[LinkEstimate, ...] = field(default=())
+    budget: Mapping[str, tuple[Contribution, ...]] = field(default_factory=dict)  # what makes each answer so wide
+    left_over: Mapping[str, LeftOver] = field(default_factory=dict)  # by instrument, in its unit
+    band_Hz: float | None = None  # noqa: N815  # which smoothed rows are of
+    residuals: Residuals = field(default_factory=dict)  # whitened
+    runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
+    before: BeforeCapture | None = None  # how a payload that was captured moved until then
+
+    def with_before(self, before: BeforeCapture | None) -> "Identified":
+        """The same with the motion of the payload before it was captured."""
+        return replace(self, before=before)
+
+    def with_runs(self, runs: tuple[RunAnswer, ...]) -> "Identified":
+        """The same with the runs from which it was pooled."""
+        return replace(self, runs=runs)
+
+    @property
+    def supported(self) -> bool:
+        """Whether the load or at least one requested quantity is determined."""
+        if self.throw is not None:
+            return self.throw.body is not None
+        asked = [answer for answer in self.answers if answer.unit] or self.answers
+        return any(answer.supported for answer in asked)
+
+    @property
+    def usable(self) -> bool:
+        """Whether it is supported and the verdict is not ``do not use``."""
+        return self.supported and self.verdict.level is not Level.DO_NOT_USE
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "log": str(self.log),
+            "method": self.method,
+            "verdict": {**self.verdict._asdict(), "text": self.verdict.text},
+            "supported": self.supported,
+            "rows_used": self.rows_used,
+            "refused": self.refused,
+            "damage": [str(one) for one in self.damage],
+            "quantities": [answer.as_json() for answer in self.answers],
+            "held_out": _predictions(self.held_out),
+            "misfit": self.misfit,
+            "observable": _observability(self.observability),
+            "budget": {name: [one._asdict() for one in parts] for name, parts in self.budget.items()},
+            "left_over": {name: one._asdict() for name, one in self.left_over.items()},
+            "band_Hz": self.band_Hz,
+            "essential": list(self.essential),
+            "links": [_link(one) for one in self.links],
+            "throw": self.throw.as_json() if self.throw else None,
+            **({} if self.before is None else {"before_capture": _before(self.before)}),
+            **({"runs": [run.as_json() for run in self.runs]} if self.runs else {}),
+        }
+
+
+def _before(one: BeforeCapture) -> dict[str, Any]:
+    """Velocity of its centre of mass against the gripper, and its rate in space; the gripper's axes."""
+    sigma = one.sigma.tolist()
+    return {
+        "velocity_m_s": one.velocity_m_s.tolist(),
+        "velocity_sigma_m_s": sigma[:3],
+        "rate_rad_s": one.rate_rad_s.tolist(),
+        "rate_sigma_rad_s": sigma[3:],
+    }
+
+
+def _predictions(held_out: HeldOut | None) -> dict[str, Any] | None:
+    if held_out is None:
+        return None
+    parts = {
+        "later_from_earlier": held_out.later,
+        "earlier_from_later": held_out.earlier,
+        "all_from_all": held_out.fit,
+    }
+    return {name: prediction._asdict() for name, prediction in parts.items()}
+
+
+def _observability(found: ObservedDirections | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {**found._asdict(), "condition": plain(found.condition), "undetermined": list(found.undetermined)}
+
+
+def _link(one: LinkEstimate) -> dict[str, Any]:
+    return {
+        "link": one.link,
+        "parameters": list(STANDARD),
+        "mean": one.mean.tolist(),
+        "covariance": one.covariance.tolist(),
+        "sigmas_from_a_body": plain(one.away),
+        "body": None
+        if one.body is None
+        else {
+            "mass_kg": one.body.mass_kg,
+            "centre_of_mass_m": one.body.centre_of_mass_m.tolist(),
+            "inertia_kg_m2": elements(one.body.inertia_kg_m2).tolist(),
+        },
+    }

@@ -1,0 +1,279 @@
+"""Maximum likelihood fit of a log, with its verdict: choice of ticks, estimates, evidence.
+
+:func:`identified` fits the longest interval with one payload (an air-bearing table); the payload of each half of the
+ticks predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`). A free flight is fitted as a whole
+(:mod:`onboard.ground.identify.kinds.exiddm_log`), with the same estimates and evidence.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from onboard.dynamics.errors import ModelError
+from onboard.dynamics.inertia import RigidBody, elements
+from onboard.dynamics.payload import BodyEstimate
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.rls import Observability
+from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.residuals import Residuals, by_axis
+from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.corrections import contradicted
+from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
+from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.observability import observed_directions
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.standard import link_estimate
+from onboard.identification.table.air_bearing import TableExiddm
+from onboard.identification.table.joints import with_joints
+from onboard.identification.useful import Useful
+from onboard.identification.verdict import Evidence, verdict
+from onboard.recording.reader import LogReader
+
+EXIDDM = "exiddm"
+LONGEST_S = 60.0  # of flight that is fitted as a whole
+SHORTEST_S = 2.0
+LEVEL = 0.95
+
+
+class Kept(NamedTuple):
+    """Output of the onboard estimator for a log."""
+
+    log: LogReader
+    payload: str  # its link
+    ticks: Ticks  # the longest time that one payload was held
+    period_s: float  # between ticks
+    refused: Mapping[str, int]  # rows by reason
+    idle: Mapping[str, int]  # rows not fitted for another reason
+    useful: Useful
+
+
+class Judged(NamedTuple):
+    """Result specific to a kind of base, besides the payload."""
+
+    answers: tuple[Answer, ...] = ()
+    reason: str = ""  # reason for refusing the fit; empty if none
+
+
+class Fitted(NamedTuple):
+    """A fit and how it was checked."""
+
+    payload: BodyEstimate
+    chi: FloatArray  # (10,) standard parameters of the payload
+    chi_covariance: FloatArray  # (10, 10)
+    bound: FloatArray  # (10,) Cramér-Rao: least sigmas of the payload's numbers, at what is stated
+    rows_used: int
+    misfit: float  # of all rows
+    wider: float  # factor of the variances
+    corrections: Mapping[str, float]  # what was fitted besides the payload, in stated sigmas
+    halves: HeldOut | None
+    unchecked: str  # why nothing is held out, where it is not
+    residuals: Residuals  # by axis of the base IMU
+    judged: Judged = Judged()
+    findings: Findings = Findings()
+    leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
+
+
+Build = Callable[[Ticks, bool], TableExiddm]  # the estimator of ticks; whether their first is the first of all
+Judge = Callable[[PayloadFit, float], Judged]  # what else a fit says, its variances so much wider
+
+
+def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
+    """Estimates and verdict of a log's longest interval with one payload.
+
+    Args:
+        kept: its ticks.
+        build: makes the estimator of some of them.
+        judge: what the kind of base says of the fit.
+    """
+    ticks = kept.ticks
+    used = 6 * int(np.isfinite(ticks.measured).all(axis=1).sum())
+    if len(ticks.time_s) * kept.period_s < SHORTEST_S or not used:
+        return no_answer(kept, 0)
+    try:
+        exiddm = build(ticks, True)
+        found = exiddm.fit()
+        corrected, joints = with_joints(exiddm, found)
+    except (EstimationError, ModelError) as error:
+        return no_answer(kept, used, f"the fit failed: {error}")
+    wider = max(1.0, corrected.misfit)  # the residual is not below the noise
+    judged = judge(corrected, wider)
+    halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
+    if not judged.reason and middle * kept.period_s >= SHORTEST_S:
+        try:
+            earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
+            halves = held_out(exiddm, earlier, later, found)
+        except (EstimationError, ModelError) as error:
+            unchecked = half_too_short(error)
+    corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
+    bound = np.sqrt(np.diag(corrected.payload.covariance))
+    numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
+    left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
+    against = Findings(contradicted(joints.in_told_sigmas), ())
+    fit = Fitted(*numbers, used, corrected.misfit, wider, corrections, halves, unchecked, left, judged, against)
+    return told(kept, fit)
+
+
+def half_too_short(error: Exception) -> str:
+    """Why nothing was held out."""
+    return f"not checked on motion that was not used: half of the run determines too little ({error})"
+
+
+def no_answer(kept: Kept, used: int, failure: str = "") -> Identified:
+    """A log without an estimate: rows used, and why the fit failed where it did."""
+    log, nothing = kept.log, dict.fromkeys(_names(kept), False)
+    refused = dict(kept.refused) if used else {**kept.refused, **kept.idle}
+    evidence = Evidence(used, refused, nothing, None, failure=failure)
+    return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence))
+
+
+def told(kept: Kept, found: Fitted) -> Identified:
+    """Estimates and verdict of a fit."""
+    log, names, judged = kept.log, _names(kept), found.judged
+    link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
+    body = found.payload._replace(body=link.body or found.payload.body)
+    of_payload = body_answers(names, *body, found.wider, found.bound)
+    of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
+    answers = (*of_payload, *judged.answers)
+    if judged.reason:
+        answers = tuple(answer._replace(supported=False) for answer in answers)
+    each = standings(answers, kept.useful)
+    evidence = Evidence(
+        found.rows_used,
+        kept.refused,
+        {answer.name: answer.supported for answer in answers},
+        found.halves,
+        failure=judged.reason,
+        away={link.link: link.away},
+        misfit=found.misfit,
+        findings=found.findings,
+        standings=each,
+        corrections=found.corrections,
+        unchecked=found.unchecked,
+    )
+    return Identified(
+        log.path,
+        EXIDDM,
+        answers,
+        found.rows_used,
+        dict(kept.refused),
+        log.damage,
+        verdict(evidence),
+        held_out=found.halves,
+        misfit=found.misfit,
+        observability=observed_directions(body_seen(body), names),
+        links=(link,),
+        standings=each,
+        residuals=found.residuals,
+    )
+
+
+def _names(kept: Kept) -> tuple[str, ...]:
+    return tuple(f"{name}_{kept.payload}" for name in BODY)
+
+
+def _corrections(exiddm: Exiddm, found: PayloadFit, payload: str) -> dict[str, float]:
+    """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
+    stated = exiddm.layout.sigma
+    return {
+        name: float(x / sigma)
+        for name, x, sigma in zip(found.names, found.fit.x, stated, strict=True)
+        if sigma > 0.0 and not name.endswith(f"_{payload}")
+    }
+
+
+def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, period_s: float) -> Ticks:
+    """The longest run of ticks, joints known at each of them, while one payload was held; at most ``LONGEST_S``.
+
+    Args:
+        parts: ticks in the order of their times, one part at least.
+        changes: of the payload, in the same order.
+        held: whether one is held at the start.
+        period_s: between ticks.
+    """
+    ticks = Ticks.joined(parts)
+    runs = [run for run in runs_of(ticks, changes, held, period_s) if run.payload > 0]
+    longest = max((run.ticks for run in runs), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
+
+
+class Run(NamedTuple):
+    """Ticks in succession, joints known at each of them."""
+
+    ticks: slice
+    payload: int  # which one is held: numbered; 0: nothing
+
+
+def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float) -> list[Run]:
+    """Runs of ticks with one payload or nothing held; times in which that is not known are left out.
+
+    Args:
+        ticks: in the order of their times.
+        changes: of the payload, in the same order.
+        held: whether one is held at the start.
+        period_s: between ticks.
+    """
+    unknown = -1
+    which = np.full(len(ticks.time_s), unknown, np.int64)
+    number, before, begin_s = int(held), int(held), -np.inf
+    for count, change in enumerate([*changes, None], 2):
+        end_s = np.inf if change is None else change.since_s
+        which[(ticks.time_s > begin_s) & (ticks.time_s < end_s)] = number
+        if change is not None:
+            noticed = change.since_s < change.time_s  # and not announced
+            begin_s = change.time_s + (CONTACT_s if noticed else 0.0)
+            if change.kind == "capture_contradicted":
+                which[which == number] = unknown
+            told = {"capture": count, "ejection": 0, "instrument": unknown}
+            told |= {"capture_contradicted": 0, "release_contradicted": before}
+            before, number = number, told.get(change.kind, number)
+    which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
+    joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
+    edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]
+    return [Run(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
+
+
+def body_answers(
+    names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
+) -> tuple[Answer, ...]:
+    """Each is supported if its sigma is at most a fifth of the body's own scale.
+
+    Args:
+        names: of the ten numbers.
+        body: their values.
+        covariance: of these, (10, 10).
+        wider: factor of the variances.
+        bound: least sigmas, (10,).
+    """
+    values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
+    sigma = np.sqrt(wider * np.diag(covariance))
+    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
+    fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
+    return tuple(
+        Answer(*told)
+        for told in zip(
+            names,
+            BODY_UNITS,
+            *(x.tolist() for x in (values, sigma, values - half, values + half, fine, bound)),
+            strict=True,
+        )
+    )
+
+
+def _size(body: RigidBody) -> FloatArray:
+    """The scale of mass, centre of mass and inertia of a body, (10,): its mass, radius of gyration, half its trace."""
+    half_trace = 0.5 * float(np.trace(body.inertia_kg_m2))
+    return np.array([body.mass_kg, *[np.sqrt(half_trace / body.mass_kg)] * 3, *[half_trace] * 6])
+
+
+def body_seen(payload: BodyEstimate) -> Observability:
+    """Observability of the payload's ten numbers, with its own scale as prior."""
+    size = _size(payload.body)
+    values, vectors = np.linalg.eigh(payload.covariance / np.outer(size, size))
+    gain = 1.0 / np.maximum(values[::-1], np.finfo(np.float64).tiny) - 1.0  # ascending
+    shrinkage = np.sqrt(np.diag(payload.covariance)) / size
+    return Observability(shrinkage, np.maximum(gain, 0.0), size[:, None] * vectors[:, ::-1])

@@ -1,0 +1,211 @@
+"""``heft identify`` of parabolic flights: each run between release and catch by itself, and all of them together.
+
+The log is cut by :mod:`onboard.ground.identify.kinds.parabolas`. Every run is fitted and tested as a flight of its
+own, and refused where a test fails. The answer pools the others (:mod:`onboard.identification.whole_flight.pooled`),
+also those that determine too little by themselves; a run whose payload differs from that of all is named and left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.errors import ModelError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.flight.estimate.answers import useful_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_exiddm
+from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
+from onboard.ground.identify.kinds.identified import Answer, Identified, RunAnswer
+from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, no_answer, told
+from onboard.ground.identify.kinds.parabolas import Run, cut
+from onboard.ground.identify.replay.feed import feed
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.quantities import BODY, Findings
+from onboard.identification.verdict import WORST_MISFIT, Level
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.pooled import Pool, Pooled
+from onboard.identification.whole_flight.witnesses import Tested, tested
+from onboard.recording.reader import LogReader
+
+_STEP_s = 1.0  # in which the log is read
+_STAGES_s = (4.0,)  # part of each run that is fitted first
+_GUESS_kg = 1.0  # of a payload, in the middle of nowhere
+_CONTRADICTS = 1e-6  # chance of a run's payload, beside that of all
+
+
+@dataclass
+class _Flown:
+    """A run that can be fitted."""
+
+    run: Run
+    flight: WholeFlight
+    said: Identified | None = None  # by itself
+    start: FloatArray | None = None  # (p,) its own fit
+    refused: str = ""
+
+
+class _Kit(NamedTuple):
+    online: ExiddmIdentifier
+    kept: Kept
+
+
+def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of the payload that was held in all runs of a log.
+
+    Raises:
+        ConfigError: no [parabola] in the vehicle file, or the file does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    settings = vehicle.file.parabola
+    if settings is None:
+        raise config.ConfigError(f"{vehicle.label}: no section [parabola], which says what free flight is")
+    online, model = build_exiddm(vehicle, tracked=False)
+    payload = str(model.spec.payload_link)
+    recorder = TickRecorder(payload, len(model.joints), online.further)
+    for _ in feed(Estimator(vehicle, recorder), log, _STEP_s):
+        pass
+    ticks, period_s = Ticks.joined(recorder.ticks), 1.0 / vehicle.file.estimation.row_rate_hz
+    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+    kit = _Kit(online, Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)))
+    runs = cut(ticks, period_s, settings)
+    flown = [_Flown(run, _flight(kit, run)) for run in runs if not run.reason]
+    _each(kit, flown)
+    found, names = _together(kit, flown)
+    begin_s = float(ticks.time_s[0]) if len(ticks.time_s) else 0.0
+    by_run = {id(one.run): one for one in flown}
+    return found.with_runs(tuple(_said(kit, run, by_run.get(id(run)), names, begin_s) for run in runs))
+
+
+def _flight(kit: _Kit, run: Run) -> WholeFlight:
+    exiddm = kit.online.exiddm
+    segments = [Segment(kit.kept.ticks.part(part), held=True) for part in run.parts]
+    return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments)
+
+
+def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
+    """Fit and test every run by itself, the liveliest first: the others start from what it found."""
+    constants = np.zeros(len(kit.online.exiddm.predictor.names) - 3)
+    constants[0] = _GUESS_kg
+    known = False
+    for one in sorted(flown, key=lambda one: -_liveliness(one.flight)):
+        try:
+            start = one.flight.start(constants)
+            found = one.flight.fit(start, () if known else _STAGES_s)
+            made = tested(one.flight, found, lambda _: 0)
+        except (EstimationError, ModelError):
+            continue  # it may still count for something beside the others
+        one.start = found.fit.x
+        one.said = told(kit.kept, fitted_of(made, kit.kept.period_s, kit.online.row_names))
+        one.refused = "; ".join(_against(made))
+        if not one.refused and not known:
+            constants, known = found.fit.x[: len(constants)].copy(), True
+
+
+def _liveliness(flight: WholeFlight) -> float:
+    return sum(float(np.abs(segment.ticks.dq).sum()) for segment in flight.segments)
+
+
+def _against(made: Tested) -> tuple[str, ...]:
+    """Why a run is not to be pooled: a test fails. That it determines little is no reason."""
+    misfit = made.found.misfit
+    against = made.findings.against
+    return (*against, f"{misfit:.1f} times the noise is left over") if misfit > WORST_MISFIT else against
+
+
+def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str, ...]]:
+    """The estimate of all runs that agree, and the names of the common parameters."""
+    seen = int(np.isfinite(kit.kept.ticks.measured).sum())
+    known = [one for one in flown if one.start is not None and not one.refused]
+    if not known:
+        why = "no run between release and catch could be used" if flown else "nothing was let go, or the arm rested"
+        return no_answer(kit.kept, seen, why), ()
+    best = max(known, key=lambda one: _liveliness(one.flight))
+    agreeing = [one for one in flown if not one.refused]
+    while True:
+        try:
+            pool, found = _pooled(agreeing, best)
+        except (EstimationError, ModelError) as error:
+            if len(agreeing) == len(known):
+                return no_answer(kit.kept, seen, f"the fit of all runs failed: {error}"), ()
+            agreeing = known  # without those that have no fit of their own
+            continue
+        worst = min(range(len(agreeing)), key=lambda k: found.disagreements[k].chance)
+        test = found.disagreements[worst]
+        if len(agreeing) < 3 or test.chance * len(agreeing) > _CONTRADICTS:
+            break
+        agreeing[
+            worst
+        ].refused = f"it tells another payload than the others (chi-squared {test.squares:.0f} of {test.freedom})"
+        agreeing = [one for one in agreeing if not one.refused]
+        best = best if not best.refused else max(agreeing, key=lambda one: _liveliness(one.flight))
+    doubts = [] if len(agreeing) > 1 else ["it is a single run"]
+    if test.chance < _CONTRADICTS:
+        doubts.append("the runs contradict each other, and nothing tells which is wrong")
+    return told(kit.kept, _fitted(found, tuple(doubts))), pool.names
+
+
+def _pooled(flown: Sequence[_Flown], best: _Flown) -> tuple[Pool, Pooled]:
+    """All runs in one fit, from the constants of the best one."""
+    pool = Pool([one.flight for one in flown])
+    assert best.start is not None
+    common = dict(zip(best.flight.names, best.start.tolist(), strict=True))
+    starts = []
+    for one in flown:
+        if one.start is not None:
+            starts.append(one.start)
+        else:
+            starts.append(
+                one.flight.start(np.array([common[name] for name in one.flight.names[: one.flight.constants]]))
+            )
+    return pool, pool.fit(starts, np.array([common[name] for name in pool.names]))
+
+
+def _fitted(found: Pooled, doubts: tuple[str, ...]) -> Fitted:
+    against = tuple(
+        f"residuals of the {name} are {misfit**0.5:.1f} times its noise"
+        for name, misfit in found.by_instrument.items()
+        if misfit > WORST_MISFIT
+    )
+    return Fitted(
+        found.payload,
+        found.chi,
+        found.chi_covariance,
+        np.sqrt(np.diag(found.payload.covariance)),
+        found.rows,
+        found.misfit,
+        max(1.0, found.misfit, *found.by_instrument.values()),
+        {},
+        found.held_out,
+        "a single run was not checked on another",
+        {},
+        findings=Findings(against, doubts),
+    )
+
+
+def _said(kit: _Kit, run: Run, flown: _Flown | None, names: tuple[str, ...], begin_s: float) -> RunAnswer:
+    """What becomes of a run."""
+    cut_of = {key: _since(value, begin_s) for key, value in run.as_json().items()} | {"log_start_s": begin_s}
+    if flown is None or flown.refused:
+        reason = run.reason if flown is None else flown.refused
+        return RunAnswer(run.parabola, cut_of, "refused", reason, ())
+    answers: tuple[Answer, ...] = ()
+    if flown.said is not None and flown.said.verdict.level is not Level.DO_NOT_USE:
+        answers = tuple(one for one in flown.said.answers if one.supported)
+    if not names:
+        return RunAnswer(run.parabola, cut_of, "refused", "the runs together gave no answer", ())
+    if answers:
+        return RunAnswer(run.parabola, cut_of, "identified", "", answers)
+    missing = f"by itself it does not determine {BODY[0]}_{kit.kept.payload}; it counts beside the others"
+    return RunAnswer(run.parabola, cut_of, "pooled", missing, ())
+
+
+def _since(value: Any, begin_s: float) -> Any:
+    """Times of a run since the log's first tick."""
+    if isinstance(value, list):
+        return [_since(one, begin_s) for one in value]
+    return value - begin_s if isinstance(value, float) else value

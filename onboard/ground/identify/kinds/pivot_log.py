@@ -1,0 +1,46 @@
+"""``heft identify`` of a run on a spherical air bearing: the onboard estimator's fit of all ticks."""
+
+from onboard import config
+from onboard.flight.estimate.answers import useful_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.residuals import by_axis
+from onboard.ground.identify.replay.feed import feed
+from onboard.identification.pivot.online import PivotRun
+from onboard.identification.verdict import Evidence, verdict
+from onboard.recording.reader import LogReader
+
+
+def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of a body on a pivot.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    estimator = Estimator(vehicle, at_the_end=True)
+    for _ in feed(estimator, log):
+        pass
+    run = estimator.online
+    assert isinstance(run, PivotRun)
+    told, bounds = run.estimate().quantities, run.bounds()
+    answers = tuple(
+        Answer(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
+        for one, bound in zip(told, bounds.tolist(), strict=True)
+    )
+    each = standings(answers, useful_of(vehicle))
+    refused = {str(reason.name).lower(): count for reason, count in run.refused.items() if count}
+    evidence = Evidence(
+        run.rows_used,
+        refused,
+        {one.name: one.supported for one in answers},
+        None,
+        failure=f"the fit failed: {run.failure}" if run.failure else "",
+        findings=run.findings(),
+        standings=each,
+        unchecked="",  # its windows are held against each other
+    )
+    misfit = None if run.found is None else max(run.found.by_sensor)
+    residuals = {} if run.found is None else by_axis(*run.residuals(), 1.0 / vehicle.file.estimation.row_rate_hz)
+    known = log.path, "exiddm", answers, run.rows_used, refused, log.damage, verdict(evidence)
+    return Identified(*known, misfit=misfit, standings=each, residuals=residuals)

@@ -1,0 +1,129 @@
+"""``heft identify`` of a run on an air-bearing table: payload and drag of each puck by maximum likelihood.
+
+The onboard estimator makes the ticks; the longest interval with the payload in the identification phases is then fitted
+in one batch (:mod:`onboard.ground.identify.kinds.likelihood_log`). Payload and drag of each half predict the other
+half, with velocity and tilt at its first tick re-estimated.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import ndtri
+
+from onboard import config
+from onboard.estimation.arrays import BoolArray
+from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.flight.estimate.answers import useful_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior, imu_prior_of
+from onboard.flight.estimate.identification import build_planar, samples_per_tick
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.identify.kinds.identified import Answer, Identified
+from onboard.ground.identify.kinds.likelihood_log import LEVEL, Judged, Kept, identified, longest_held
+from onboard.ground.identify.replay.feed import feed
+from onboard.identification.exiddm.batch import PayloadFit
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.table.air_bearing import (
+    AirBearingPrior,
+    DragPrior,
+    TableExiddm,
+    air_bearing_exiddm,
+    drag_of,
+)
+from onboard.identification.table.run import TableRun
+from onboard.recording.reader import LogReader
+from onboard.regressor.signals import Signals
+
+_UNDERWAY_m_s = 0.5  # sigma of the velocity at any time but the start
+
+
+class _Recorder(TableRun):
+    """The onboard part; also keeps its ticks, without joints outside identification phases."""
+
+    def __init__(self, payload: str, joints: int) -> None:
+        super().__init__(payload)
+        self.kept: list[Ticks] = [Ticks.none(joints)]
+        self._told: list[BoolArray] = [np.zeros(0, np.bool_)]
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        found = super().update(signals, attached, excluded)
+        told = attached & ((excluded & GateReason.PHASE) == 0)
+        self._told.append(told)
+        q, dq, ddq = (np.where(told[:, None], x, np.nan) for x in (signals.q, signals.dq, signals.ddq))
+        measured = np.where(found == 0, signals.measured, np.nan)
+        self.kept.append(ticks_of(signals._replace(q=q, dq=dq, ddq=ddq), measured))
+        return found
+
+    def begins_at(self, time_s: float) -> bool:
+        """Whether a run begins at a tick: none with joints is before it since there is something to identify."""
+        told = np.concatenate(self._told)
+        known = np.concatenate([np.isfinite(ticks.q).all(axis=1) for ticks in self.kept])
+        here = int(np.searchsorted(np.concatenate([ticks.time_s for ticks in self.kept]), time_s))
+        silent = np.append(-1, np.flatnonzero(~told[:here]))
+        return not known[silent[-1] + 1 : here].any()
+
+
+def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of payload and drag from a run on the table.
+
+    Raises:
+        ConfigError: no [planar] in the vehicle file, or the file does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    _, model = build_planar(vehicle)
+    at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
+    payload = str(model.spec.payload_link)
+    recorder = _Recorder(payload, len(model.joints))
+    for _ in feed(Estimator(vehicle, recorder), log):
+        pass
+    period_s, samples, frame = (
+        1.0 / vehicle.file.estimation.row_rate_hz,
+        samples_per_tick(vehicle),
+        roles_of(vehicle).imu.frame,
+    )
+    links, _, payload_sigma = exiddm_prior(vehicle, model)
+    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+    ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
+    let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
+
+    def build(some: Ticks, first: bool) -> TableExiddm:
+        prior = at_start if first and let_go else underway(at_start)
+        return air_bearing_exiddm(model, frame, some.flight(period_s, samples), payload_sigma, links, prior)
+
+    def judge(found: PayloadFit, wider: float) -> Judged:
+        return _drags(found, at_start.pucks, wider)
+
+    return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
+
+
+def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
+    """What is known of a run besides payload and links where it begins as the base is let go.
+
+    Raises:
+        ConfigError: no [planar] in the vehicle file.
+    """
+    asked = vehicle.file.planar
+    if asked is None:
+        raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
+    pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
+    tilt_m_s2, imu_prior = asked.tilt_sigma_m_s2, imu_prior_of(vehicle)
+    return AirBearingPrior(asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, tilt_m_s2, imu_prior)
+
+
+def underway(at_start: AirBearingPrior) -> AirBearingPrior:
+    """The same where it begins later: the velocity is hardly known."""
+    return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
+
+
+def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> Judged:
+    """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
+    drag = drag_of(found, pucks)
+    known = np.array([sigma for puck in pucks.values() for sigma in puck])
+    sigma = wider**0.5 * drag.sigma
+    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
+    fine = sigma <= SUPPORTED_SHRINKAGE * known
+    units = ["N s/m", "N"] * len(pucks)
+    values = (drag.drag, sigma, drag.drag - half, drag.drag + half, fine, drag.sigma)
+    told = zip(drag.names, units, *(x.tolist() for x in values), strict=True)
+    return Judged(tuple(Answer(*one) for one in told), drag.reason)

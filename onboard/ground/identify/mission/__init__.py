@@ -1,0 +1,1 @@
+"""A rehearsal's answers beside the truth of its world."""

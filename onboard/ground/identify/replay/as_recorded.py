@@ -1,0 +1,125 @@
+"""What a recording says of itself, where the vehicle file of a recorded arm leaves it open or contradicts it.
+
+A vehicle file by ``heft init`` states the usual, and recorders differ: how far apart samples are, to how much readings
+are rounded, whether they are written more than once, in which recording of several the payload is held. That is in the
+log, and an estimate by another number is wrong or refused. What is found is said with the answer.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard import config
+from onboard.config.estimation import Phases
+from onboard.devices.recorded import RecordedDevice
+from onboard.devices.registry import DEVICES
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.stuck import StuckReadings
+from onboard.ground.identify.replay.smoothing_choice import chosen
+from onboard.recording.reader import LogReader
+
+IN_TURN = "recording"  # channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of
+_OTHER_PERIOD = 0.1  # relative: file and log differ
+_FEWEST_STEPS = 32  # between readings, to tell how they are rounded
+_WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
+_NEAREST = 10.0  # quanta, of the steps that tell
+_FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
+
+
+class Recorded(NamedTuple):
+    """A vehicle as its recording says."""
+
+    vehicle: config.Vehicle
+    said: tuple[str, ...]  # what differs from its file
+
+
+def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
+    """The vehicle of a fixed or carried base whose devices are all recorded ones; any other as it is.
+
+    Args:
+        vehicle: its file.
+        log: a recording of it.
+    """
+    devices, settings = dict(vehicle.file.device), vehicle.file.estimation
+    carried = vehicle.file.vehicle.base in ("fixed", "prescribed") and settings.method == "rows"
+    if not carried or not all(isinstance(one, RecordedDevice) for one in devices.values()):
+        return Recorded(vehicle, ())
+    found = dict[str, list[str]]()  # devices, by what the log says of them
+    for name, device in devices.items():
+        if isinstance(device, RecordedDevice) and name in log.channels:
+            devices[name], more = _device(name, device, log)
+            for one in more:
+                found.setdefault(one, []).append(name)
+    said = [f"{text} ({', '.join(f'device.{name}' for name in names)})" for text, names in found.items()]
+    held = _held(vehicle, log)
+    if held is not None:
+        devices[IN_TURN] = DEVICES["recorded_value"].model_validate({"kind": "recorded_value", "period_ms": 100.0})
+        settings = settings.model_copy(update={"phases": held})
+        said.append(f"the payload is held from the second recording on, by channel {IN_TURN!r}: [estimation.phases]")
+    file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
+    found_so_far = vehicle.model_copy(update={"file": file})
+    if "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
+        return Recorded(found_so_far if said else vehicle, tuple(said))
+    return Recorded(choice.vehicle, (*said, choice.said))
+
+
+def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[RecordedDevice, list[str]]:
+    """A device by its rows, and what differs from its table."""
+    rows, said, found = log.read(name), list[str](), dict[str, object]()
+    if len(rows) < _FEWEST_STEPS:
+        return device, said
+    period_ms = 1e-6 * float(np.median(np.diff(rows["host_ns"])))
+    if period_ms > 0.0 and abs(period_ms / device.period_ms - 1.0) > _OTHER_PERIOD:
+        found["period_ms"] = period_ms
+        said.append(f"period_ms: samples are {period_ms:.4g} ms apart, not {device.period_ms:g}")
+    stated = device.model_dump()
+    if "quantum_counts" not in stated:
+        return device.model_copy(update=found), said
+    raw = rows["value_raw"].astype(np.float64)
+    if (quantum := quantum_of(raw)) > stated["quantum_counts"]:
+        found["quantum_counts"] = quantum
+        rounding = quantum * float(rows["scale"][0]) / 12.0**0.5
+        if rounding > stated.get("noise_rad", np.inf):
+            found["noise_rad"] = rounding
+            said.append(f"noise_rad: angles are rounded, {rounding:.2g} rad rms, not {stated['noise_rad']:g}")
+    if not stated.get("repeats", True) and "noise_rad" in stated and _repeats(raw / quantum):
+        found["repeats"] = True
+        said.append("repeats: the recorder writes readings more than once, true")
+    return device.model_copy(update=found), said
+
+
+def quantum_of(raw: NDArray[np.floating]) -> float:
+    """Counts that all steps between readings are whole numbers of, by those of few; 1 where there is no such number.
+
+    Args:
+        raw: readings, counts, (n,).
+    """
+    steps = np.abs(np.diff(raw))
+    steps = steps[steps > 0.0]
+    if len(steps) < _FEWEST_STEPS:
+        return 1.0
+    least = float(steps.min())
+    few = steps[steps < _NEAREST * least] / least
+    if len(few) < _FEWEST_STEPS:
+        return least if not (steps % least).any() else 1.0
+    split = np.abs(few - np.rint(few)) > max(_WHOLE, 1.5 / least)  # counts are rounded themselves
+    return least if split.mean() < _MOST_SPLIT else 1.0
+
+
+def _repeats(raw: FloatArray) -> bool:
+    """Whether readings of a joint that moves are equal so often, and for as long, that it is the recorder's way."""
+    stuck, _ = StuckReadings(1, None).watch(raw[:, None], np.ones(len(raw), np.bool_))
+    begins = np.flatnonzero(np.append(True, np.diff(raw) != 0.0))
+    lengths = np.diff(np.append(begins, len(raw)))[stuck[begins]]
+    return len(lengths) >= _FEWEST_RUNS and bool(np.median(lengths) > 0.5 * lengths.max())
+
+
+def _held(vehicle: config.Vehicle, log: LogReader) -> Phases | None:
+    """The phases of recordings that were merged in turn, where the vehicle file says nothing of any."""
+    silent = vehicle.file.estimation.phases is None and IN_TURN not in vehicle.file.device
+    if not silent or vehicle.file.vehicle.payload_link is None or IN_TURN not in log.channels:
+        return None
+    rows = log.read(IN_TURN)
+    numbers = sorted(set(np.rint(rows["value_raw"] * rows["scale"]).astype(int).tolist()))
+    return Phases(channel=IN_TURN, identify=numbers, payload_taken=2) if len(numbers) > 1 else None

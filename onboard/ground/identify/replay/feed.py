@@ -1,0 +1,100 @@
+"""Feeds a log to the flight's estimator in steps of the vehicle's ``step_ms`` of the log's time.
+
+Memory is constant in the length of the log; the order of the channels in the file does not matter.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from drivers.records import Batch
+from onboard import config
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.log.tables.source import Interleaved
+from onboard.ground.log.tables.vehicle_file import require_kinds
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+
+_LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
+_FARTHEST_TIMES = 10.0
+_SPREAD = 50  # samples between those whose times are compared: some arrive in groups
+_FEWEST_ROWS = 2 * _SPREAD
+
+
+def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
+    """Check that a log has every channel of a vehicle's devices, with rows of the right kind.
+
+    Raises:
+        ChannelError: a channel is missing or of another kind.
+    """
+    if missing := [name for name in vehicle.channels if name not in log.channels]:
+        raise ChannelError(
+            f"{log.path} has no channel {', '.join(missing)}, which vehicle {vehicle.file.vehicle.name!r} needs; it "
+            f"has {', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
+        )
+    require_kinds(log, vehicle)
+
+
+def _pause_ns(source: Interleaved, now_ns: int) -> int:
+    """How long nothing was recorded from a time on, less ``_LONGEST_PAUSE_NS`` on both sides; 0 for short pauses."""
+    next_ns = source.next_ns
+    return 0 if next_ns is None else max(0, next_ns - now_ns - 2 * _LONGEST_PAUSE_NS)
+
+
+def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
+    """Check that the samples of a log are as far apart as the vehicle file says, to a factor of ten.
+
+    Raises:
+        ChannelError: a channel's times are of another unit.
+    """
+    for name, signal in roles_of(vehicle).signals.items():
+        stamps_ns = _first_stamps(log, name)
+        if len(stamps_ns) < _FEWEST_ROWS:
+            continue
+        spread_ns = np.median(stamps_ns[_SPREAD:] - stamps_ns[:-_SPREAD])
+        ratio = 1e-9 * float(spread_ns) / _SPREAD / signal.period_s
+        if not 1.0 / _FARTHEST_TIMES < ratio < _FARTHEST_TIMES:
+            found, stated = (f"{1e3 * ms:.4g} ms" for ms in (ratio * signal.period_s, signal.period_s))
+            raise ChannelError(
+                f"{log.path}: samples of {name} are {found} apart where the vehicle file says {stated}; check the unit "
+                "of the recording's times, or the device's period"
+            )
+
+
+def _first_stamps(log: LogReader, channel: str) -> FloatArray:
+    """Arrival of the first rows of a channel, ns; twice as many as are compared, or all of them."""
+    found, count = [np.zeros(0)], 0
+    for _, rows in log.batches([channel]):
+        found.append(rows["host_ns"].astype(np.float64))
+        count += len(rows)
+        if count >= 2 * _FEWEST_ROWS:
+            break
+    return np.concatenate(found)
+
+
+def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Iterator[Batch]:
+    """Outputs of the estimator, step by step; the last step has no lag, as at the end of a flight.
+
+    Args:
+        estimator: of the vehicle that the log was flown with.
+        log: its rows' ``host_ns`` are the time that passes.
+        step_s: of the log's time, instead of the vehicle's ``step_ms``: longer ones take less time.
+
+    Raises:
+        ChannelError: the log does not fit the vehicle.
+    """
+    check_channels(estimator.vehicle, log)
+    step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6 if step_s is None else step_s * 1e9)
+    source = Interleaved(log, estimator.inputs)
+    if source.start_ns is None:
+        return
+    now_ns = source.start_ns
+    yield from estimator.process(now_ns, {})
+    while not source.done:
+        now_ns += step_ns
+        skipped_ns = _pause_ns(source, now_ns)
+        now_ns += skipped_ns
+        yield from estimator.process(now_ns, source.take(now_ns), None, skipped_ns)
+    yield from estimator.process(now_ns, {}, 0)

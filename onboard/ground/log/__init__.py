@@ -1,0 +1,1 @@
+"""A log on the ground: tables of its channels, views, export, rescue, foreign recordings brought in."""

@@ -1,0 +1,118 @@
+"""The clock of a recording: which column, in what unit, how even, with what gaps."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.ground.log.bring_in.channel_rows import rising
+from onboard.ground.log.bring_in.mapping import NS_PER
+from onboard.ground.log.bring_in.text_rows import Values
+
+_SINCE_1970_s = 5e8, 4e9  # 1985 to 2096
+_SLOWEST_Hz, _FASTEST_Hz = 0.01, 50e3
+_USUAL_Hz, _DECADES = 200.0, 0.8  # of recordings: middle and spread of their rates
+_SURE = 2.5  # nats between the likeliest unit and the next one
+_MOST_LEFT_OUT = 0.1  # of the rows, so that times rise
+
+
+class Clock(NamedTuple):
+    """A column of times.
+
+    Attributes:
+        column: its name.
+        unit: of it.
+        why: what the unit is by.
+        doubt: why that may be wrong; or "".
+        seconds: (n,) of the rows, NaN where there is none.
+        rate_Hz: of the samples, by the median interval.
+        gaps: intervals of more than 1.5 medians, and the longest, s.
+        left_out: rows that have to be left out so that times rise.
+    """
+
+    column: str
+    unit: str
+    why: str
+    doubt: str
+    seconds: NDArray[np.float64]
+    rate_Hz: float  # noqa: N815  (a unit's own letters)
+    gaps: tuple[int, float]
+    left_out: int
+
+    def in_unit(self, unit: str, why: str) -> "Clock":
+        """The same in another unit, which is known."""
+        factor = NS_PER[unit] / NS_PER[self.unit]
+        count, longest_s = self.gaps
+        return self._replace(
+            unit=unit,
+            why=why,
+            doubt="",
+            seconds=self.seconds * factor,
+            rate_Hz=self.rate_Hz / factor,
+            gaps=(count, longest_s * factor),
+        )
+
+
+def clock(column: str, values: Values, named: str) -> Clock | None:
+    """What a column says of time; None if it does not rise.
+
+    Args:
+        column: its name in the recording.
+        values: (n,).
+        named: unit by its name or the kind of file; or "".
+    """
+    number = values.astype(np.float64)
+    known = np.flatnonzero(np.isfinite(number) & (number >= 0))
+    if len(known) < 3:
+        return None
+    kept = known[rising(values[known])] if values.dtype.kind in "iu" else known[rising(number[known])]
+    left_out = len(number) - len(kept)
+    if left_out > _MOST_LEFT_OUT * len(number) or len(kept) < 3:
+        return None
+    steps = np.diff(number[kept])
+    step, middle = float(np.median(steps)), float(np.median(number[kept]))
+    whole = bool((number[kept] == np.rint(number[kept])).all())
+    found, why, doubt = _unit(step, middle, named, whole=whole)
+    scale = 1e-9 * NS_PER[found]
+    seconds = np.full(len(number), np.nan)
+    seconds[kept] = (number[kept] - number[kept[0]]) * scale
+    wide = steps > 1.5 * step
+    gaps = int(wide.sum()), float(steps.max() * scale) if wide.any() else 0.0
+    return Clock(column, found, why, doubt, seconds, 1.0 / (step * scale), gaps, left_out)
+
+
+def _unit(step: float, middle: float, named: str, *, whole: bool) -> tuple[str, str, str]:
+    """Unit, what it is by, and the doubt."""
+    if named in NS_PER:
+        rate = 1e9 / (step * NS_PER[named])
+        odd = "" if _SLOWEST_Hz <= rate <= _FASTEST_Hz else f"it would be {rate:.3g} Hz"
+        return named, "by its name", odd
+    for unit, ns in NS_PER.items():
+        if _SINCE_1970_s[0] < middle * 1e-9 * ns < _SINCE_1970_s[1] and 1e9 / (step * ns) > _SLOWEST_Hz:
+            return unit, "since 1970", ""
+    likely = {}
+    for unit, ns in NS_PER.items():
+        rate = 1e9 / (step * ns)
+        if _SLOWEST_Hz <= rate <= _FASTEST_Hz:
+            likely[unit] = -0.5 * (math.log10(rate / _USUAL_Hz) / _DECADES) ** 2
+            if unit == "s" and not whole:
+                likely[unit] += _SURE  # fractions are written of seconds
+    if not likely:
+        return "s", "by default", f"steps of {step:.3g} are no usual rate in any unit"
+    order = sorted(likely, key=lambda unit: -likely[unit])
+    rates = [f"{unit} would be {1e9 / (step * NS_PER[unit]):.4g} Hz" for unit in order]
+    close = len(order) > 1 and likely[order[0]] - likely[order[1]] < _SURE
+    count = whole and step == 1.0
+    doubt = f"by its steps of {step:g} alone: {', '.join(rates[:2])}" if close else ""
+    if count:
+        doubt = "it counts rows, which need not be a time: then write rate_Hz instead of column and unit"
+    return order[0], f"by its steps of {step:g}", doubt
+
+
+def said(one: Clock) -> str:
+    """Rate and gaps in words."""
+    count, longest_s = one.gaps
+    gaps = f"{count} intervals longer than 1.5 of that, up to {longest_s:.3g} s" if count else "no gaps"
+    out = f"; {one.left_out} rows whose times do not rise" if one.left_out else ""
+    return f"{one.rate_Hz:.4g} Hz, {gaps}{out}"

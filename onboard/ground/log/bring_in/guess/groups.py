@@ -1,0 +1,160 @@
+"""Columns of a recording, grouped by what they are: the angles of all joints, the three axes of a gyro."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.ground.log.bring_in.guess import names
+from onboard.ground.log.bring_in.guess.clock import Clock, clock
+from onboard.ground.log.bring_in.guess.names import Name
+from onboard.ground.log.bring_in.messages import TIMES
+from onboard.ground.log.bring_in.text_rows import Values
+
+_WIDEST = 64  # columns of an array
+_OF_ONE = 0.02  # of a quaternion's length
+_BESIDE = {"frame", "seq", "sequence", "index", "count", "counter", "iteration", "n", "k", "unnamed", "id", "row"}
+
+
+class Column(NamedTuple):
+    """A column of numbers."""
+
+    name: str  # as a mapping calls it
+    values: Values  # (n,)
+    of: Name
+
+
+class Group(NamedTuple):
+    """Columns of a kind."""
+
+    kind: str
+    stem: tuple[str, ...]
+    unit: str  # that is named
+    columns: Mapping[str, Column]  # by label: x, y, z, w, a number, a joint's name, or ""
+    commanded: bool
+    doubt: str = ""  # of what it is
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """(n, columns), in the order of the labels."""
+        return np.column_stack([self.columns[label].values for label in self.labels]).astype(np.float64)
+
+    @property
+    def labels(self) -> list[str]:
+        """In their order."""
+        order = {label: k for k, label in enumerate("wxyz")}
+        return sorted(self.columns, key=lambda one: (order.get(one, 9), int(one) if one.isdigit() else 0))
+
+    @property
+    def called(self) -> list[str]:
+        """The columns' names, in the order of the labels."""
+        return [self.columns[label].name for label in self.labels]
+
+
+class Table(NamedTuple):
+    """Columns with one clock: a file of text, a topic, arrays of a length."""
+
+    name: str
+    groups: tuple[Group, ...]
+    clock: Clock | None
+    rest: tuple[Column, ...]  # of no kind that is known
+    taken_for_time: str = ""  # why, where no name says it
+    out_of_order: str = ""  # a column that is a time by its name and does not rise, where there is no other
+
+
+def tables(path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[str, str]) -> list[Table]:
+    """Tables of a recording; ``units``: by column, of a line of units."""
+    apart: dict[str, list[Column]] = {}
+    for name, values in columns.items():
+        if not values.ndim:
+            continue
+        table = (
+            name.rpartition(":")[0] if kind in ("bag", "mcap", "ulog") else "" if kind == "csv" else str(len(values))
+        )
+        for own, one in _flat(name, values):
+            plain = _undoubled(own, columns)
+            apart.setdefault(table, []).append(Column(own, one, names.parsed(plain or own, units.get(own, ""))))
+    return [_table(name, kind, some) for name, some in apart.items() if len(some[0].values) > 1]
+
+
+def _flat(name: str, values: Values) -> list[tuple[str, Values]]:
+    if values.dtype.kind not in "iufb" or values.ndim > 2:
+        return []
+    if values.ndim < 2:
+        return [(name, values)] if values.ndim else []
+    return [(f"{name}[{k}]", values[:, k]) for k in range(values.shape[1])] if values.shape[1] <= _WIDEST else []
+
+
+def _table(name: str, kind: str, columns: list[Column]) -> Table:
+    usable = [one for one in columns if np.isfinite(one.values).any()]
+    clocks = [one for one in usable if names.is_time(one.of)]
+    if kind in ("bag", "mcap", "ulog"):
+        clocks = [one for wanted in TIMES for one in usable if one.name.rpartition(":")[2] == wanted]
+    found = None
+    taken = ""
+    for one in clocks:
+        named = {"bag": "ns", "mcap": "ns", "ulog": "us"}.get(kind, one.of.unit)
+        if (found := clock(one.name, one.values, named)) is not None and _goes_on(one.values):
+            break
+        found = None
+    lost = next((one.name for one in clocks if found is None and _goes_on(one.values)), "")
+    if found is None and not lost and kind in ("csv", "npz", "mat"):
+        for one in usable:
+            if not set(one.of.stem) & _BESIDE and _rises(one.values):
+                found = clock(one.name, one.values, one.of.unit)
+                taken = "it rises from row to row; no name says that it is a time" if found is not None else ""
+                break
+    used = {one.name for one in clocks} | ({found.column} if found else set())
+    groups, rest = _groups([one for one in usable if one.name not in used])
+    rest += [one for one in columns if not np.isfinite(one.values).any()]
+    return Table(name, tuple(groups), found, tuple(rest), taken, lost)
+
+
+def _goes_on(values: Values) -> bool:
+    return bool(np.ptp(values[np.isfinite(values)].astype(np.float64)) > 0.0)
+
+
+def _rises(values: Values) -> bool:
+    return len(values) > 10 and bool((np.diff(values) > 0).all()) and bool(values[0] >= 0)
+
+
+def _groups(columns: list[Column]) -> tuple[list[Group], list[Column]]:
+    together: dict[tuple[tuple[str, ...], str], dict[str, Column]] = {}
+    doubts: dict[tuple[tuple[str, ...], str], str] = {}
+    rest: list[Column] = []
+    for one in columns:
+        place = one.of.stem, one.of.unit
+        own = together.setdefault(place, {})
+        if one.of.label not in own:
+            own[one.of.label] = one
+            continue
+        rest.append(one)
+        if not np.array_equal(own[one.of.label].values, one.values, equal_nan=one.values.dtype.kind == "f"):
+            doubts[place] = f"{own[one.of.label].name!r} could be {one.name!r} as well, which differs"
+    groups: list[Group] = []
+    for (stem, unit), found in together.items():
+        kind = names.kind_of(Name(stem, "", unit), frozenset(found))
+        if kind == "angle" and set(found) == set("0123") and _is_attitude(found):
+            kind = "quaternion"
+        if kind == "angle" and stem[-1:] == ("a",) and len(found) < 3:
+            kind = ""
+        if kind:
+            groups.append(Group(kind, stem, unit, found, names.commanded(stem), doubts.get((stem, unit), "")))
+        else:
+            rest += found.values()
+    return groups, rest
+
+
+def _undoubled(name: str, known: Mapping[str, Values]) -> str:
+    """The name as it stands in the file, where it stands there more than once; "" where it does not."""
+    numbered = re.fullmatch(r"(.*?) ?\((\d+)\)", name)
+    twice = numbered is not None and {f"{numbered[1]} (1)".strip(), f"{numbered[1]} (2)".strip()} <= set(known)
+    return numbered[1] if twice and numbered is not None else ""
+
+
+def _is_attitude(found: Mapping[str, Column]) -> bool:
+    values = np.column_stack([found[label].values for label in "0123"]).astype(np.float64)
+    return bool(np.nanmax(np.abs(np.linalg.norm(values, axis=1) - 1.0), initial=0.0) < _OF_ONE)

@@ -1,0 +1,274 @@
+"""From a recording to a proposed mapping: what each column is, its unit, the clock; doubts are said where they are."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.ground.log.bring_in import foreign, text_rows
+from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
+from onboard.ground.log.bring_in.guess.clock import Clock, said
+from onboard.ground.log.bring_in.guess.groups import Group, Table, tables
+from onboard.ground.log.bring_in.guess.magnitudes import Unit
+from onboard.ground.log.bring_in.mapping import Csv
+from onboard.ground.log.bring_in.messages import read_messages
+from onboard.ground.log.bring_in.text_rows import Recording
+
+MOST_ROWS = 200_000  # that are looked at
+_RATE_Hz = 100.0  # where nothing says when
+_SCALARS = {  # by kind: units that are known, the usual one, names of the channels by label
+    "force": (("N",), "N", "force_{}"),
+    "moment": (("N m", "N mm"), "N m", "moment_{}"),
+    "position": (("m", "mm"), "m", "position_{}"),
+    "quaternion": (("1",), "1", "attitude_{}"),
+    "load_cell": (("N", "N m", "N mm"), "N", "{}"),
+    "torque": (("N m", "N mm", "N"), "N m", "{}_torque"),
+    "current": (("A", "mA"), "A", "{}_torque"),
+}
+_AGREED = "as angles and their rates agree"
+_BEST = ("actual", "measured", "meas", "state", "states", "act", "msr")
+
+
+class Names(NamedTuple):
+    """Channels of a vehicle file, in the order of its devices; empty: none is at hand."""
+
+    imus: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+    torques: tuple[str, ...] = ()
+    by_current: bool = False  # the torques are read as currents
+
+
+class Proposal(NamedTuple):
+    """A mapping, and what a person should look at."""
+
+    text: str
+    doubts: tuple[str, ...]
+    channels: tuple[str, ...]
+
+
+def propose(path: Path, vehicle: Names) -> Proposal:
+    """Look at a recording and write a mapping for it.
+
+    Args:
+        path: CSV, MAT, NPZ, a ROS bag, MCAP or ULog.
+        vehicle: channels to name the columns by.
+
+    Raises:
+        SourceError: it cannot be read, or holds nothing that is known.
+        OSError: likewise.
+    """
+    kind = sniff.kind_of(path)
+    layout = sniff.layout_of(path) if kind == "csv" else None
+    columns, truncated, ragged = _read(path, kind, layout)
+    units = {}
+    if layout is not None and len(layout.units) == len(columns):
+        units = dict(zip(columns, layout.units, strict=True))
+    made = _Maker(vehicle)
+    some = tables(path, kind, columns, units)
+    if layout is not None and not layout.csv.header:
+        some = [blocks.recognised(one) for one in some]
+    main = max(some, key=lambda one: sum(len(g.columns) for g in one.groups), default=None)
+    if main is None:
+        raise SourceError(f"{path} has no columns of two numbers or more")
+    if main.out_of_order:
+        raise SourceError(f"{path}: {main.out_of_order!r} is a time by its name and does not rise: sort the recording")
+    for one in (main, *(other for other in some if other is not main)):
+        made.add(one, main)
+    if not made.parts:
+        seen = ", ".join(repr(name)[:40] for name in list(columns)[:20])
+        raise SourceError(
+            f"{path}: none of its columns has a name that says what it is ({seen}); write a mapping by docs/import.md"
+        )
+    notes = [truncated] if truncated else []
+    notes += layout.notes if layout is not None else ()
+    notes += [f"{_of(one)}{said(made.clocks[one.name])}" for one in some if one.name in made.clocks]
+    bad = _bad(some, ragged)
+    head = text.head(re.sub(r"\W+", "_", path.stem) or "recording", path.name, kind, bad, layout and layout.csv, notes)
+    whole = head + _time(main, made) + "".join(made.parts) + text.not_taken(made.others)
+    return Proposal(whole, tuple(re.findall(r"^# doubtful: (.*)$", whole, re.MULTILINE)), tuple(made.names))
+
+
+def _of(one: Table) -> str:
+    return f"{one.name}: " if one.name and not one.name.isdigit() else ""
+
+
+def _read(path: Path, kind: sniff.Kind, layout: sniff.Layout | None) -> Recording:
+    if layout is not None:
+        return text_rows.read_csv(path, layout.csv, skip=True, most_rows=MOST_ROWS)
+    if kind in ("bag", "mcap", "ulog"):
+        return read_messages(path, kind, None, MOST_ROWS)
+    return foreign.read(path, Csv(), kind)
+
+
+def _bad(some: Sequence[Table], ragged: int) -> str:
+    """What has to be skipped, in words; "" of nothing."""
+    said_of = [f"{ragged} rows have another number of cells"] if ragged else []
+    for one in some:
+        taken = [group.values for group in one.groups]
+        rows = ~np.isfinite(np.hstack(taken)).all(axis=1) if taken else np.zeros(0, np.bool_)
+        late = np.isnan(one.clock.seconds) if one.clock is not None else np.zeros(0, np.bool_)
+        for count, why in ((rows.sum(), "a cell that is no number"), (late.sum(), "a time that does not rise")):
+            if count:
+                said_of.append(f"{_of(one)}{count} rows have {why}")
+    return "; ".join(said_of)
+
+
+def _time(main: Table, made: "_Maker") -> str:
+    if main.clock is None:
+        key = text.Key(
+            f"rate_Hz = {_RATE_Hz:g}", "no column of times was found: write the rate of the samples, or column and unit"
+        )
+        return "\n[time]\n" + key.lines
+    own = made.clocks[main.name]
+    doubt = "; ".join(one for one in (main.taken_for_time, own.doubt) if one and own.why != _AGREED)
+    return (
+        f"\n[time]\ncolumn = {text.quoted(own.column)}\n"
+        + text.Key(f"unit = {text.quoted(own.unit)}", doubt, own.why).lines
+    )
+
+
+class _Maker:
+    """Channels, one after the other."""
+
+    def __init__(self, vehicle: Names) -> None:
+        self.parts: list[str] = []
+        self.names: list[str] = []
+        self.others: list[tuple[str, str]] = []  # columns that are not taken, and why
+        self.clocks: dict[str, Clock] = {}  # by table, with the unit that rates and angles agree on
+        self._vehicle = vehicle
+        self._taken: set[str] = set()  # kinds of which there is one
+        self._imus = 0
+
+    def add(self, one: Table, main: Table) -> None:
+        """What a table holds."""
+        groups = [group for group in one.groups if not group.commanded]
+        angles = _best(groups, "angle")
+        rates = _best(groups, "rate")
+        units = self._agreed(one, angles, rates)
+        time = ""
+        if one is not main and one.clock is not None:
+            own = self.clocks[one.name]
+            time = f"time = {{ column = {text.quoted(own.column)}, unit = {text.quoted(own.unit)} }}\n"
+        if one is not main and one.clock is None:
+            self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
+            return
+        quaternion = _best(groups, "quaternion")
+        done = list(self._imu(one, groups, quaternion, time))
+        for kind in ("angle", "torque", "current", "wrench", "force", "moment", "load_cell", "quaternion", "position"):
+            group = _best(groups, kind)
+            if (
+                group is None
+                or (kind in self._taken and kind != "load_cell")
+                or (kind == "current" and "torque" in self._taken)
+            ):
+                continue
+            self._taken.add(kind)
+            done.append(group)
+            self._scalars(kind, group, units.get(kind), time)
+        self._rest(one, done)
+
+    def _rest(self, one: Table, done: Sequence[Group]) -> None:
+        for group in one.groups:
+            if any(group is other for other in done):
+                continue
+            why = "commanded or computed, not measured" if group.commanded else ""
+            why = why or {
+                "rate": "rates are made of the angles",
+                "acceleration": "accelerations are made of the angles",
+                "accel": "an IMU has rates of turn too",
+                "gyro": "an IMU has accelerations too",
+            }.get(group.kind, f"another {group.kind} is taken")
+            self._leave(group.called, why)
+        self._leave([column.name for column in one.rest], "no name that is known, or no number")
+
+    def _leave(self, names: Sequence[str], why: str) -> None:
+        self.others += [(name, why) for name in names]
+
+    def _agreed(self, one: Table, angles: Group | None, rates: Group | None) -> dict[str, Unit]:
+        """Units of the angles, by their rates where there are any; the clock's unit with them."""
+        if one.clock is None:
+            return {} if angles is None else {"angle": magnitudes.of_angles(angles.values, angles.unit)}
+        self.clocks[one.name] = own = one.clock
+        if angles is None:
+            return {}
+        unit = magnitudes.of_angles(angles.values, angles.unit)
+        if rates is None or len(rates.columns) != len(angles.columns):
+            return {"angle": unit}
+        rate = magnitudes.of_rates(rates.values, rates.unit, unit)
+        ratio = magnitudes.slope(angles.values, rates.values, own.seconds)
+        if ratio is None:
+            return {"angle": unit}
+        fixed = [
+            name for name, why in ((unit.name, unit.why), (rate.name, rate.why), (own.unit, own.why)) if "name" in why
+        ]
+        best = magnitudes.agreed(ratio, unit.name, rate.name, own.unit, fixed)
+        if best is None:
+            odd = f"the angles change {ratio:.3g} times as fast as {rates.called[0]!r} and those beside it say"
+            return {"angle": unit._replace(doubt=unit.doubt or odd)}
+        self.clocks[one.name] = own.in_unit(best[2], own.why if "name" in own.why else _AGREED)
+        return {"angle": Unit(best[0], "as the rates agree" if "name" not in unit.why else unit.why)}
+
+    def _imu(self, one: Table, groups: Sequence[Group], quaternion: Group | None, time: str) -> Iterator[Group]:
+        """Gyros with the accelerometers beside them."""
+        gyros = [group for group in groups if group.kind == "gyro"]
+        accels = [group for group in groups if group.kind == "accel"]
+        for gyro, accel in zip(gyros, accels, strict=False):
+            named = self._vehicle.imus[self._imus : self._imus + 1]
+            self._imus += 1
+            name = named[0] if named else "imu_base" if self._imus == 1 else f"imu_{self._imus}"
+            self.names.append(name)
+            turns = None
+            if quaternion is not None and one.clock is not None:
+                turns = magnitudes.turned(quaternion.values, gyro.values, one.clock.seconds)
+            force = magnitudes.of_accelerations(accel.values, accel.unit).beside(accel.doubt)
+            rate = magnitudes.of_rates_of_turn(gyro.values, gyro.unit, turns, force.name).beside(gyro.doubt)
+            self.parts.append(
+                f'\n[channel.{name}]\nrecord = "imu"\n{time}'
+                + text.vector(f"channel.{name}.accel", accel.called, accel.values, force)
+                + text.vector(f"channel.{name}.gyro", gyro.called, gyro.values, rate)
+            )
+            yield from (gyro, accel)
+
+    def _scalars(self, kind: str, group: Group, unit: Unit | None, time: str) -> None:
+        known, usual, pattern = _SCALARS.get(kind, (("rad", "deg"), "rad", "{}"))
+        for k, label in enumerate(group.labels):
+            column = group.columns[label]
+            values = np.asarray(column.values, np.float64)[:, None]
+            own_kind, own_label = kind, label
+            if kind == "wrench":
+                own_kind, own_label = ("force", "moment")[k // 3], "xyz"[k % 3]
+                known, usual, pattern = _SCALARS[own_kind]
+            own = unit or magnitudes.of_others(own_kind, values, group.unit, known, usual)
+            if kind == "torque" and self._vehicle.by_current and not group.unit:
+                own = Unit("A", "as the vehicle file has gain_N_m_A")
+            name = self._name(own_kind, own_label, k, group, pattern)
+            first = k == 0
+            own = own._replace(doubt=own.doubt if first else "")
+            settled = kind == "torque" and self._vehicle.by_current
+            doubt = group.doubt if first and not settled else ""
+            self.parts.append(text.scalar(name, column.name, values, own, time, doubt))
+            self.names.append(name)
+
+    def _name(self, kind: str, label: str, k: int, group: Group, pattern: str) -> str:
+        """Of a channel: a joint's by the vehicle, by its own name, or by its number from 1."""
+        given = {"angle": self._vehicle.angles, "torque": self._vehicle.torques, "current": self._vehicle.torques}.get(
+            kind
+        )
+        if given and len(given) == len(group.columns):
+            return given[k]
+        if kind in ("angle", "torque", "current"):
+            joint = f"joint_{k + 1}" if label.isdigit() else re.sub(r"\W+", "_", label)
+            return pattern.format(joint)
+        name = pattern.format(label if kind != "load_cell" else "load_cell" + (f"_{label}" if label else ""))
+        while name in self.names:
+            name += "_2"
+        return name
+
+
+def _best(groups: Sequence[Group], kind: str) -> Group | None:
+    """The group of a kind that was measured, by its words, its columns and its place."""
+    some = [group for group in groups if group.kind == kind]
+    return max(some, key=lambda one: (bool(set(one.stem) & set(_BEST)), len(one.columns)), default=None)

@@ -1,0 +1,50 @@
+"""NPZ writer: one array per column, by name, and text arrays ``columns`` and ``units``."""
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from drivers.records import Rows
+from onboard.ground.log.export.spool import Spool
+from onboard.ground.log.tables.columns import Column
+
+
+class NpzTable:
+    """An NPZ file, for ``numpy.load``.
+
+    Args:
+        target: path of the file.
+        columns: columns of the table.
+    """
+
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+        assert isinstance(target, Path)
+        self._path, self._spool = target, Spool(target.parent, columns)
+
+    def write(self, rows: Rows) -> None:
+        """Write rows (n,)."""
+        self._spool.write(rows)
+
+    def close(self) -> None:
+        """Finish the file."""
+        columns = self._spool.columns
+        try:
+            with zipfile.ZipFile(self._path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+                for number, column in enumerate(columns):
+                    header = {
+                        "descr": np.lib.format.dtype_to_descr(self._spool.dtypes[number]),
+                        "fortran_order": False,
+                        "shape": (self._spool.rows,),
+                    }
+                    with archive.open(f"{column.name}.npy", "w", force_zip64=True) as file:
+                        np.lib.format.write_array_header_2_0(file, header)
+                        for block in self._spool.blocks(number):
+                            file.write(block)
+                for name, texts in (("columns", [c.name for c in columns]), ("units", [c.unit for c in columns])):
+                    with archive.open(f"{name}.npy", "w") as file:
+                        np.lib.format.write_array(file, np.array(texts, np.str_), allow_pickle=False)
+        finally:
+            self._spool.close()

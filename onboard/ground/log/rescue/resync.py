@@ -1,0 +1,272 @@
+"""``heft resync``: logs of recorders whose clocks have nothing in common, put on the time of the first with an IMU.
+
+What is compared: the IMU's angular rate with that of another IMU on the same body, or with joint rates. A vehicle that
+floats freely and whose joints the other log has goes further, through its own model
+(:mod:`onboard.ground.log.rescue.fit_clocks`), which also gives what it was holding. Memory: 60 bytes a sample.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from drivers.records import IMU, SCALAR
+from onboard import config
+from onboard.devices import si
+from onboard.devices.roles import ANGLE, RATE
+from onboard.dynamics.payload import BodyEstimate
+from onboard.dynamics.ticks import FlightSignals
+from onboard.dynamics.vehicle import BaseKind, VehicleSpec
+from onboard.dynamics.vehicle import VehicleModel as Model
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
+from onboard.ground.log.rescue.sampled import sampled
+from onboard.identification.exiddm.batch import Exiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.recording.reader import LogReader
+from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
+
+# An IMU without calibration: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
+# its zeros over the warm-up of a flight.
+UNCALIBRATED = ImuPrior(0.17, 1e-3, 0.015, 0.01, 0.4, 1e-2, 0.015, 0.01, 0.0)
+# Of a payload that could be anything an arm holds: kg, kg m, kg m^2, about none at all.
+SHOCK_S, SHOCK_HZ = 0.005, 15.0  # a tap rings some milliseconds
+ANY_PAYLOAD = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
+
+
+class _Joint(NamedTuple):
+    recorded: Stream  # (n, 1) rad, or rad/s
+    is_rate: bool
+
+
+class AlignedLog(NamedTuple):
+    """Where a log's clock lies: reference time = ``offset_s + (1 + rate) * (its time - pivot_s) + pivot_s``."""
+
+    log: Path
+    reference: Path
+    offset_s: float
+    rate: float
+    drift_per_s: float
+    pivot_s: float
+    sigma_offset_s: float
+    sigma_rate: float
+    how: str
+    unique: str  # how the answer stands out
+    payload: BodyEstimate | None  # in the payload link's frame
+
+    @property
+    def shift_s(self) -> float:
+        """To be added to its time once that is multiplied by ``1 + rate``."""
+        return self.offset_s - self.rate * self.pivot_s
+
+    @property
+    def merge_option(self) -> str:
+        """For ``heft merge``."""
+        return f"--align {self.log.stem}={self.shift_s:.9f},{1.0 + self.rate:.9f}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        made: dict[str, Any] = {**self._asdict(), "log": str(self.log), "reference": str(self.reference)}
+        made["merge"] = self.merge_option
+        if self.payload is not None:
+            body, covariance = self.payload
+            made["payload"] = {
+                "mass_kg": body.mass_kg,
+                "centre_of_mass_m": body.centre_of_mass_m.tolist(),
+                "inertia_kg_m2": body.inertia_kg_m2.tolist(),
+                "covariance": covariance.tolist(),
+            }
+        return made
+
+
+def resync(
+    logs: Sequence[LogReader],
+    vehicle: config.Vehicle | None,
+    peak_Hz: float,
+    rate_limit: float,
+    by_shocks: bool = False,
+    told: Callable[[str], object] = lambda text: None,
+) -> list[AlignedLog]:
+    """The clock of every log but the reference.
+
+    Args:
+        logs: two or more.
+        vehicle: says which channel is what, and the model where there is one; else every scalar channel in rad or
+            rad/s is taken for a joint.
+        peak_Hz: where the motion is liveliest, see :func:`onboard.timebase.resync.align`.
+        rate_limit: largest accepted relative error of a clock.
+        by_shocks: compare taps of a mallet, which every recorder feels, and nothing else; good to some milliseconds.
+        told: called with what is done next.
+
+    Raises:
+        ResyncError: a clock that cannot be told, with the reason.
+        ValueError: no IMU in any of the logs, or no motion in one.
+    """
+    if len(logs) < 2:
+        raise ValueError("give two logs or more: the clocks of one flight computer's log are fitted to its pulses")
+    imus = {number: name for number, log in enumerate(logs) if (name := _imu_channel(log, vehicle))}
+    if not imus:
+        raise ValueError("none of the logs has an IMU: give the one that recorded it first")
+    first = next(iter(imus))
+    told(f"reads {logs[first].path.name}")
+    rate, force = _imu(logs[first], imus[first])
+    placed = []
+    for number, log in enumerate(logs):
+        if number == first:
+            continue
+        told(f"{log.path.name} on the time of {logs[first].path.name}")
+        try:
+            seen = (force,) if by_shocks else (rate, force)
+            placed.append(_place(log, logs[first], imus.get(number), seen, vehicle, peak_Hz, rate_limit))
+        except ResyncError as error:
+            raise ResyncError(f"{log.path} on the time of {logs[first].path}: {error}") from error
+    return placed
+
+
+def _place(
+    log: LogReader,
+    reference: LogReader,
+    imu: str | None,
+    seen: tuple[Stream, ...],  # rate and specific force of the reference; specific force alone: compare shocks
+    vehicle: config.Vehicle | None,
+    peak_Hz: float,
+    rate_limit: float,
+) -> AlignedLog:
+    joints = {} if imu else _joints(log, vehicle)
+    if not imu and not joints:
+        raise ValueError(f"{log.path} has neither an IMU nor a joint in rad or rad/s: nothing to compare")
+    if len(seen) == 1:
+        felt = _imu(log, imu)[1] if imu else _rates(joints)
+        ours, theirs = shocks(seen[0], SHOCK_S), shocks(felt, SHOCK_S)
+        found = align(ours, theirs, SHOCK_HZ, rate_limit, first_s=float(np.ptp(theirs.time_s)))
+        return _aligned(log, reference, found, "shocks that both felt")
+    if vehicle is not None and vehicle.file.vehicle.base == "free" and vehicle.file.vehicle.payload_link and joints:
+        return _through_the_model(log, reference, joints, (seen[0], seen[1]), vehicle, rate_limit)
+    if imu:
+        return _aligned(
+            log, reference, align(seen[0], _imu(log, imu)[0], peak_Hz, rate_limit), "angular rates of two IMUs"
+        )
+    found = align(seen[0], _rates(joints), peak_Hz, rate_limit)
+    return _aligned(log, reference, found, "angular rate and joint rates")
+
+
+def _aligned(log: LogReader, reference: LogReader, found: Alignment, how: str) -> AlignedLog:
+    unique = (
+        f"{found.nats:.0f} nats to the next offset, {found.runner_up_s:+.2f} s away; explains {found.explained:.1%}"
+    )
+    sigma = found.sigma_offset_s, found.sigma_rate
+    clock = found.offset_s, found.rate, found.drift_per_s, found.pivot_s
+    return AlignedLog(log.segments[0], reference.segments[0], *clock, *sigma, how, unique, None)
+
+
+def _through_the_model(
+    log: LogReader,
+    reference: LogReader,
+    joints: dict[str, _Joint],
+    seen: tuple[Stream, Stream],
+    vehicle: config.Vehicle,
+    rate_limit: float,
+) -> AlignedLog:
+    section, roles = vehicle.file.vehicle, roles_of(vehicle)
+    urdf = vehicle.urdf_text
+    model = Model(urdf, VehicleSpec(BaseKind.FREE, section.base_link, section.payload_link))
+    frame = roles.imu.frame
+    noise = roles.signals[roles.imu.channels[0]].noise
+    by_joint = {joint.joint: joints[joint.channel] for joint in roles.joints if joint.channel in joints}
+    if missing := [joint.name for joint in model.joints if joint.name not in by_joint or by_joint[joint.name].is_rate]:
+        raise ValueError(f"{log.path} has no angle of {', '.join(missing)}: give the log that has all joints")
+    ordered = [by_joint[joint.name].recorded for joint in model.joints]
+    own_s = ordered[0].time_s
+    angle = np.column_stack([np.interp(own_s, one.time_s, one.values[:, 0]) for one in ordered])
+    recorded = Recorded(seen[0].time_s, seen[0].values, seen[1].values, (noise[0], noise[-1]), own_s, angle)
+
+    def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
+        return free_exiddm(model, frame, signals, ANY_PAYLOAD, {}, imu_prior)
+
+    found = rescue(recorded, coarse_clocks(model, frame, recorded, rate_limit), build, UNCALIBRATED)
+    clock = found.clock
+    how = "base rate and specific force predicted from the joints, payload and momentum fitted with the clock"
+    unique = f"residuals are {found.misfit:.2f} times the noise, settled in {found.rounds} rounds"
+    return AlignedLog(
+        log.segments[0],
+        reference.segments[0],
+        clock.offset_s,
+        clock.rate,
+        0.0,
+        clock.pivot_s,
+        clock.sigma_offset_s,
+        clock.sigma_rate,
+        how,
+        unique,
+        found.found.payload,
+    )
+
+
+def _imu_channel(log: LogReader, vehicle: config.Vehicle | None) -> str | None:
+    if vehicle is not None:
+        channel = roles_of(vehicle).imu.channels[0]
+        return channel if log.channels.get(channel) == IMU else None
+    return next((name for name, dtype in log.channels.items() if dtype == IMU), None)
+
+
+def _imu(log: LogReader, channel: str) -> tuple[Stream, Stream]:
+    """Angular rate and specific force of the usable samples, sensor axes."""
+    rows, time_s = sampled(log, channel)
+    values = si.imu(rows)
+    return Stream(time_s, values[:, :3]), Stream(time_s, values[:, 3:])
+
+
+def _joints(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, _Joint]:
+    """The joints' samples by channel."""
+    roles = roles_of(vehicle) if vehicle is not None else None
+    wanted = [joint.channel for joint in roles.joints] if roles else list(log.channels)
+    found = {}
+    for name in wanted:
+        if log.channels.get(name) != SCALAR:
+            continue
+        rows, time_s = sampled(log, name)
+        unit = bytes(rows["unit"][0]) if len(rows) else b""
+        factor = {**ANGLE, **RATE}.get(unit)
+        if factor is not None:
+            signal = roles.signals[name] if roles else None
+            stream = Stream(time_s, factor * si.scalar(rows, signal)[:, None])
+            found[name] = _Joint(stream, unit in RATE)
+    return found
+
+
+def _rates(joints: dict[str, _Joint]) -> Stream:
+    """Rates of all joints at the times of the first; differences are as good as they need be, a filter follows."""
+    time_s = next(iter(joints.values())).recorded.time_s
+    columns = []
+    for (own_s, values), is_rate in joints.values():
+        rate = values[:, 0] if is_rate else np.gradient(values[:, 0], own_s)
+        columns.append(np.interp(time_s, own_s, rate))
+    return Stream(time_s, np.column_stack(columns))
+
+
+def render(placed: Sequence[AlignedLog]) -> RenderableType:
+    """For a terminal."""
+    parts: list[RenderableType] = []
+    for one in placed:
+        table = Table(title=f"{one.log} on the time of {one.reference}", title_justify="left", show_header=False)
+        table.add_row("offset", f"{one.offset_s:+.6f} s ± {1e6 * 1.96 * one.sigma_offset_s:.0f} µs (95 %)")
+        table.add_row("rate", f"{1e6 * one.rate:+.2f} ppm ± {1e6 * 1.96 * one.sigma_rate:.2f} ppm")
+        if one.drift_per_s:
+            table.add_row("drift", f"{60e6 * one.drift_per_s:+.3f} ppm a minute; merge leaves it out")
+        table.add_row("at", f"{one.pivot_s:.3f} s of its own time")
+        table.add_row("from", one.how)
+        table.add_row("unique", one.unique)
+        if one.payload is not None:
+            body, sigma = one.payload.body, np.sqrt(np.diag(one.payload.covariance))
+            table.add_row("payload", f"{body.mass_kg:.4f} kg ± {1.96 * sigma[0]:.4f} kg")
+            centre = ", ".join(
+                f"{1e3 * c:.2f} ± {1e3 * 1.96 * s:.2f}" for c, s in zip(body.centre_of_mass_m, sigma[1:4], strict=True)
+            )
+            table.add_row("", f"centre of mass {centre} mm")
+        table.add_row("merge", one.merge_option)
+        parts.append(table)
+    return Group(*parts)

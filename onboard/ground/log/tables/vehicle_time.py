@@ -1,0 +1,73 @@
+"""Samples of a log on vehicle time, by the onboard timebase fed from the log.
+
+A sample is timed when its clock has heard what came up to ``_LAG_NS`` after it, as the estimator does; samples from
+before a clock's first solution wait for it, ``_PATIENCE_NS`` at most.
+"""
+
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows
+from onboard import config
+from onboard.flight.clocks import timebase_of
+from onboard.ground.log.tables.source import Interleaved
+from onboard.recording.reader import LogReader
+
+UNKNOWN = np.iinfo(np.int64).min  # the time of a sample whose clock never was known
+_STEP_NS = 100_000_000
+_LAG_NS = 300_000_000
+_PATIENCE_NS = 60_000_000_000
+
+
+class Timed(NamedTuple):
+    """Samples of a channel and their vehicle times; filter delays are not removed."""
+
+    channel: str
+    time_ns: NDArray[np.int64]  # (n,) vehicle time, or UNKNOWN
+    rows: Rows  # (n,)
+
+
+class TimedStep(NamedTuple):
+    """Samples timed in a step; no later step has samples before ``until_ns``."""
+
+    until_ns: int
+    samples: list[Timed]
+
+
+def clocked(log: LogReader, vehicle: config.Vehicle) -> list[str]:
+    """The channels of ``log`` whose samples have a clock, in the order of the vehicle file."""
+    timebase = timebase_of(vehicle)
+    return [n for n, dtype in vehicle.channels.items() if n in timebase.channels and log.channels.get(n) == dtype]
+
+
+def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) -> Iterator[TimedStep]:
+    """The samples of ``channels``, which have clocks, in steps of time; every row of them, in the order of the file.
+
+    Raises:
+        OSError: the log cannot be read.
+    """
+    timebase = timebase_of(vehicle)
+    source = Interleaved(log, vehicle.channels)
+    waiting: dict[str, Rows] = {name: np.empty(0, log.channels[name]) for name in channels}
+    now_ns, done = source.start_ns or 0, source.start_ns is None
+    while not done:
+        now_ns += _STEP_NS
+        batches = source.take(now_ns)
+        timebase.update(now_ns, batches)
+        done = source.done
+        until_ns = now_ns if done else now_ns - _LAG_NS
+        samples: list[Timed] = []
+        for name, before in waiting.items():
+            rows = np.concatenate([before, batches[name]])
+            ready = int(np.searchsorted(rows["host_ns"], until_ns))
+            times = timebase.time_ns(name, rows[:ready]) if ready else None
+            if times is None:
+                ready = len(rows) if done else int(np.searchsorted(rows["host_ns"], until_ns - _PATIENCE_NS))
+                times = np.full(ready, UNKNOWN)
+            if ready:
+                samples.append(Timed(name, times, rows[:ready]))
+            waiting[name] = rows[ready:]
+        yield TimedStep(until_ns, samples)

@@ -1,0 +1,1 @@
+"""The page of one flight: its data, figures and sections."""

@@ -1,1 +1,0 @@
-"""Runs the onboard estimator on logs (``heft replay``, ``heft identify``)."""

@@ -1,0 +1,207 @@
+"""``heft init``: whatever is asked for is a vehicle at once, or is refused with what to say instead."""
+
+import json
+import tomllib
+from itertools import product
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.body import Body
+from hil_sim.plants.draws import as_built
+from hil_sim.scenario.vehicle_tables import VehicleScenario
+from onboard import cli, config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
+from onboard.flight.estimate.identification import build_identifier, build_online
+from onboard.flight.estimate.roles import roles_of
+from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
+
+
+@pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
+def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None:
+    refused, schema = 0, None
+    for choice in product(*map(enumerate, (IMUS, ENCODERS, LOAD_CELLS))):
+        (imu, encoder, cell), number = (one for _, one in choice), sum(at for at, _ in choice)
+        where = tmp_path / f"{imu}-{encoder}-{cell}"
+        pulse = number % 2 == 0  # each device with and without
+        wanted = Wanted("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
+        needs_cell, needs_imu = base in ("prescribed", "fixed"), base != "fixed"
+        wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
+        alone = encoder == "recorded" and cell == "none" and needs_cell
+        torques = 2 if (encoder == "cia402" and wanted_torques) or alone else 0
+        given = {encoder, *({imu, cell} - {"none"})}
+        mixed = "recorded" in given and len(given) > 1
+        if mixed or (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
+            refused += 1
+            with pytest.raises(config.ConfigError, match=r"give (--|recorded for each device)"):
+                make(wanted, where)
+            assert not where.exists()
+            continue
+        make(wanted, where)
+        vehicle = config.load(where / "vehicle.toml")
+        build_online(vehicle)
+        roles = roles_of(vehicle)
+        assert [joint.joint for joint in roles.joints] == ["shoulder", "elbow"]
+        assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques + (cell != "none"))
+        assert (vehicle.file.estimation.imu_prior.accelerometer_bias_m_s2 > 0.0) == (base != "fixed")
+        schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
+        schema.validate(tomllib.loads(vehicle.text))
+        assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
+    assert refused == {"free": 54, "planar": 54, "prescribed": 58, "fixed": 46}[base]
+
+
+def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
+    for name in ("rocksat", "dymaflex", "workshop"):
+        assert cli.main(["init", str(tmp_path / name), "--from", name]) == cli.OK
+        mine, theirs = config.load(tmp_path / name / "vehicle.toml"), config.load(config.packaged(name))
+        assert mine.file == theirs.file
+        assert mine.urdf_path.read_bytes() == theirs.urdf_path.read_bytes()
+
+
+def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["prescribed", "boom", "", "", "cia404"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    assert (
+        cli.main(["init", str(tmp_path / "mine"), "--bus", "can_0=can+slcan:///dev/ttyACM0?bitrate=500000"]) == cli.OK
+    )
+    vehicle = config.load(tmp_path / "mine" / "vehicle.toml")
+    assert vehicle.file.vehicle.name == "mine"
+    assert vehicle.file.vehicle.base == "prescribed"
+    assert [joint.joint for joint in roles_of(vehicle).joints] == ["boom"]
+    assert vehicle.url("can_0") == "can+slcan:///dev/ttyACM0?bitrate=500000"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "say what the base is"),
+        (["--from", "rocksatt"], "did you mean 'rocksat'?"),
+        (["--base", "fixed"], "give --load-cell"),
+        (["--base", "free", "--joints", "0"], "give --joints"),
+        (["--base", "free", "--joints", "a,a"], "once"),
+        (["--base", "free", "--joints", 'a"]'], "letters, digits"),
+        (["--base", "free", "--joints", "imu_base"], "imu_base"),
+        (["--base", "free", "--name", 'x" y'], "use letters"),
+        (["--base", "free", "--bus", "can_9=can+slcan:///dev/x"], "no device stands on it"),
+        (["--base", "free", "--bus", "can_0"], "write BUS=URL"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_leaves_nothing(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["init", str(tmp_path / "new"), *arguments]) == cli.BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_vehicle_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "vehicle.toml").write_text("mine")
+    assert cli.main(["init", str(tmp_path), "--base", "free"]) == cli.BAD_INPUT
+    assert "is there already" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["vehicle.toml"]
+    assert (tmp_path / "vehicle.toml").read_text() == "mine"
+
+
+def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) -> None:
+    urdf = Path(__file__).parents[3] / "flight" / "own" / "bench_arm.urdf"
+    asked = ["init", str(tmp_path / "own"), "--base", "fixed", "--encoder", "cia402", "--urdf", str(urdf)]
+    assert cli.main(asked) == cli.OK
+    cells = roles_of(config.load(tmp_path / "own" / "vehicle.toml")).cells
+    assert [cell.keys.sigma_N_m for cell in cells] == [0.06, 0.06, 0.04, 0.015, 0.015, 0.008]  # type: ignore[union-attr]
+    silent = tmp_path / "silent.urdf"
+    silent.write_text(urdf.read_text().replace('effort="60"', 'effort="0"'))
+    asked = ["init", str(tmp_path / "silent"), "--base", "fixed", "--encoder", "cia402", "--urdf", str(silent)]
+    assert cli.main(asked) == cli.OK
+    cells = roles_of(config.load(tmp_path / "silent" / "vehicle.toml")).cells
+    assert [cell.keys.sigma_N_m for cell in cells][:3] == [0.01, 0.01, 0.04]  # type: ignore[union-attr]
+    silent.write_text(urdf.read_text().replace('effort="60"', 'effort="much"'))
+    assert cli.main([*asked[:-1], str(silent)]) == cli.BAD_INPUT
+
+
+def test_the_sigma_of_a_torque_of_which_a_free_base_takes_means_over_ticks_is_that_of_a_sample(tmp_path: Path) -> None:
+    make(Wanted("it", "free", ("shoulder", "elbow"), encoder="cia402"), tmp_path)
+    torques = [one.keys.sigma_N_m for one in roles_of(config.load(tmp_path / "vehicle.toml")).cells]  # type: ignore[union-attr]
+    assert torques == [0.02, 0.02]
+
+
+@pytest.mark.parametrize("base", ["fixed", "prescribed"])
+def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_path: Path) -> None:
+    make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), tmp_path)  # type: ignore[arg-type]
+    identifier, model = build_identifier(config.load(tmp_path / "vehicle.toml"))
+    scenario = scenario_of(str(tmp_path / "vehicle.toml"))
+    assert isinstance(scenario, VehicleScenario)
+    bodies = {
+        link: Body(one.mass_kg, one.centre_of_mass_m, one.inertia_kg_m2)
+        for link, one in ((link, body_of(model.chi[10 * k : 10 * k + 10])) for k, link in enumerate(model.links[:3]))
+    }
+    found = []
+    for seed in range(400):
+        chi = identifier.model.chi.copy()
+        for k, link in enumerate(bodies):
+            built = as_built(scenario, bodies, (), np.random.default_rng(seed))[link]
+            chi[10 * k : 10 * k + 10] = standard_of(
+                RigidBody(built.mass_kg, built.centre_of_mass_m, built.inertia_kg_m2)
+            )
+        found.append(identifier.base.value(chi))
+    told = [name.startswith(("M", "X", "Y", "Z")) and "payload" not in name for name in identifier.base.names]
+    sigma = np.sqrt(np.diag(identifier.base.covariance(identifier.taken.prior_root)))[told]
+    assert sum(told) == 7
+    np.testing.assert_allclose(np.std(np.array(found)[:, told], axis=0), sigma, rtol=0.12)
+
+
+_GRIPPER = """<robot name="a"><link name="world"/>
+<joint name="w" type="fixed"><parent link="world"/><child link="link_0"/></joint>{links}
+<joint name="j_1" type="revolute"><parent link="link_0"/><child link="link_1"/><axis xyz="0 1 0"/>
+<limit effort="87" velocity="2" lower="-2" upper="2"/></joint>
+<joint name="h" type="fixed"><parent link="link_1"/><child link="hand"/></joint>
+<joint name="f_1" type="prismatic"><parent link="hand"/><child link="jaw_1"/><axis xyz="0 1 0"/>
+<limit effort="20" velocity="0.2" lower="0" upper="0.04"/></joint>
+<joint name="f_2" type="prismatic"><parent link="hand"/><child link="jaw_2"/><axis xyz="0 -1 0"/>
+<mimic joint="f_1"/><limit effort="20" velocity="0.2" lower="0" upper="0.04"/></joint>
+<joint name="t" type="fixed"><parent link="hand"/><child link="tcp"/></joint><link name="tcp"/></robot>"""
+
+
+def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Somebody's arm with a gripper, whose jaws are its last joints, and a frame for its tool."""
+    link = (
+        '<link name="{}"><inertial><mass value="2"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    links = "".join(link.format(name) for name in ("link_0", "link_1", "hand", "jaw_1", "jaw_2"))
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(_GRIPPER.format(links=links))
+    asked = ["--base", "fixed", "--encoder", "recorded", "--urdf", str(urdf)]
+    for name, more, said in (
+        ("all", [], "in a new link 'payload' at the origin of hand; --payload-link tcp"),
+        ("arm", ["--joints", "j_1"], "in a new link 'payload' at the origin of link_1; --payload-link tcp"),
+        ("link", ["--payload-link", "hand"], "link hand has a mass in the URDF"),
+    ):
+        assert cli.main(["init", str(tmp_path / name), *asked, *more]) == cli.OK
+        assert said in capsys.readouterr().out
+    assert cli.main(["init", str(tmp_path / "tip"), *asked, "--payload-link", "tcp"]) == cli.OK
+    assert "what is held" not in capsys.readouterr().out
+    mount = (tmp_path / "all" / "vehicle.urdf").read_text().split("payload_mount")[1]
+    assert '<parent link="hand"/>' in mount.split("</joint>")[0]
+
+
+def test_gains_of_recorded_currents(tmp_path, capsys):
+    """They stand in the vehicle file, whose mapping then reads currents."""
+    asked = ["init", str(tmp_path / "lab"), "--base", "fixed", "--joints", "2", "--encoder", "recorded"]
+    assert cli.main([*asked, "--gains", "12.5,9"]) == cli.OK
+    vehicle = config.load(tmp_path / "lab" / "vehicle.toml")
+    assert [cell.keys.gain_N_m_A for cell in roles_of(vehicle).cells] == [12.5, 9.0]
+    channels = tomllib.loads((tmp_path / "lab" / "import.toml").read_text())["channel"]
+    assert {name: one["value"]["unit"] for name, one in channels.items()} == {
+        **{"joint_1": "rad", "joint_1_torque": "A", "joint_2": "rad", "joint_2_torque": "A"},
+    }
+    for wrong, why in (("12.5", "has 1 numbers, the arm 2 joints"), ("1,2,3", "has 3 numbers, the arm 2 joints")):
+        assert cli.main([*asked[:1], str(tmp_path / "b"), *asked[2:], "--gains", wrong]) == cli.BAD_INPUT
+        assert why in capsys.readouterr().err
+    flies = ["init", str(tmp_path / "c"), "--base", "free", "--joints", "2", "--gains", "1,2"]
+    assert cli.main(flies) == cli.BAD_INPUT
+    assert "--gains is of recorded currents" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""A body without joints on a table: what its thrusters and its tracked pose tell, and what they do not let pass."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from onboard.cli import OK, main
+from onboard.identification.body.valves import Opening, valve_of_on_times
+from tests.ground.identify.floating_bed import THRUSTERS, fly, write
+
+STATED = {
+    "# mass_sigma": "mass_sigma",
+    "scale_sigma = 0.05 ": "scale_sigma = 0.02 ",
+    "position_noise_m = 5e-4": "position_noise_m = 3e-4",
+    "yaw_noise_rad = 1e-3": "yaw_noise_rad = 6e-4",
+}
+
+
+def identified(directory, bed, stated=STATED):
+    """The answers of ``heft identify`` by the files that ``heft init`` writes, as JSON."""
+    write(bed, directory)
+    lab, names = directory / "lab", ",".join(THRUSTERS)
+    urdf = ["--urdf", str(directory / "body.urdf"), "--marker", "marker"]
+    assert main(["init", str(lab), "--base", "planar", *urdf, "--thrusters", names, "--force", "0.6"]) == OK
+    text = (lab / "vehicle.toml").read_text()
+    for old, new in stated.items():
+        assert old in text
+        text = text.replace(old, new)
+    (lab / "vehicle.toml").write_text(text)
+    assert main(["import", str(lab / "import.toml"), str(directory / "run.csv"), "-o", str(directory / "logs")]) == OK
+    out = directory / "told.json"
+    code = main(
+        ["identify", "--vehicle", str(lab / "vehicle.toml"), str(directory / "logs" / "run.mcap"), "--json", str(out)]
+    )
+    told = json.loads(out.read_text())["logs"][0]
+    assert (code == OK) == (told["verdict"]["level"] != "do not use")
+    return told
+
+
+def test_mass_centre_and_inertia_are_told(tmp_path):
+    bed = fly(51)
+    told = identified(tmp_path, bed)
+    assert told["verdict"]["level"] == "good", told["verdict"]
+    found = {one["name"]: one for one in told["quantities"]}
+    assert found["I_zz"]["value"] == pytest.approx(bed.inertia_kg_m2, rel=0.03)
+    for name, true in bed.truth.items():
+        assert abs(found[name]["value"] - true) < 3.0 * found[name]["sigma"], name
+    assert found["I_zz"]["sigma"] < 0.01 * bed.inertia_kg_m2
+
+
+def turned(bed):
+    """The tracker's x and y exchanged: its axes are left-handed."""
+    return bed._replace(poses=bed.poses[:, [1, 0, 2]])
+
+
+SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
+WRONG = {
+    "sign": (fly(71, 30.0, force=SIGN), "scale_t3"),
+    "stuck": (fly(72, 30.0, stuck=(1, 12.0, 20.0)), r"besides the thrusters|leak_t2"),
+    "place": (fly(73, 30.0, place=np.outer(np.arange(8) == 3, (0.1, 0.0))), "lever_t4"),
+    "turned": (turned(fly(74, 30.0)), "against its thrusters|axes"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_named(tmp_path, what):
+    bed, named = WRONG[what]
+    told = identified(tmp_path, bed)
+    assert told["verdict"]["level"] == "do not use"
+    assert re.search(named, told["verdict"]["text"]), told["verdict"]["text"]
+
+
+def test_late_poses_are_a_delay(tmp_path):
+    bed = fly(75, 40.0, delay_s=0.1, late=0.25)
+    found = {one["name"]: one for one in identified(tmp_path, bed)["quantities"]}
+    assert found["delay"]["value"] == pytest.approx(0.35, abs=0.01)
+    assert found["I_zz"]["value"] == pytest.approx(bed.inertia_kg_m2, rel=0.03)
+
+
+def test_on_times_are_pulses():
+    commanded, on_s = np.array([0.0, 1.0, 2.0]), np.array([0.2, 0.0, 0.5])
+    valve, times = valve_of_on_times(commanded, on_s), np.linspace(0.0, 4.0, 401)
+    expected = np.clip(times - 0.1, 0.0, 0.2) + np.clip(times - 2.1, 0.0, 0.5)
+    assert np.allclose(valve.impulse_s(times, Opening(0.1, 0.0, 0.0)), expected)
+    short = valve.impulse_s(times, Opening(0.1, 0.05, 0.3))
+    assert np.allclose(short, np.clip(times - 2.15, 0.0, 0.45))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('base = "planar"', 'base = "free"', "needs base"),
+        ("[device.pose]", "[device.pose]\nrepeats = 3", "pose.repeats"),
+        ('frame = "marker"', 'frame = "nowhere"', "nowhere"),
+        ("axis = [1.0, 0.0, 0.0]", "axis = [0.0, 0.0, 0.0]", "direction"),
+        ("axis = [1.0, 0.0, 0.0]", "axis = [0.0, 0.0, 1.0]", "table"),
+        ("delay_ms = [-100, 700]", "delay_ms = [700, -100]", "two numbers that rise"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused(tmp_path, capsys, old, new, said):
+    write(fly(76, 10.0), tmp_path)
+    lab = tmp_path / "lab"
+    urdf = ["--urdf", str(tmp_path / "body.urdf"), "--marker", "marker"]
+    assert main(["init", str(lab), "--base", "planar", *urdf, "--thrusters", ",".join(THRUSTERS)]) == OK
+    text = (lab / "vehicle.toml").read_text()
+    assert main(["import", str(lab / "import.toml"), str(tmp_path / "run.csv"), "-o", str(tmp_path / "logs")]) == OK
+    (lab / "vehicle.toml").write_text(text.replace(old, new, 1))
+    log = str(tmp_path / "logs" / "run.mcap")
+    assert main(["identify", "--vehicle", str(lab / "vehicle.toml"), log]) == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,188 @@
+"""A mapping that is proposed brings the recording in as it is, for each kind of recording: numbers, units and times."""
+
+import sys
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from scipy.io import savemat
+
+from onboard.cli import BAD_INPUT, OK, main
+from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess.propose import Names, propose
+from onboard.recording.reader import LogReader
+from tests.ground.log.bring_in.guess import made
+from tests.ground.log.bring_in.guess.made import COUNT, BEGAN_ns, PERIOD_s, T, arm, body
+
+
+def guessed(path, *options):
+    """Proposed by the command and brought in by the next one: the log and the proposal."""
+    mapping = path.parent / f"{path.name}.toml"
+    assert main(["import", "--guess", str(path), "-o", str(mapping), *options]) == OK
+    assert main(["import", str(mapping), str(path), "-o", str(path.parent / "logs")]) == OK
+    return LogReader(path.parent / "logs" / f"{path.stem}.mcap"), mapping.read_text(encoding="utf-8")
+
+
+def values(log, name):
+    rows = log.read(name)
+    assert len(rows) == COUNT, name
+    return rows["value_raw"] * rows["scale"].astype(np.float64)
+
+
+def held(log, quantities, began_ns=None):
+    """Channels against numbers in SI, and that samples are where they were."""
+    for name, truth in quantities.items():
+        assert values(log, name) == pytest.approx(truth, abs=2e-6 * max(1.0, np.abs(truth).max())), name
+        time_ns = log.read(name)["host_ns"]
+        assert np.diff(time_ns) == pytest.approx(1e9 * PERIOD_s, abs=2.0)
+        if began_ns is not None:
+            assert time_ns[0] == began_ns
+
+
+def held_imu(log, of, name="imu_base", began_ns=None):
+    rows = log.read(name)
+    assert len(rows) == COUNT
+    gyro = rows["gyro_raw"] * rows["gyro_scale_rad_s"][:, None].astype(np.float64)
+    accel = rows["accel_raw"] * rows["accel_scale_m_s2"][:, None].astype(np.float64)
+    sixteen_bits = 2.0**-14
+    assert np.abs(gyro - of.rate).max() < sixteen_bits * np.abs(of.rate).max()
+    assert np.abs(accel - of.force).max() < sixteen_bits * np.abs(of.force).max()
+    assert np.diff(rows["host_ns"]) == pytest.approx(1e9 * PERIOD_s, abs=2.0)
+    if began_ns is not None:
+        assert rows["host_ns"][0] == began_ns
+
+
+def joints(of, torque, joints_of=None):
+    """Channels of an arm by their names."""
+    count = of.q.shape[1]
+    names = joints_of or [f"joint_{k + 1}" for k in range(count)]
+    return {name: of.q[:, k] for k, name in enumerate(names)} | {
+        f"{name}_torque": torque[:, k] for k, name in enumerate(names)
+    }
+
+
+@pytest.mark.parametrize("between", [",", " "])
+def test_rtde_of_a_ur_arm(tmp_path, between):
+    log, said = guessed(made.rtde(tmp_path / "rtde.csv", between))
+    own = arm(6)
+    held(log, joints(own, own.tau / 10.0), began_ns=12_345 * 10**9)
+    assert set(log.read("joint_1_torque")["unit"]) == {b"A"}
+    wrench = [f"{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
+    held(log, {name: own.tau[:, k] for k, name in enumerate(wrench)})
+    assert "# doubtful" not in said
+    assert '# not taken (commanded or computed, not measured): "target_q_0"' in said
+    assert "125 Hz, no gaps" in said
+
+
+def test_a_log_of_franka(tmp_path):
+    log, said = guessed(made.franka(tmp_path / "franka.csv"))
+    own = arm(7)
+    held(log, joints(own, own.tau), began_ns=0)
+    assert set(log.read("joint_7_torque")["unit"]) == {b"N m"}
+    assert 'unit = "ms"    # as angles and their rates agree' in said
+    assert "# doubtful" not in said
+
+
+def test_an_imu_as_rostopic_writes_it(tmp_path):
+    log, said = guessed(made.rostopic(tmp_path / "imu.csv"))
+    held_imu(log, body(), began_ns=BEGAN_ns)
+    held(log, {f"attitude_{axis}": body().attitude[:, k] for k, axis in enumerate("wxyz")}, began_ns=BEGAN_ns)
+    assert 'unit = "ns"    # since 1970' in said
+    assert "as the attitude turns" in said
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda d: made.bag_1(d / "a.bag"),
+        lambda d: made.bag_2(d / "a"),
+        lambda d: next(made.bag_2(d / "dir").glob("*.db3")),
+        lambda d: made.bag_2(d / "a", StoragePlugin.MCAP),
+        lambda d: made.mcap_of_ros(d / "a.mcap"),
+    ],
+    ids=["ros1", "ros2", "ros2_file", "ros2_mcap", "mcap"],
+)
+def test_bags_of_a_free_flyer(tmp_path, make):
+    """By the stamps of the headers, which arrive later; joints by their names, whose order changes."""
+    log, said = guessed(make(tmp_path))
+    held_imu(log, body(), began_ns=BEGAN_ns)
+    own = arm(2)
+    held(log, joints(own, own.tau, ["shoulder", "elbow"]), began_ns=BEGAN_ns)
+    held(log, {"force_z": T, "moment_y": 0.2 + 0.0 * T}, began_ns=BEGAN_ns)
+    assert "# doubtful" not in said
+
+
+def test_mcap_with_json(tmp_path):
+    log, said = guessed(made.mcap_of_json(tmp_path / "a.mcap"))
+    held_imu(log, body(), began_ns=BEGAN_ns)
+    assert 'column = "/imu:log_time"' in said
+
+
+def test_ulog_of_px4(tmp_path):
+    log, said = guessed(made.ulog(tmp_path / "flight.ulg"))
+    held_imu(log, body(), began_ns=5 * 10**9)
+    held(log, {f"attitude_{k}": body().attitude[:, k].astype(np.float32) for k in range(4)}, began_ns=5_000_500_000)
+    assert "# doubtful" not in said
+
+
+def test_npz_and_mat(tmp_path):
+    of, own = body(), arm(7)
+    arrays = {"t": T, "imu_gyro": of.rate, "imu_accel": of.force, "q": own.q, "dq": own.qd, "tau": own.tau}
+    np.savez(tmp_path / "a.npz", **arrays, label=np.array("text"), count=np.array(7))
+    log, said = guessed(tmp_path / "a.npz")
+    held_imu(log, of)
+    held(log, joints(own, own.tau))
+    assert "# doubtful" not in said
+    nested = {"data": {"time": T[None], "q": own.q.T, "current": own.tau.T, "imu": {"gyro": of.rate, "acc": of.force}}}
+    savemat(tmp_path / "b.mat", nested, do_compression=True)
+    log, said = guessed(tmp_path / "b.mat")
+    held_imu(log, of)
+    held(log, joints(own, own.tau))
+    assert set(log.read("joint_2_torque")["unit"]) == {b"A"}
+
+
+def test_channels_are_named_like_the_devices_of_a_vehicle(tmp_path):
+    made.rtde(tmp_path / "rtde.csv")
+    init = ["init", str(tmp_path / "lab"), "--base", "fixed", "--joints", "a,b,c,d,e,f", "--encoder", "recorded"]
+    assert main(init) == OK
+    log, _ = guessed(tmp_path / "rtde.csv", "--vehicle", str(tmp_path / "lab" / "vehicle.toml"))
+    own = arm(6)
+    held(log, joints(own, own.tau / 10.0, list("abcdef")))
+
+
+def test_columns_without_names_by_what_is_the_derivative_of_what(tmp_path):
+    own = arm(6)
+    columns = [100.0 + T, *own.q.T, *own.qd.T, *own.tau.T, *own.tau.T]
+    log, said = guessed(made.text(tmp_path / "a.csv", (), columns, digits=4))
+    for name, truth in joints(own, own.tau).items():
+        assert values(log, name) == pytest.approx(truth, abs=1e-4), name
+    assert said.count("# doubtful") == 1
+    assert "it follows the rates: N m, or A of the motors' currents; or columns 20 to 25" in said
+
+
+def test_what_reads_a_kind_and_is_not_installed_is_named_with_its_remedy(tmp_path, monkeypatch, capsys):
+    files = {"rosbags": (made.bag_1(tmp_path / "a.bag"), made.mcap_of_ros(tmp_path / "b.mcap")), "pyulog": ()}
+    files["pyulog"] = (made.ulog(tmp_path / "c.ulg"),)
+    for package, some in files.items():
+        extra = "bags" if package == "rosbags" else "ulog"
+        for name in [name for name in sys.modules if name.partition(".")[0] == package] + [package]:
+            monkeypatch.setitem(sys.modules, name, None)
+        for path in some:
+            assert main(["import", "--guess", str(path)]) == BAD_INPUT
+            assert f"pip install 'heft-flight[{extra}]'" in capsys.readouterr().err
+
+
+def test_a_file_is_not_written_over_and_wrong_uses_are_told(tmp_path, capsys):
+    path = made.rtde(tmp_path / "rtde.csv")
+    assert main(["import", "--guess", str(path)]) == OK
+    assert capsys.readouterr().out.startswith('# Proposed by heft import --guess "rtde.csv"')
+    there = tmp_path / "mine.toml"
+    there.write_text("mine")
+    assert main(["import", "--guess", str(path), "-o", str(there)]) == BAD_INPUT
+    assert there.read_text() == "mine"
+    assert main(["import", str(there), "--guess", str(path)]) == BAD_INPUT
+    assert main(["import", str(there)]) == BAD_INPUT
+    assert "--guess FILE for a mapping to begin with" in capsys.readouterr().err
+    assert main(["import", str(there), str(path), "-o", str(tmp_path), "--vehicle", "rocksat"]) == BAD_INPUT
+    with pytest.raises(SourceError, match="is a directory"):
+        propose(tmp_path, Names())

@@ -1,0 +1,285 @@
+"""Proposals for recordings as people keep them: layouts of text, units by size, clocks; what cannot be a recording."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from onboard.cli import BAD_INPUT, OK, main
+from onboard.ground.log.bring_in import mapping, matlab
+from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess.propose import Names, propose
+from onboard.ground.log.bring_in.importer import import_recordings
+from onboard.recording.reader import LogReader
+from tests.ground.log.bring_in.guess import made
+from tests.ground.log.bring_in.guess.made import COUNT, IMU_NAMES, T, arm, body, imu_columns
+from tests.ground.log.bring_in.guess.test_kinds import held, held_imu
+
+DEG = 180.0 / np.pi
+_MAT = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+
+
+def brought_in(path):
+    found = propose(path, Names())
+    (path.parent / "m.toml").write_text(found.text, encoding="utf-8")
+    [log] = import_recordings(path.parent / "m.toml", path, path.parent / "logs")
+    return LogReader(log.path), found, log.left_out
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        {},
+        {"between": ";", "decimal": ","},
+        {"between": ";"},
+        {"between": "\t"},
+        {"between": "\t", "decimal": ","},
+        {"between": "   "},
+        {"between": "|"},
+        {"encoding": "utf-8-sig"},
+        {"encoding": "utf-16"},
+        {"before": "# a rig\n# another line, with commas, in it\n"},
+        {"before": "My recording\n\nof the lab; 3, 4\n"},
+        {"before": "% written by a script\n", "between": ";"},
+    ],
+    ids=str,
+)
+def test_layouts_of_text(tmp_path, layout):
+    log, found, left_out = brought_in(made.text(tmp_path / "a.csv", IMU_NAMES, imu_columns(body()), **layout))
+    held_imu(log, body(), began_ns=0)
+    assert found.doubts == left_out == ()
+
+
+def test_names_in_a_comment_and_text_of_latin_1(tmp_path):
+    names = [*IMU_NAMES, "größe"]
+    columns = [*imu_columns(body()), T]
+    log, _, _ = brought_in(made.text(tmp_path / "a.csv", ["# time", *names[1:]], columns, encoding="latin-1"))
+    held_imu(log, body())
+
+
+def test_a_line_of_units(tmp_path):
+    of = body()
+    columns = [1e3 * T, *(DEG * of.rate).T, *(of.force / 9.80665).T]
+    rows = [[unit, *(f"{value:.9f}" for value in one)] for unit, one in zip(
+        ("[ms]", "[deg/s]", "[deg/s]", "[deg/s]", "[g]", "[g]", "[g]"), columns, strict=True
+    )]  # fmt: skip
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", ("t", *IMU_NAMES[1:]), rows))
+    held_imu(log, of)
+    assert found.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "rate", "force"),
+    [
+        (("gyro_x_deg_s", "gyro_y_deg_s", "gyro_z_deg_s", "acc_x_g", "acc_y_g", "acc_z_g"), DEG, 1 / 9.80665),
+        (("GyroX (deg/s)", "GyroY (deg/s)", "GyroZ (deg/s)", "AccX (m/s^2)", "AccY (m/s^2)", "AccZ (m/s^2)"), DEG, 1.0),
+        (("wx", "wy", "wz", "ax", "ay", "az"), 1.0, 1.0),
+        (("gx", "gy", "gz", "ax", "ay", "az"), 1.0, 1.0),
+        (("angular_velocity.x", "angular_velocity.y", "angular_velocity.z", "a.x", "a.y", "a.z"), DEG, 1 / 9.80665),
+        (("imu.gyro[0]", "imu.gyro[1]", "imu.gyro[2]", "imu.accel[0]", "imu.accel[1]", "imu.accel[2]"), 1.0, 1.0),
+        (("omega_x", "omega_y", "omega_z", "accel_x", "accel_y", "accel_z"), DEG, 1e3 / 9.80665),
+    ],
+)
+def test_units_of_an_imu_by_name_and_by_size(tmp_path, names, rate, force):
+    of = body()
+    columns = [T, *(rate * of.rate).T, *(force * of.force).T]
+    log, _, _ = brought_in(made.text(tmp_path / "a.csv", ("time", *names), columns, digits=9))
+    held_imu(log, of)
+
+
+def test_an_attitude_beside_a_gyro_decides_its_unit(tmp_path):
+    """Slow turns: 12 could be rad/s or deg/s by their size."""
+    slow = body(12.0 / DEG)
+    names = ("time", "gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z")
+    columns = [T, *(DEG * slow.rate).T, *slow.force.T]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", names, columns))
+    assert any("up to 12" in doubt for doubt in found.doubts)
+    columns += list(slow.attitude.T)
+    log, found, _ = brought_in(made.text(tmp_path / "b.csv", (*names, "qw", "qx", "qy", "qz"), columns))
+    held_imu(log, slow)
+    assert found.doubts == ()
+
+
+def test_counts_of_an_imu_are_kept_and_told_as_doubtful(tmp_path):
+    of = body()
+    columns = [1e6 * T, *np.rint(16.4 * DEG * of.rate).T, *np.rint(4096 / 9.80665 * of.force).T]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", ("t_us", *IMU_NAMES[1:]), columns, digits=0))
+    rows = log.read("imu_base")
+    assert np.array_equal(rows["accel_raw"], np.rint(4096 / 9.80665 * of.force))
+    assert rows["accel_scale_m_s2"] == pytest.approx(9.80665 / 4096)
+    assert len(found.doubts) == 2
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "began", "sure"),
+    [
+        ("s", 1.0, 0.0, True),
+        ("ms", 1e3, 0.0, False),  # 8 ms could be 8 us of a fast recorder, or s of a slow one: 125 Hz is likelier
+        ("us", 1e6, 0.0, True),
+        ("ns", 1e9, 0.0, True),
+        ("s", 1.0, 1.7e9, True),
+        ("ms", 1e3, 1.7e12, True),
+        ("us", 1e6, 1.7e15, True),
+        ("ns", 1e9, 1.7e18, True),
+    ],
+)
+def test_units_of_times(tmp_path, unit, factor, began, sure):
+    stamps = [f"{int(began) + round(factor * one)}" if unit != "s" else f"{began + one:.6f}" for one in T.tolist()]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", ("t", "force"), [stamps, np.sin(T)]))
+    assert f'unit = "{unit}"' in found.text
+    assert not (sure and found.doubts)
+    held(log, {"load_cell": np.sin(T)})
+
+
+def test_dates_as_in_iso_8601(tmp_path):
+    begun = np.datetime64("2024-05-01T12:00:00", "ns")
+    for between, end in ((" ", ""), ("T", "Z")):
+        dates = [f"{begun + np.timedelta64(round(1e9 * one), 'ns')}".replace("T", between)[:26] + end for one in T]
+        log, _, _ = brought_in(made.text(tmp_path / "a.csv", ("date", "force"), [dates, np.sin(T)]))
+        held(log, {"load_cell": np.sin(T)}, began_ns=int(begun.astype(np.int64)))
+    clocks = [f"9:{int(one) // 60:02d}:{one % 60.0:09.6f}" for one in T + 3.0]
+    log, _, _ = brought_in(made.text(tmp_path / "b.csv", ("time", "force"), [clocks, np.sin(T)]))
+    held(log, {"load_cell": np.sin(T)}, began_ns=(9 * 3600 + 3) * 10**9)
+
+
+def test_angles_in_degrees_by_their_rates_and_by_their_size(tmp_path):
+    own = arm(3)
+    names = ("t", *(f"q{k}" for k in (1, 2, 3)), *(f"dq{k}" for k in (1, 2, 3)), *(f"i{k}" for k in (1, 2, 3)))
+    small = [T, *(DEG * 0.05 * own.q).T, *(0.05 * own.qd).T, *own.tau.T]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", names, small))
+    held(log, {f"joint_{k + 1}": 0.05 * own.q[:, k] for k in range(3)})
+    assert found.doubts == ()
+    large = made.text(tmp_path / "b.csv", names[:4], [T, *(DEG * own.q).T])
+    log, found, _ = brought_in(large)
+    held(log, {f"joint_{k + 1}": own.q[:, k] for k in range(3)})
+    odd = made.text(tmp_path / "c.csv", names[:7], [T, *own.q.T, *(7.0 * own.qd).T])
+    assert "times as fast as 'dq1'" in propose(odd, Names()).doubts[0]
+
+
+def test_poses_in_mm_moments_and_a_wrench(tmp_path):
+    names = ("time", "pos_x", "pos_y", "pos_z", "fx", "fy", "fz", "tx [Nmm]", "ty [Nmm]", "tz [Nmm]")
+    columns = [T, 900.0 + T, 2.0 * T, -T, 3.0 * T, T, T, 1e3 * T, T, T]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", names, columns))
+    held(log, {"position_x": 0.9 + 1e-3 * T, "force_x": 3.0 * T, "moment_x": T})
+    assert set(log.read("position_x")["unit"]) == {b"m"}
+    assert found.doubts == ("up to 903.2: m if it went so far",)
+
+
+def test_bad_rows_are_proposed_to_be_skipped_and_counted(tmp_path):
+    columns = [[f"{value:.7f}" for value in one] for one in imu_columns(body())]
+    columns[1][5], columns[2][7], columns[3][9] = "NaN", "", "N/A"
+    columns[0][50], columns[0][51] = columns[0][51], columns[0][50]
+    columns[0][90] = columns[0][89]
+    path = made.text(tmp_path / "a.csv", IMU_NAMES, columns)
+    path.write_text(path.read_text() + "1.0,2.0\n" + path.read_text().splitlines()[-1].replace("3.", "9.", 1) + "\n")
+    _, found, left_out = brought_in(path)
+    assert "# 1 rows have another number of cells; 3 rows have a cell that is no number; " in found.text
+    assert left_out[0].startswith("a.csv: 1 rows left out")
+    assert left_out[1].startswith("5 rows left out")
+
+
+def test_times_out_of_order_are_no_even_samples(tmp_path, capsys):
+    order = np.random.default_rng(2).permutation(COUNT)
+    path = made.text(tmp_path / "a.csv", IMU_NAMES, [one[order] for one in imu_columns(body())])
+    assert main(["import", "--guess", str(path)]) == BAD_INPUT
+    assert "'time' is a time by its name and does not rise: sort the recording" in capsys.readouterr().err
+
+
+def test_names_that_stand_twice(tmp_path):
+    columns = imu_columns(body())
+    same = made.text(tmp_path / "a.csv", (*IMU_NAMES, "gyro_x"), [*columns, columns[1]])
+    log, found, _ = brought_in(same)
+    held_imu(log, body())
+    assert found.doubts == ()
+    other = made.text(tmp_path / "b.csv", (*IMU_NAMES, "gyro_x"), [*columns, columns[1] + 1.0])
+    assert "'gyro_x (1)' could be 'gyro_x (2)' as well, which differs" in brought_in(other)[1].doubts[0]
+
+
+def test_no_clock_is_told_and_pauses_are(tmp_path):
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", ("force",), [np.sin(T)]))
+    assert len(log.read("load_cell")) == COUNT
+    assert "no column of times was found" in found.doubts[0]
+    paused = T + np.where(T > 1.0, 0.5, 0.0)
+    _, found, _ = brought_in(made.text(tmp_path / "b.csv", ("time", "force"), [paused, np.sin(T)]))
+    assert "# 125 Hz, 1 intervals longer than 1.5 of that, up to 0.508 s" in found.text
+
+
+def test_a_part_that_does_not_move_at_first_is_not_rounded_away(tmp_path):
+    """The first two thirds are exact zeros: the size of counts is by all rows."""
+    force = np.where(T > 2.0, 1e-3 * np.sin(T), 0.0)
+    log, _, _ = brought_in(made.text(tmp_path / "a.csv", ("time", "force"), [T, force], digits=12))
+    rows = log.read("load_cell")
+    assert rows["value_raw"] * rows["scale"].astype(float) == pytest.approx(force, abs=1e-9)
+
+
+def test_a_mat_file_that_swells_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(matlab, "LARGEST_BYTES", 16 << 20)
+    for size, refused in ((15 << 20, False), (17 << 20, True)):
+        packed = zlib.compress(bytes(size), 9)
+        assert len(packed) < 1 << 15
+        (tmp_path / "a.mat").write_bytes(_MAT + struct.pack("<II", 15, len(packed)) + packed)
+        with pytest.raises(SourceError) as told:
+            propose(tmp_path / "a.mat", Names())
+        assert ("would expand to more than" in str(told.value)) == refused
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "why"),
+    [
+        ("a.csv", lambda p: p.write_bytes(b""), "is empty"),
+        ("a.csv", lambda p: p.write_text("\n\n\n"), "no line but comments"),
+        ("a.csv", lambda p: p.write_text("# only\n# comments\n"), "no line but comments"),
+        ("a.csv", lambda p: p.write_text("time,force\n"), "no line of numbers"),
+        ("a.csv", lambda p: p.write_text("hello world\nhow are you\n"), "no line of numbers"),
+        ("a.csv", lambda p: p.write_text("1.5\n2.5\n3.5\n"), "none of its columns has a name"),
+        ("a.csv", lambda p: p.write_text("time,colour\n0,1\n1,2\n2,3\n"), "none of its columns has a name"),
+        ("a.csv", lambda p: p.write_bytes(bytes(range(256)) * 99), "no text, and of no kind that is known"),
+        ("a.xlsx", lambda p: p.write_bytes(b"PK\x03\x04" + bytes(99)), "save the sheet as CSV"),
+        ("a.npy", lambda p: np.save(p, np.zeros(9)), "save it as NPZ"),
+        ("a.mat", lambda p: p.write_bytes(b"MATLAB 7.3 MAT-file".ljust(200)), r"save\('FILE.mat', '-v7'\)"),
+        (
+            "a.mat",
+            lambda p: p.write_bytes(_MAT + bytes(99)),
+            "no MAT file|two numbers",
+        ),
+        ("a.bag", lambda p: p.write_bytes(b"#ROSBAG V2.0\n" + bytes(4999)), "no bag that can be read"),
+        ("a.db3", lambda p: p.write_bytes(b"SQLite format 3\0" + bytes(99)), "no bag that can be read"),
+        ("a.mcap", lambda p: p.write_bytes(b"\x89MCAP0\r\n" + b"\x04" + b"\xff" * 99), "no MCAP file|two numbers"),
+        ("a.ulg", lambda p: p.write_bytes(b"ULog\x01\x12\x35\x01" + b"\xff" * 99), "no ULog file|two numbers"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path, name, write, why):
+    write(tmp_path / name)
+    with pytest.raises(SourceError, match=why):
+        propose(tmp_path / name, Names())
+
+
+@pytest.mark.parametrize("make", [made.bag_1, made.mcap_of_json, made.ulog], ids=["bag", "mcap", "ulog"])
+def test_files_that_were_cut_off_or_altered_give_rows_or_an_error(tmp_path, make):
+    whole = make(tmp_path / f"a.{ {'bag_1': 'bag', 'ulog': 'ulg'}.get(make.__name__, 'mcap') }").read_bytes()
+    rng = np.random.default_rng(7)
+    told = 0
+    for k in range(40):
+        broken = bytearray(whole[: int(rng.integers(16, len(whole)))] if k % 2 else whole)
+        if k % 2 == 0:
+            for place in rng.integers(16, len(broken), 20).tolist():
+                broken[place] = int(rng.integers(256))
+        (tmp_path / "b").write_bytes(broken)
+        try:
+            told += "# it is damaged" in propose(tmp_path / "b", Names()).text
+        except SourceError:
+            told += 1
+    assert told > 5
+
+
+def test_a_name_can_say_anything(tmp_path):
+    """Quotes, brackets and equals signs of a header stand in TOML as they are."""
+    names = ("time", '"he said ""force_x"""', "force_y [N] # = ]", "force_z'", "b\\nc", "[x]")
+    path = made.text(tmp_path / "a.csv", names, [T, T, T, T, T, T])
+    found = propose(path, Names())
+    (tmp_path / "m.toml").write_text(found.text, encoding="utf-8")
+    mapping.load(tmp_path / "m.toml")
+    [log] = import_recordings(tmp_path / "m.toml", path, tmp_path / "logs")
+    assert log.rows == len(found.channels) * COUNT
+    assert main(["import", "--guess", str(path)]) == OK

@@ -1,0 +1,179 @@
+"""What ``heft info`` says of a log: counts, rates, and above all whether every missing row is accounted for."""
+
+import io
+import itertools
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from drivers import records
+from drivers.records import Severity
+from onboard import cli
+from onboard.ground.log.views.continuity import Continuity, common, count, union
+from onboard.ground.log.views.info import info, render
+from onboard.recording.writer import LogWriter
+
+ranges = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 6)).map(lambda t: (t[0], t[0] + t[1])), max_size=8)
+
+
+def pulses(numbers, step_ns=10_000_000):
+    rows = np.zeros(len(numbers), records.PULSE)
+    rows["sequence"] = numbers
+    rows["host_ns"] = np.asarray(numbers) * step_ns
+    return rows
+
+
+def as_ranges(pairs):
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def as_set(pairs):
+    return set().union(*(range(first, last + 1) for first, last in pairs))
+
+
+@given(ranges, ranges)
+def test_ranges_are_sets_of_numbers(a, b):
+    joined = union(as_ranges(a))
+    assert as_set(joined.tolist()) == as_set(a)
+    assert count(joined) == len(as_set(a))
+    assert all(first <= last for first, last in joined)
+    assert all(end + 1 < start for (_, end), (start, _) in itertools.pairwise(joined))
+    assert common(as_ranges(a), as_ranges(b)) == len(as_set(a) & as_set(b))
+
+
+@given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 9))
+def test_missing_numbers_are_found_however_the_rows_are_cut(numbers, size):
+    ordered = sorted(numbers)
+    seen = Continuity()
+    for first in range(0, len(ordered), size):
+        seen.add(pulses(ordered[first : first + size]))
+    assert as_set(seen.missing.tolist()) == set(range(ordered[0], ordered[-1])) - numbers
+    assert (seen.rows, seen.repeated) == (len(ordered), 0)
+
+
+def test_repeats_and_restarts_are_counted():
+    seen = Continuity()
+    seen.add(pulses([0, 1, 1, 2]))
+    seen.add(pulses([2, 0, 1]))
+    assert seen.repeated == 3
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "flight.mcap"
+    with LogWriter.create(path) as writer:
+        writer.add_metadata("flight", {"vehicle": "rocksat", "host_machine": "aarch64"})
+        writer.attach("vehicle.toml", "application/toml", b"x = 1\n")
+        writer.register("pulse", records.PULSE)
+        writer.register("late", records.PULSE)
+        writer.register("joint", records.SCALAR)
+        writer.register("driver_gap", records.GAP)
+        writer.register("recorder_gap", records.GAP)
+        writer.register("event", records.EVENT)
+        writer.write("pulse", pulses([0, 1, 2, 3, 7, 8, 9, 12]))
+        writer.write("late", pulses([5, 6, 7]))
+        joint = np.zeros(4, records.SCALAR)
+        joint["sequence"] = np.arange(4)
+        joint["status"] = [0, 1, 0, 2]
+        writer.write("joint", joint)
+        writer.write("driver_gap", records.gap(1, "pulse", 4, 5, 0, "fifo_overflow").rows)
+        writer.write("recorder_gap", records.gap(2, "pulse", 5, 6, 0, "ring_overrun").rows)
+        writer.write("recorder_gap", records.gap(2, "late", 0, 4, 0, "ring_overrun").rows)
+        writer.write("recorder_gap", records.gap(2, "late", 8, 9, 0, "ring_overrun", counted=True).rows)
+        for n in range(15):
+            severity = Severity.ERROR if n % 2 else Severity.INFO
+            writer.write("event", records.event(n, severity, f"code_{n}", "test", "said \x1b[31m so").rows)
+    return path
+
+
+def test_what_is_missing_and_what_is_told(log):
+    about = info(log)
+    by_name = {channel.name: channel for channel in about.channels}
+    pulse = by_name["pulse"]
+    assert (pulse.record, pulse.rows, pulse.missing, pulse.gaps, pulse.unexplained) == ("Pulse", 8, 5, 3, 2)
+    assert (pulse.first_sequence, pulse.last_sequence, pulse.repeated) == (0, 12, 0)
+    assert pulse.rate_hz == pytest.approx(7 / 0.12)
+    late = by_name["late"]
+    assert (late.missing, late.gaps, late.unexplained) == (0, 7, 0)  # before the first row and after the last
+    assert (late.about, pulse.about) == (5, 3)
+    assert late.rows + late.gaps == 10
+    assert by_name["joint"].flagged == 2
+    assert by_name["joint"].rate_hz is None
+    assert (about.exit_code, about.truncated, about.unexplained) == (0, False, 2)
+    assert about.duration_s == pytest.approx(0.12)
+    assert about.rows == 8 + 3 + 4 + 1 + 3 + 15
+
+
+def test_events_are_counted_and_the_last_that_matter_shown(log):
+    about = info(log)
+    assert about.event_counts == {Severity.INFO: 8, Severity.ERROR: 7}
+    assert [event.code for event in about.events] == [f"code_{n}" for n in range(3, 15, 2)]
+
+
+def text_of(about, width=110):
+    file = io.StringIO()
+    Console(width=width, file=file).print(render(about))
+    return file.getvalue()
+
+
+def test_the_screen_shows_it(log):
+    shown = text_of(info(log))
+    assert len(shown.splitlines()) < 40
+    for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "7 error", "code_13", "2 rows are missing", "intact"):
+        assert part in shown
+    assert "\x1b" not in shown  # text in a log cannot steer the terminal
+
+
+def test_it_says_which_gaps_are_about_and_when_which_mode_began(tmp_path):
+    path = tmp_path / "flight.mcap"
+    with LogWriter.create(path) as writer:
+        for name, dtype in (("pulse", records.PULSE), ("gap", records.GAP), ("event", records.EVENT)):
+            writer.register(name, dtype)
+        writer.write("pulse", pulses([0, 1, 9, 10]))
+        writer.write("gap", records.gap(1, "pulse", 2, 4, 0, "a", counted=True).rows)
+        writer.write("gap", records.gap(1, "pulse", 4, 8, 0, "b").rows)
+        for n, text in enumerate(("boot: x", "checkout: y\x1b[31m")):
+            writer.write("event", records.event(n * 10**9, Severity.INFO, "mode", "flight", text).rows)
+    found = info(path)
+    [pulse] = [channel for channel in found.channels if channel.name == "pulse"]
+    assert (pulse.missing, pulse.gaps, pulse.about, pulse.unexplained) == (7, 7, 4, 0)
+    shown = text_of(found, 80)
+    assert "about 7" in shown
+    assert "modes" in shown
+    assert "boot 0.0 s, checkout 1.0 s" in shown
+
+
+def test_json_holds_what_the_screen_shows(log, capsys):
+    assert cli.main(["info", str(log), "--json", "-"]) == cli.OK
+    told = json.loads(capsys.readouterr().out)
+    assert told["channels"][0]["name"] == "pulse"
+    assert told["channels"][0]["missing"] == 5
+    assert told["metadata"]["flight"]["host_machine"] == "aarch64"
+    assert told["event_counts"] == {"0": 8, "2": 7}
+    assert told["clocks"] == {}
+    assert told["rows"] == {"total": 0, "used": 0, "refused": {}}
+
+
+def test_a_log_without_clocks_has_nothing_to_plot(log, tmp_path, capsys):
+    assert cli.main(["info", str(log), "--clocks", str(tmp_path / "clocks.png")]) == cli.BAD_INPUT
+    assert "has no clock" in capsys.readouterr().err
+    assert not (tmp_path / "clocks.png").exists()
+
+
+def test_a_cut_log_says_so(log):
+    log.write_bytes(log.read_bytes()[:-200])
+    about = info(log)
+    assert (about.exit_code, about.truncated) == (3, True)
+    assert "not closed" in text_of(about) or "incomplete" in text_of(about)
+    assert "whole" not in text_of(about)
+
+
+def test_an_empty_log(tmp_path):
+    LogWriter.create(tmp_path / "a.mcap").close()
+    about = info(tmp_path / "a.mcap")
+    assert (about.rows, about.duration_s, about.channels) == (0, 0.0, ())
+    assert "0 rows" in text_of(about)
