@@ -31,7 +31,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     print(result.summary)
     write_json(arguments.json, result)
     warn(result.damage)
-    if not result.identical:
+    if not result.agrees:
         return FAILED
     return DAMAGED if result.damage else OK
 

@@ -2,7 +2,11 @@
 
 import io
 import json
+import os
+import platform
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +18,7 @@ from onboard import cli, config
 from onboard.estimation.gates import GateReason
 from onboard.flight.check import host
 from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.store.flight_log import blas_kernels
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay import replay as replay_module
 from onboard.ground.identify.replay.replay import replay
@@ -106,6 +111,21 @@ def test_clocks_are_locked_and_right(mission: Result) -> None:
 def test_replay_gives_the_onboard_estimates_to_the_bit(mission: Result, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["replay", str(mission.path)]) == cli.OK
     assert "identical to the last bit" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="there is one set of kernels for this processor")
+def test_replay_on_another_processor_gives_the_same_answers_to_rounding(short_mission: Result) -> None:
+    other = "Haswell" if blas_kernels() == "Nehalem" else "Nehalem"
+    done = subprocess.run(
+        [sys.executable, "-m", "onboard.cli", "replay", str(short_mission.path)],
+        env=os.environ | {"OPENBLAS_CORETYPE": other},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == cli.OK, done.stdout + done.stderr
+    assert "the same to rounding" in done.stdout
+    assert f"blas_kernels: {blas_kernels()} in the log, {other} here" in done.stdout
 
 
 @pytest.fixture(scope="module")

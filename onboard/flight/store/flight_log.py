@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from threadpoolctl import threadpool_info
+
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.clocks import known_delays
@@ -158,10 +160,22 @@ def flight_facts(vehicle: config.Vehicle, started: Started | None) -> dict[str, 
         "host_machine": platform.machine(),
         "host_system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
+        "blas_kernels": blas_kernels(),
     }
     if started is not None:
         facts["wall_clock_ns"], facts["monotonic_ns"] = str(started.wall_clock_ns), str(started.monotonic_ns)
     return facts
+
+
+def blas_kernels() -> str:
+    """For which processors the kernels are that OpenBLAS runs here, as "Haswell": they add up in different orders."""
+    blas = (library for library in threadpool_info() if library["user_api"] == "blas")
+    return ", ".join(sorted({str(library.get("architecture", "unknown")) for library in blas}))
+
+
+def computed_on() -> dict[str, str]:
+    """What the last bits of estimates depend on, as the log's metadata ``flight`` and ``versions`` say it."""
+    return {"host_machine": platform.machine(), "blas_kernels": blas_kernels()} | versions()
 
 
 def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:

@@ -1,30 +1,33 @@
 """Recomputes the estimates from a log and compares them with those of the flight, bit for bit.
 
 The TICK records name the rows consumed by each step of the onboard estimator; the same code gets the same rows in the
-same steps. The outputs must be identical to the last bit, for any scheduling on board.
+same steps. On the same computer the outputs must be identical to the last bit, for any scheduling on board. Another
+processor, or another version of NumPy, adds up in another order: then the answers must agree to rounding, and all that
+is no number must be the same.
 """
 
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from drivers.records import Batch, Rows
 from onboard import config
 from onboard.channels import tick_dtype
 from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.store.flight_log import computed_on
+from onboard.ground.identify.replay.comparison import Comparison
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import require_kinds, vehicle_of
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
-_COMPARED_AT_ONCE = 4096  # rows
+AGREE_sigmas = 1e-6  # between an answer of the flight and one computed elsewhere; rounding makes 1e-9
 _LONGEST_STEP_NS = 86_400 * 10**9  # of an estimator: it makes a hundred in a second
 _UNANSWERED = 2  # last steps of an interrupted flight with a TICK in the log but no outputs
 
@@ -36,6 +39,13 @@ class Replay(NamedTuple):
     summary: str
     compared: dict[str, int]  # rows by channel
     damage: tuple[object, ...]
+    farthest_sigmas: float = 0.0  # between a supported answer and the recorded one; infinite: more than numbers differ
+    elsewhere: tuple[str, ...] = ()  # in what this computer differs from the one that computed the log
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the outputs are the same, to rounding where they were computed on another computer."""
+        return self.identical or (bool(self.elsewhere) and self.farthest_sigmas <= AGREE_sigmas)
 
 
 class Pass:
@@ -84,76 +94,6 @@ class Pass:
             return np.empty(0, SEQUENCED)
         self._waiting[name] = rows[:0]
         return rows
-
-
-class _Said:
-    """Comparison of recorded and recomputed rows of one channel, of many steps at a time."""
-
-    def __init__(self, dtype: np.dtype[np.void]) -> None:
-        self.recorded = self.same = 0
-        self.until: int | None = None  # rows from here on are of an estimator that has not begun yet
-        self.differs = False
-        self._dtype = dtype
-        self._said: list[Rows] = []  # not compared yet, or after the first difference
-        self._again: list[Rows] = []
-        self._held = 0  # rows that came since the last comparison
-
-    @property
-    def replayed(self) -> int:
-        """Number of recomputed rows."""
-        return self.same + sum(map(len, self._again))
-
-    def add(self, said: Rows, again: Sequence[Rows] = ()) -> None:
-        """Further rows, to be compared; after the first difference they are only counted."""
-        self.recorded += len(said)
-        self._said.append(said)
-        self._again += again
-        self._held += len(said)
-        if self._held >= _COMPARED_AT_ONCE:
-            self._compare()
-
-    def _compare(self) -> None:
-        said, again = _joined(self._said, self._dtype), _joined(self._again, self._dtype)
-        self._said, self._again, self._held = [said], [again], 0
-        count = min(len(said), len(again))
-        count = count if self.until is None else min(count, self.until - self.same)
-        if self.differs or not count:
-            return
-        if said.dtype != again.dtype:
-            self.differs = True
-            return
-        equal = (_bytes(again[:count]) == _bytes(said[:count])).all(axis=1)
-        self.differs = not equal.all()
-        count = int(np.argmin(equal)) if self.differs else count
-        self.same += count
-        self._said, self._again = [said[count:]], [again[count:]]
-
-    def forget(self, known: int) -> None:
-        """Only the first ``known`` recomputed rows had been published before the estimator died."""
-        self._compare()
-        self._again = [self._again[0][: max(0, known - self.same)]]
-
-    def end(self, answered_ns: int) -> None:
-        """End of the flight: outputs of its last steps may be missing in the log."""
-        self._compare()
-        [said], [again] = self._said, self._again
-        if len(again) and (again[len(said) :]["host_ns"] > answered_ns).all():
-            again = again[: len(said)]
-        self.differs |= len(said) + len(again) > 0
-
-
-def _joined(parts: Sequence[Rows], dtype: np.dtype[np.void]) -> Rows:
-    """The rows of some batches, (n,)."""
-    some = [part for part in parts if len(part)]
-    return some[0] if len(some) == 1 else np.concatenate(some) if some else np.empty(0, dtype)
-
-
-def _bytes(rows: Rows) -> NDArray[np.uint8]:
-    """The rows' fields as they lie in memory, (n, itemsize), what fills the gaps between them zeroed."""
-    clean = np.zeros(len(rows), rows.dtype)
-    for field in rows.dtype.names or ():
-        clean[field] = rows[field]
-    return clean.view(np.uint8).reshape(len(rows), rows.dtype.itemsize)
 
 
 def replay(path: Path, progress: Progress | None = None) -> Replay:
@@ -248,7 +188,7 @@ def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int],
     estimator = Estimator(vehicle)
     outputs = estimator.outputs
     rows = Pass(log, [*estimator.inputs, "tick", *outputs])
-    channels = {name: _Said(dtype) for name, dtype in outputs.items()}
+    channels = {name: Comparison(dtype) for name, dtype in outputs.items()}
     short = ""
     times_ns: deque[int] = deque([-1], maxlen=_UNANSWERED + 1)
     begun = _published_before(log, restarts_ns, outputs)
@@ -273,17 +213,41 @@ def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int],
             channel.add(rows.waiting(name), again[name])
     while rows.read_on():
         pass
-    answered_ns = times_ns[0]
-    for name, channel in channels.items():
-        channel.add(rows.waiting(name))
-        replayed = channel.replayed
-        channel.end(answered_ns)
-        if channel.differs:
-            why = f"; {short}" if short else ""
-            text = f"{name} differs from row {channel.same}: {channel.recorded} recorded, {replayed} replayed{why}"
-            return Replay(False, text, {n: c.recorded for n, c in channels.items()}, log.damage)
+    for channel_rows, channel in ((rows.waiting(name), channel) for name, channel in channels.items()):
+        channel.add(channel_rows)
+        channel.end(times_ns[0])
+    return _judged(channels, elsewhere(log.metadata), short, log.damage)
+
+
+def _judged(
+    channels: Mapping[str, Comparison], elsewhere: tuple[str, ...], short: str, damage: tuple[object, ...]
+) -> Replay:
+    """What the comparison of all channels comes to; ``short`` is input that the log lacks."""
     compared = {name: channel.recorded for name, channel in channels.items()}
-    if not any(compared.values()):
-        return Replay(False, "nothing to compare: the log has no output of an estimator", compared, log.damage)
     total = ", ".join(f"{count} {name}" for name, count in compared.items())
-    return Replay(True, f"identical to the last bit: {total}", compared, log.damage)
+    if not any(compared.values()):
+        return Replay(False, "nothing to compare: the log has no output of an estimator", compared, damage)
+    different = {name: channel for name, channel in channels.items() if channel.differs_from is not None}
+    if not different:
+        return Replay(True, f"identical to the last bit: {total}", compared, damage)
+    farthest = max(channel.farthest_sigmas for channel in different.values())
+    found = Replay(False, "", compared, damage, farthest, elsewhere)
+    answers = f"answers of the flight and of this replay are at most {farthest:.1g} sigmas apart"
+    computers = "".join(f"\n  {difference}" for difference in elsewhere)
+    if found.agrees:
+        text = f"the same to rounding: {total}; {answers}. The log was computed elsewhere:{computers}"
+        return found._replace(summary=text)
+    name, channel = next(iter(different.items()))
+    text = f"{name} differs from row {channel.differs_from}: {channel.recorded} recorded, {channel.replayed} replayed"
+    text += f"; {short}" if short else f"; {answers}" if farthest < float("inf") else ""
+    return found._replace(summary=text + (f". The log was computed elsewhere:{computers}" if elsewhere else ""))
+
+
+def elsewhere(metadata: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
+    """In what this computer differs from the one whose log says this of itself, of what numbers depend on."""
+    here, there = computed_on(), {**metadata.get("flight", {}), **metadata.get("versions", {})}
+    return tuple(
+        f"{name}: {there[name]} in the log, {value} here" if name in there else f"{name}: the log does not say"
+        for name, value in here.items()
+        if there.get(name) != value
+    )
