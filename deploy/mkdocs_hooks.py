@@ -1,7 +1,11 @@
-"""Hooks of the documentation site: formulas become MathML, names of pages become links, roles in docstrings go."""
+"""Hooks of the documentation site.
+
+Formulas become MathML, names of pages become links, roles in docstrings go, and the first use of each word of the
+glossary on a page leads to its row there.
+"""
 
 import re
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -10,6 +14,11 @@ _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.DOTALL | re.MULTILINE)
 _SPAN = re.compile(r"(`[^`\n]+`)")
 _DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
 _INLINE = re.compile(r"(?<![\\$\w])\$([^$\n]+(?:\n[^$\n]+)?)\$(?!\w)")
+_KEPT = re.compile(  # of a page: code, links, HTML with its content where it is a formula, headings
+    r"(^ *```.*?^ *```$|`[^`\n]+`|!?\[[^\]]*\]\([^)]*\)|<math.*?</math>|<[^>]+>|^#.*?$)", re.DOTALL | re.MULTILINE
+)
+_GLOSSARY = Path(__file__).resolve().parents[1] / "docs" / "glossary.md"
+_ROW = re.compile(r"^\| (?!word )([A-Za-z][\w ,]*) \|", re.MULTILINE)
 _PAGE = re.compile(r"`(?:docs/)?(\w+\.md)`")
 
 
@@ -27,7 +36,32 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
 
     parts = _FENCE.split(markdown)
     parts[::2] = [prose(part) for part in parts[::2]]
+    text = "".join(parts)
+    if page.file.src_uri == _GLOSSARY.name:
+        return _ROW.sub(lambda row: f'| <a id="{_anchor(row[1])}"></a>{row[1]} |', text)
+    return with_words(text, "../" * page.file.src_uri.count("/") + _GLOSSARY.name)
+
+
+def with_words(text: str, glossary: str) -> str:
+    """The page with a link at the first use of each word of the glossary, outside code, links and headings."""
+    rows = _ROW.findall(_GLOSSARY.read_text(encoding="utf-8"))
+    anchors = {word: _anchor(row) for row in rows for word in row.split(", ")}
+    longest_first = "|".join(sorted(map(re.escape, anchors), key=len, reverse=True))
+    used = set[str]()
+
+    def link(word: re.Match[str]) -> str:
+        if word[0] in used:
+            return word[0]
+        used.add(word[0])
+        return f"[{word[0]}]({glossary}#{anchors[word[0]]}){{ .word }}"
+
+    parts = _KEPT.split(text)
+    parts[::2] = [re.sub(rf"(?<![\w-])(?:{longest_first})(?![\w-])", link, part) for part in parts[::2]]
     return "".join(parts)
+
+
+def _anchor(row: str) -> str:
+    return re.sub(r"\W+", "-", row.lower())
 
 
 def on_page_content(html: str, **_: Any) -> str:

@@ -221,7 +221,7 @@ def _references(drawing: Drawing) -> Iterator[Problem]:
                 yield Problem(drawing.lines[joint.element], f"{what}; {meant}")
         if hangs.setdefault(joint.child, joint.name) != joint.name:
             what = f"link {joint.child!r} hangs on joint {joint.name!r} and on {hangs[joint.child]!r}"
-            yield Problem(drawing.lines[joint.element], f"{what}; a link has one joint before it: cut the loop")
+            yield Problem(drawing.lines[joint.element], f"{what}; a link has a single joint before it: cut the loop")
 
 
 def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:
@@ -230,7 +230,9 @@ def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:
     if len(roots) != 1:
         what = f"it hangs on {shortened(roots) or 'nothing, for its joints go in a ring'}"
         element = drawing.links[roots[1]] if roots else first
-        yield Problem(drawing.lines[element], f"{what}; a vehicle has one root: join the others to it by fixed joints")
+        yield Problem(
+            drawing.lines[element], f"{what}; a vehicle has a single root: join the others to it by fixed joints"
+        )
         return
     if len(drawing.links) > MOST_LINKS or moving > MOST_JOINTS:
         what = f"it has {len(drawing.links)} links and {moving} joints that move"

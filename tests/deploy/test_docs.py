@@ -139,6 +139,9 @@ def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
     pages = {page.relative_to(ROOT / "docs") for page in PAGES if page.is_relative_to(ROOT / "docs")}
     assert {page.as_posix() for page in pages} == set(listed)
     assert all((tmp_path / page.with_suffix(".html")).is_file() for page in pages)
+    levels = (tmp_path / "honesty.html").read_text(encoding="utf-8")
+    assert levels.count('href="glossary.html#leans-on"') == 1  # the first use, and no other
+    assert '<a id="leans-on">' in (tmp_path / "glossary.html").read_text(encoding="utf-8")
     theory = (tmp_path / "estimators.html").read_text(encoding="utf-8")
     assert "<math" in theory
     assert not re.search(r"\$[\\A-Za-z]", theory)  # no formula that was left as text
