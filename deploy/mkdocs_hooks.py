@@ -18,6 +18,7 @@ _KEPT = re.compile(  # of a page: code, links, HTML with its content where it is
     r"(^ *```.*?^ *```$|`[^`\n]+`|!?\[[^\]]*\]\([^)]*\)|<math.*?</math>|<[^>]+>|^#.*?$)", re.DOTALL | re.MULTILINE
 )
 _GLOSSARY = Path(__file__).resolve().parents[1] / "docs" / "glossary.md"
+_EVERYDAY = {"answer", "left out", "lie", "mark", "named", "refused"}  # more often meant as everywhere than as there
 _ROW = re.compile(r"^\| (?!word )([A-Za-z][\w ,]*) \|", re.MULTILINE)
 _PAGE = re.compile(r"`(?:docs/)?(\w+\.md)`")
 
@@ -45,7 +46,7 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
 def with_words(text: str, glossary: str) -> str:
     """The page with a link at the first use of each word of the glossary, outside code, links and headings."""
     rows = _ROW.findall(_GLOSSARY.read_text(encoding="utf-8"))
-    anchors = {word: _anchor(row) for row in rows for word in row.split(", ")}
+    anchors = {word: _anchor(row) for row in rows for word in row.split(", ") if word not in _EVERYDAY}
     longest_first = "|".join(sorted(map(re.escape, anchors), key=len, reverse=True))
     used = set[str]()
 

@@ -67,7 +67,7 @@ def test_every_command_shown_exists_with_its_options(page: Path) -> None:
 def test_recipes_are_scenarios_that_differ_from_the_vehicles_own() -> None:
     blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8"), re.DOTALL)
     usual = scenario_of("dymaflex", {})
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     for block in blocks:
         assert scenario_of("dymaflex", tomllib.loads(block)) != usual, block
 
