@@ -57,7 +57,7 @@ def _dump(arguments: argparse.Namespace) -> int:
     piped = target == "-"
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     if piped and len(groups) > 1:
-        raise ValueError(f"{len(groups)} logs into one pipe: dump them singly")
+        raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
     codes: list[int] = []
     force = arguments.force
     with progress() as bar:

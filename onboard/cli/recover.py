@@ -22,7 +22,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     groups = flights(arguments.log)
     if len(groups) > 1:
         names = ", ".join(group[0].name for group in groups)
-        raise ValueError(f"{names} are logs of different flights: recover them singly, then merge them")
+        raise ValueError(f"{names} are logs of different flights: recover them one by one, then merge them")
     with progress() as bar:
         task = bar.add_task("recover", total=None)
         found = recover(

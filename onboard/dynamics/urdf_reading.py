@@ -230,9 +230,7 @@ def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:
     if len(roots) != 1:
         what = f"it hangs on {shortened(roots) or 'nothing, for its joints go in a ring'}"
         element = drawing.links[roots[1]] if roots else first
-        yield Problem(
-            drawing.lines[element], f"{what}; a vehicle has a single root: join the others to it by fixed joints"
-        )
+        yield Problem(drawing.lines[element], f"{what}; a vehicle has one root: join the others to it by fixed joints")
         return
     if len(drawing.links) > MOST_LINKS or moving > MOST_JOINTS:
         what = f"it has {len(drawing.links)} links and {moving} joints that move"

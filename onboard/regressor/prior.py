@@ -46,7 +46,7 @@ def prior_root(
         if link not in vehicle.links:
             raise UnknownFrameError(f"prior.link names {link!r}; links with inertia are {', '.join(vehicle.links)}")
         if link in relative:
-            raise UnknownFrameError(f"{link!r} is in prior.link and in prior.relative; take it out of either")
+            raise UnknownFrameError(f"{link!r} is in prior.link and in prior.relative; take it out of one of them")
     root = np.diag(named_relative_sigma(model, {**dict.fromkeys(made, 0.0), **relative}, extras))
     for index, link in enumerate(vehicle.links):
         own = slice(10 * index, 10 * index + 10)
