@@ -53,6 +53,35 @@ class Hypothesis(NamedTuple):
     slopes: FloatArray  # (k, r) U at the suspect's constants
     whiten: FloatArray  # (r, r) of which the product with its transpose is M^-1
     g: FloatArray  # (r,) its gradient, so whitened
+    moves: FloatArray | None = None  # (p, 1) root of what a step adds to the covariance; None: it is no step
+
+
+class Changed(NamedTuple):
+    """Steps in flight of one sigma each: what each does to the state, and what innovations tell of it."""
+
+    D: FloatArray  # (p, m) true state less the filter's
+    d: FloatArray  # (m,) gradient of the evidence by its size
+    J: FloatArray  # (m,) information of that
+
+    @staticmethod
+    def none(size: int) -> "Changed":
+        """No steps, of a state of this size."""
+        return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros(0))
+
+    @property
+    def nats(self) -> FloatArray:
+        """Evidence over that of no step, (m,)."""
+        M = 1.0 + np.maximum(self.J, 0.0)
+        return np.asarray(0.5 * self.d**2 / M - 0.5 * np.log(M), np.float64)
+
+    def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
+        """Of each, what it is of given; weights are one."""
+        M, found = 1.0 + np.maximum(self.J, 0.0), list[Hypothesis]()
+        for k, (suspect, nats) in enumerate(zip(suspects, self.nats.tolist(), strict=True)):
+            root, size = np.sqrt(M[k]), abs(float(self.d[k] / M[k]))
+            of = *_NONE[:2], self.d[k : k + 1] / root, self.D[:, k : k + 1] / root
+            found.append(Hypothesis(suspect, (), 1.0, nats, size, *of))
+        return found
 
 
 class Weighed(NamedTuple):
@@ -77,7 +106,9 @@ class Weighed(NamedTuple):
             (n, r).
         """
         assert one.suspect is not None
-        root = self.stated[1][part, one.suspect.at] @ (one.slopes @ one.whiten)
+        root = (
+            self.stated[1][part, one.suspect.at] @ (one.slopes @ one.whiten) if one.moves is None else one.moves[part]
+        )
         return root @ one.g, root
 
     @property
@@ -228,28 +259,43 @@ class Bank:
 
     def freed(self, known: Known, which: Sequence[int]) -> Known:
         """What is known if every suspect of these numbers may be wrong."""
-        (x, P), (U, inner) = known, self._of_these(which)
-        PU = P[:, self.at] @ U
-        gain = np.linalg.solve(inner - U.T @ PU[self.at], PU.T)
-        return x + (U.T @ x[self.at]) @ gain, P + PU @ gain
+        return self._of_prior(known, which, -1.0)[0]
 
     def as_stated(self, freed: Known, which: Sequence[int]) -> Known:
         """What is known if nothing is wrong, of what :meth:`freed` has made of these."""
-        (x, P), (U, inner) = freed, self._of_these(which)
-        PU = P[:, self.at] @ U
-        gain = np.linalg.solve(inner + U.T @ PU[self.at], PU.T)
-        return x - (U.T @ x[self.at]) @ gain, P - PU @ gain
+        return self._of_prior(freed, which, 1.0)[0]
+
+    def steps_freed(self, known: Known, which: Sequence[int], steps: Changed) -> Changed:
+        """Steps beside what is known, if every suspect of these numbers may be wrong, too."""
+        return self._of_prior(known, which, -1.0, steps)[1]
+
+    def steps_as_stated(self, freed: Known, which: Sequence[int], steps: Changed) -> Changed:
+        """Steps if nothing else is wrong, of what :meth:`steps_freed` has made of these."""
+        return self._of_prior(freed, which, 1.0, steps)[1]
+
+    def _of_prior(
+        self, known: Known, which: Sequence[int], sign: float, steps: Changed | None = None
+    ) -> tuple[Known, Changed]:
+        """By Bayes' rule, of the state together with each step, whose own prior stays."""
+        (x, P), (U, inner) = known, self._of_these(which)
+        D, d, J = steps or Changed.none(len(x))
+        PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ D[self.at]
+        solved = np.linalg.solve(inner + sign * (U.T @ PU[self.at]), np.column_stack([PU.T, along]))
+        gain, of_steps = solved[:, : len(x)], sign * solved[:, len(x) :]
+        now = x - sign * (own @ gain), P - sign * (PU @ gain)
+        return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + (along * of_steps).sum(axis=0))
 
     def _of_these(self, which: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """``U`` at all suspects' constants and ``1 + D' U`` of some suspects' columns."""
         columns = np.concatenate([np.arange(self._columns[k].start, self._columns[k].stop) for k in which])
         return self._of_all[:, columns], self._inner[np.ix_(columns, columns)]
 
-    def weigh(self, stated: Known) -> Weighed:
+    def weigh(self, stated: Known, steps: Sequence[Hypothesis] = ()) -> Weighed:
         """All hypotheses; where all as stated is not believed, also each that is likely together with each other.
 
         Args:
             stated: what is known if nothing is wrong.
+            steps: further hypotheses.
         """
         x, P = stated
         M = [alike.inner - alike.slopes_T @ (P.take(alike.inside) @ alike.slopes) for alike in self._alone]
@@ -264,12 +310,14 @@ class Bank:
                     both, more = self._pairs(first, found[first], M, slope, P, {one.numbers for one in pairs})
                     pairs += both
                     logs = np.append(logs, logs[1 + first] + np.array(more))
+        logs = np.append(logs, [one.nats + np.log(one.suspect.odds) for one in steps if one.suspect is not None])
         weights = np.exp(logs - logs.max())
         none, *each = (weights / weights.sum()).tolist()
         every = [Hypothesis(None, (), none, 0.0, 0.0, *_NONE)]
         for k, (one, weight, slopes) in enumerate(zip(found, each, self._slopes, strict=False)):
             every.append(Hypothesis(self.suspects[k], (k,), weight, one.nats, one.size, slopes, one.whiten, one.g))
-        every += [one._replace(weight=weight) for one, weight in zip(pairs, each[len(found) :], strict=True)]
+        added = zip([*pairs, *steps], each[len(found) :], strict=True)
+        every += [one._replace(weight=weight) for one, weight in added]
         return Weighed(stated, tuple(every))
 
     def _each(self, M: Sequence[FloatArray], slope: Sequence[FloatArray]) -> list["_Alone"]:

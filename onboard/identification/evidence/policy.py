@@ -26,3 +26,6 @@ LEAST_WEIGHT = 1e-3
 """A hypothesis that is less probable is in no answer: that is what a 99.9 % interval leaves out."""
 LIKELIER = 0.5
 """All as stated is no longer believed below this probability: what is wrong is named, and no answer is good."""
+STEPS_PER_HOUR = 0.1
+"""Of a load cell's scale, and of its zero, in flight: a knock, a connector. As often as a change may be detected
+falsely; one in the minute of a flight then has the odds of an instrument's part, :data:`ODDS_OF_PART`."""

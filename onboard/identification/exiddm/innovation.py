@@ -15,6 +15,7 @@ from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction
+from onboard.identification.exiddm.suspects import Rivals
 
 _LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
 _FREE = 1e3  # stated sigmas of an error that may be of any size
@@ -35,7 +36,12 @@ class Innovation(NamedTuple):
     e: FloatArray  # L^-1 (measured less predicted)
     L: FloatArray
     scales: FloatArray  # L^-1 H, (lines, cells): effect of each cell's scale
+    steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
     ticks: int
+
+    def told(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """``W``, ``e`` and ``steps`` of so many lines."""
+        return self.W[:lines], self.e[:lines], self.steps[:lines]
 
     @property
     def of_reference(self) -> FloatArray:
@@ -49,21 +55,23 @@ class Innovations:
     Args:
         predictor: of its instruments.
         fusion: which of them it uses.
-        weighed: places in the state of constants whose errors are weighed as a whole (:mod:`.suspects`).
+        rivals: what may not be as stated; its constants are not held against what is stated one by one.
 
     Attributes:
         cells: load cells with a scale that is estimated, by their number among the instruments.
         may_be_wrong: places in the state of constants that the filter takes for far less certain than stated.
     """
 
-    def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
-        self._fusion, self._predictor, self._lines = fusion, predictor, predictor.lines
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
+        self._fusion, self._predictor, self._lines, self._steps = fusion, predictor, predictor.lines, rivals.steps
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
         self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
-        self._alone = [np.setdiff1d(each, weighed) for each in (predictor.of_each[0], *own)]  # held against one by one
+        self._alone = [
+            np.setdiff1d(each, rivals.at) for each in (predictor.of_each[0], *own)
+        ]  # held against one by one
         self._friction = {  # of torques: what it is multiplied by cannot be negative
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
             for k, one in further
@@ -93,9 +101,11 @@ class Innovations:
         if not there.all():
             r[~there], H[~there] = 0.0, 0.0
         H = H.reshape(r.size, p)[rows]
-        known = np.empty((p + 1 + self._scales.size, r.size))  # transposed: LAPACK's order
+        steps, of_steps = self._steps.changed.D, p + 1 + self._scales.size
+        known = np.empty((of_steps + steps.shape[1], r.size))  # transposed: LAPACK's order
         PH = np.matmul(covariance, H.T, out=known[:p])
-        known[p], known[p + 1 :] = r.ravel()[rows], H[:, self._scales].T
+        known[p], known[p + 1 : of_steps] = r.ravel()[rows], H[:, self._scales].T
+        np.matmul(steps.T, H.T, out=known[of_steps:])
         S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
         if not S.diagonal().max() < _LARGEST:  # as with NaN
@@ -105,7 +115,7 @@ class Innovations:
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it is to be estimated anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
-        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
+        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 : of_steps], solved[:, of_steps:], len(there))
 
     def agreeing(
         self, batch: Batch, there: BoolArray, covariance: FloatArray, innovation: Innovation, misfit: InnovationMisfit

@@ -84,11 +84,10 @@ class RecursiveExiddm(Holding):
         call_ticks: int = BATCH_TICKS,
     ) -> None:
         super().__init__(predictor, call_ticks)
-        self._none = predictor.no_ticks
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self.held = self._before = held if known is None else None
         self._suspected: Change | None = None  # not yet classified
-        self._claim = Claim()
+        self._claim, self._none = Claim(), predictor.no_ticks
         self._left: FloatArray | None = None  # by the last one
         self.exchanged, self.undecided, self.ticks_used, self.glitches = False, "", 0, 0
         self.changes: list[Change] = []
@@ -97,7 +96,7 @@ class RecursiveExiddm(Holding):
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
         self.rivals, self._initial = Rivals(predictor), initially(predictor, known)
-        self._innovations = Innovations(predictor, self.fusion, self.rivals.at)
+        self._innovations = Innovations(predictor, self.fusion, self.rivals)
         self._open(at_first(held, known is not None), self._initial)
 
     def settled(self) -> bool:
@@ -107,8 +106,11 @@ class RecursiveExiddm(Holding):
 
     @property
     def confirmed(self) -> bool:
-        """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it."""
-        return not self._hypotheses or self.ticks_used * self.predictor.period_s > SOLVED_AT_s[1]
+        """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it.
+
+        Nor without the motion before it, where that has told that something is not as stated and is yet to be taken in.
+        """
+        return not self._awaits and (not self._hypotheses or self.ticks_used * self._period_s > SOLVED_AT_s[1])
 
     def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
         seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
@@ -129,7 +131,7 @@ class RecursiveExiddm(Holding):
     def _open(self, hypotheses: tuple[Hypothesis, ...], prior: Known, begun: Ticks | None = None) -> None:
         """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
         self._hypotheses, self._prior = hypotheses, prior
-        self._solves, self._grown = int(begun is not None), 1.0
+        self._solves, self._grown, self._awaits = int(begun is not None), 1.0, False  # what was before a change
         self.unexplained.begin(change=self._suspected is not None)
         self._start: FloatArray | None = None
         self._window, self._pending = self._none, self._none if begun is None else begun
@@ -137,7 +139,7 @@ class RecursiveExiddm(Holding):
         self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
-        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised):
+        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
             one.forget()
         self._snapshots.clear()
 
@@ -187,7 +189,7 @@ class RecursiveExiddm(Holding):
             self._earlier, self._asked = None, self._stepped.asked
             return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
-            stepped, self._stepped = self._stepped, None
+            stepped, self._stepped, self._awaits = self._stepped, None, False
             assert stepped is not None
             self.unexplained.count += found is None and stepped.first
             if found is not None:
@@ -279,6 +281,8 @@ class RecursiveExiddm(Holding):
             self._hypotheses, self._pending, self.covariance = (), ticks.part(slice(-2, None)), solved.kept
             self.unexplained.settle()
             self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
+            if self._stepped and self._earlier and self.rivals.weighed(*self._earlier.known).names:
+                self._asked, self._awaits = self._earlier.asked, True
 
     # ------------------------------------------------------------------ a batch, as a step
 
@@ -290,8 +294,8 @@ class RecursiveExiddm(Holding):
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
         self.covariance = self._linearised.known(self.covariance)
         batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
-        state, covariance = self.state, self.covariance
-        there, suspect, used = self.fusion.whole(batch.measured), False, 0
+        state, covariance, suspect, used = self.state, self.covariance, False, 0
+        there = self.fusion.whole(batch.measured)
         try:
             innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
         except SingularError:
@@ -311,15 +315,15 @@ class RecursiveExiddm(Holding):
                 there[base[verdict.glitches], own] = False
                 innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
             self._innovations.judge(innovation, there, self.misfit)
-            use = there[:, own.start]
-            self.lines.add(innovation.of_reference[use].ravel(), use)
+            self.lines.add(innovation.of_reference[there[:, own.start]].ravel(), there[:, own.start])
         if not suspect:
             innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
-            W, e = innovation.W[:used], innovation.e[:used]
+            W, e, _ = innovation.told(used)
             state, covariance = state + W.T @ e, covariance - W.T @ W
             self.ticks_used += int(there[:, own.start].sum())
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
+        self.rivals.steps.step(innovation.told(used), predicted.transition)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

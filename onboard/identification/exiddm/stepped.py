@@ -108,10 +108,11 @@ class Stepped:
         """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""
         rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
         well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
-        length_s = self._length_s if self._now_s < 0.99 * self._length_s else 2.0 * self._length_s
+        early = self._now_s < 0.99 * self._length_s
+        length_s = self._length_s if early else 2.0 * self._length_s
         if well or length_s > 1.01 * _LONGEST_s:
             return None
-        return Stepped(self.ticks, length_s, held=self.held, first=False)
+        return Stepped(self.ticks, length_s, held=self.held, first=self.first and early)
 
 
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:

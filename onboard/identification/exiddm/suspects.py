@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.evidence.bank import Bank, Known, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect, Weighed
 from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.evidence.policy import (
     LIKELY_SIZE,
@@ -28,6 +28,7 @@ from onboard.identification.evidence.policy import (
 )
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.steps import Steps
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
@@ -47,11 +48,13 @@ class Rivals:
 
     Attributes:
         freed: numbers of the suspects that may be wrong in the priors that the filter carries.
+        steps: of constants in flight, which the filter does not follow.
     """
 
     def __init__(self, predictor: ImuPredictor) -> None:
         self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), tuple[int, ...]()
-        self._of: Known | None = None
+        self.steps = Steps(predictor)
+        self._of: tuple[FloatArray, FloatArray, Changed] | None = None
         self._weighed: Weighed | None = None
 
     @property
@@ -72,10 +75,13 @@ class Rivals:
 
     def weighed(self, state: FloatArray, covariance: FloatArray) -> Weighed:
         """All hypotheses, by the filter's state, (p,), and its covariance, (p, p)."""
-        of = self._of
-        if self._weighed is None or of is None or of[0] is not state or of[1] is not covariance:
-            self._of = state, covariance
-            self._weighed = self._bank.weigh(self._stated(self._of, self.freed))
+        of, steps = self._of, self.steps.changed
+        if self._weighed is None or of is None or of[0] is not state or of[1] is not covariance or of[2] is not steps:
+            self._of, known = (state, covariance, steps), (state, covariance)
+            if self.freed:
+                steps = self._bank.steps_as_stated(known, self.freed, steps)
+            alone = steps.hypotheses(self.steps.suspects)
+            self._weighed = self._bank.weigh(self._stated(known, self.freed), alone)
         return self._weighed
 
     def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
@@ -90,6 +96,10 @@ class Rivals:
         before = self.freed
         counting = (k for one in weighed.counting for k in one.numbers)
         self.freed, self._of = tuple(sorted({*before, *counting})), None
+        known, steps = (state, covariance), self.steps.changed
+        if before:
+            known, steps = self._stated(known, before), self._bank.steps_as_stated(known, before, steps)
+        self.steps.changed = self._bank.steps_freed(known, self.freed, steps)
         return partial(self._free, before=before, now=self.freed)
 
     def _free(self, known: Known, before: Sequence[int], now: Sequence[int]) -> Known:

@@ -1,0 +1,130 @@
+"""Steps in flight, against the density of all readings and the fit of all of them with the step as an unknown."""
+
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from onboard.identification.evidence.bank import Bank, Known, Suspect
+from onboard.identification.exiddm import steps as steps_module
+from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
+from onboard.identification.exiddm.steps import Steps
+
+CELL = FurtherCell("cell", "", (), 1, CellPrior(0.1, 0.0, 0.0025, 0.0))
+NAMES = ("rate", "a", "b", "bias_cell", "scale_cell")
+SIGMA = np.array([3.0, 1.0, 0.5, 0.1, 0.0025])
+BATCHES, LINES = 6, 4
+BODY = Suspect("body", np.array([1, 2]), np.array([[2.0], [1.0]]), 1e-2)
+
+
+class Flight(NamedTuple):
+    """Batches ``y = H x + e``; the rate goes on by a transition, all else stays."""
+
+    H: np.ndarray  # (batches, lines, p)
+    F: np.ndarray  # (batches, 1, p)
+    y: np.ndarray  # (batches, lines)
+
+    def model(self, step_at: int, which: int, wrong: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Readings by the first state and a step, (n, p + 1); the last state by these, (p, p + 1); their prior."""
+        T, rows = np.eye(5, 6), []
+        for k in range(BATCHES):
+            if k == step_at:
+                T[which, 5] += 1.0
+            rows.append(self.H[k] @ T)
+            T[0] = (self.F[k] @ T)[0]
+        if step_at == BATCHES:
+            T[which, 5] += 1.0
+        prior = np.diag(np.append(SIGMA, 0.1 if which == 4 else 1.0) ** 2)
+        if wrong:
+            prior[np.ix_(BODY.at, BODY.at)] += BODY.along @ BODY.along.T
+        return np.concatenate(rows), T, prior
+
+    def solved(self, step_at: int, which: int, *, wrong: bool = False) -> Known:
+        """The last state, the step being an unknown."""
+        A, T, prior = self.model(step_at, which, wrong)
+        P = np.linalg.inv(np.linalg.inv(prior) + A.T @ A)
+        return T @ P @ A.T @ self.y.ravel(), T @ P @ T.T
+
+    def nats(self, step_at: int, which: int, *, wrong: bool = False) -> float:
+        """Evidence of the step over that of none."""
+        A, _, prior = self.model(step_at, which, wrong)
+        none = prior.copy()
+        none[5, 5] = 0.0
+        of, no = (multivariate_normal(np.zeros(len(A)), A @ C @ A.T + np.eye(len(A))) for C in (prior, none))
+        return float(of.logpdf(self.y.ravel()) - no.logpdf(self.y.ravel()))
+
+
+@pytest.fixture
+def flight(rng: np.random.Generator) -> Flight:
+    H, F = rng.standard_normal((BATCHES, LINES, 5)), 0.3 * rng.standard_normal((BATCHES, 1, 5))
+    H[:, :, 4] *= 30.0
+    F[:, :, 0] = 1.0
+    return Flight(H, F, rng.standard_normal((BATCHES, LINES)))
+
+
+def filtered(flight: Flight, steps: Steps) -> Known:
+    """The last state by a filter, with steps beside it."""
+    x, P = np.zeros(5), np.diag(SIGMA**2)
+    for H, F, y in zip(*flight, strict=True):
+        L = np.linalg.cholesky(H @ P @ H.T + np.eye(LINES))
+        W, e, seen = np.split(np.linalg.solve(L, np.column_stack([H @ P, y - H @ x, H @ steps.changed.D])), [5, 6], 1)
+        x, P = x + W.T @ e[:, 0], P - W.T @ W
+        T = np.vstack([F, np.eye(5)[1:]])
+        x, P = T @ x, T @ P @ T.T
+        steps.step((W, e[:, 0], seen), F)
+    return x, P
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
+    monkeypatch.setattr(steps_module, "_EVERY", 1)
+    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, further=(CELL,), changing=np.array([0]))
+    return Steps(predictor)
+
+
+def test_each_is_the_fit_with_the_step_as_an_unknown_and_has_the_evidence_of_its_readings(
+    flight: Flight, steps: Steps
+) -> None:
+    known = filtered(flight, steps)
+    weighed = Bank([BODY], SIGMA).weigh(known, steps.changed.hypotheses(steps.suspects))
+    found = [one for one in weighed.every if one.moves is not None]
+    assert len(found) == 2 * (BATCHES + 1)
+    for k, one in enumerate(found):
+        at, which = k // 2, (4, 3)[k % 2]
+        assert one.suspect is not None
+        assert (one.suspect.name, one.suspect.at.item()) == ("a step of cell", which)
+        assert one.nats == pytest.approx(flight.nats(at, which), abs=1e-8)
+        for part, wanted in zip(weighed.known(one), flight.solved(at, which), strict=True):
+            np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
+
+
+def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back(flight: Flight, steps: Steps) -> None:
+    known, bank = filtered(flight, steps), Bank([BODY], SIGMA)
+    before = steps.changed
+    wide = bank.freed(known, (0,)), bank.steps_freed(known, (0,), before)
+    weighed = bank.weigh(wide[0], wide[1].hypotheses(steps.suspects))
+    for k, one in enumerate(one for one in weighed.every if one.moves is not None):
+        at, which = k // 2, (4, 3)[k % 2]
+        assert one.nats == pytest.approx(flight.nats(at, which, wrong=True), abs=1e-8)
+        for part, wanted in zip(weighed.known(one), flight.solved(at, which, wrong=True), strict=True):
+            np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
+    for part, wanted in zip(bank.steps_as_stated(wide[0], (0,), wide[1]), before, strict=True):
+        np.testing.assert_allclose(part, wanted, rtol=1e-7, atol=1e-9)
+
+
+def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
+    flight: Flight, steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steps_module, "_TIMES", 3)
+    all_kept = [flight.nats(k, 4) for k in range(BATCHES + 1)], [flight.nats(k, 3) for k in range(BATCHES + 1)]
+    filtered(flight, steps)
+    assert len(steps.suspects) == 6
+    scales, zeros = steps.changed.nats[::2], steps.changed.nats[1::2]
+    for nats, every in ((scales, all_kept[0]), (zeros, all_kept[1])):
+        assert all(np.isclose(one, every, atol=1e-8).any() for one in nats)
+        assert nats[-1] == pytest.approx(every[-1], abs=1e-8)
+    steps.forget()
+    np.testing.assert_array_equal(steps.changed.D, np.eye(5)[:, [4, 3]] * [0.1, 1.0])
+    assert not steps.changed.J.any()
