@@ -32,7 +32,7 @@ from onboard.ground.campaign.instants import WIDER
 from onboard.ground.campaign.results import Outcome
 from onboard.ground.campaign.statistics import share_of
 from onboard.ground.campaign.store import Store
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _SIGMAS = 1.9600  # of the half width of a 95 % interval
 

@@ -33,7 +33,7 @@ from onboard.ground.campaign.instants import WIDER
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.mission.own_mission import true_values
 from onboard.ground.identify.replay.feed import feed
-from onboard.identification.verdict import LEVELS
+from onboard.identification.standing import LEVELS
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 

@@ -32,7 +32,7 @@ from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import carrier_of
 from onboard.ground.log.bring_in.importer import import_recordings
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 

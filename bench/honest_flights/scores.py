@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.honest_flights.classes import CLASSES
 from onboard.ground.campaign.results import Outcome
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _SIGMAS = 1.9600  # of the half width of a 95 % interval
 _MISS = 2.0 / 0.05  # Gneiting and Raftery 2007, eq. 43: what a truth outside of a 95 % interval costs

@@ -35,7 +35,7 @@ from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, BODY_UNITS
-from onboard.identification.verdict import Level, standing
+from onboard.identification.standing import Level, standing
 
 Floats = NDArray[np.float64]
 

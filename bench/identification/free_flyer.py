@@ -26,7 +26,7 @@ from onboard.ground.campaign.results import Answer
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
 from onboard.regressor.signals import SignalNoise, Signals

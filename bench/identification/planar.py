@@ -23,8 +23,8 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
-from onboard.identification.verdict import Level
 
 Floats = NDArray[np.float64]
 

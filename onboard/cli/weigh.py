@@ -98,7 +98,7 @@ def _weigh(arguments: argparse.Namespace) -> int:
     from onboard.ground.calibrate.weigh.further import further
     from onboard.ground.calibrate.weigh.judge import judge, judge_live
     from onboard.ground.calibrate.weigh.weigh import weigh
-    from onboard.identification.verdict import Level
+    from onboard.identification.standing import Level
 
     _require_one_source(arguments)
     extra: dict[str, Any] = {}

@@ -7,9 +7,9 @@ where it leaves a limit anywhere: range less margin, rate, acceleration. Light, 
 import csv
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,10 @@ from drivers.canopen_pdo.drive_axis import CYCLIC, PROFILE, AxisConfig
 from drivers.canopen_pdo.player_config import PlayerConfig
 from onboard.config.drive import Drive
 from onboard.config.errors import ConfigError
+from onboard.config.segments import Library
+from onboard.devices.base import DeviceSection, Surroundings
 from onboard.devices.canopen import sync_on
 from onboard.devices.driven import DrivenDevice
-
-if TYPE_CHECKING:
-    from onboard.config.segments import Library
-    from onboard.config.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 LONGEST_S = 3600.0
@@ -40,20 +38,27 @@ class Range(NamedTuple):
     rate: float
 
 
-def player_of(vehicle: "Vehicle", bus: str) -> PlayerConfig | None:
-    """What is played on a bus; None where nothing is: not armed, no motion, or nothing that would arm it.
+class Played(NamedTuple):
+    """Parts of an armed vehicle: its file's name, tables, motion, segments and URDF."""
+
+    label: str
+    drive: Drive
+    devices: Mapping[str, DeviceSection]
+    motion: Path | None
+    library: Library | None
+    urdf_text: str
+
+
+def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig | None:
+    """What is played on a bus; None where nothing is: no motion and no segments, or another bus's drives.
 
     Raises:
         ConfigError: the motion, a limit or a device that cannot be driven.
     """
-    drive = vehicle.file.drive
-    motion = vehicle.motion
-    library = vehicle.segments
-    if drive is None or not drive.armed or not (vehicle.arm or drive.phase is not None):
-        return None
+    drive, motion, library = vehicle.drive, vehicle.motion, vehicle.library
     if motion is None and library is None:
         return None
-    driven = driven_on(vehicle)
+    driven = driven_on(vehicle.devices)
     if not driven:
         raise ConfigError(f"{vehicle.label}: no device has driven = true: give it to the drives that play")
     buses = sorted({device.bus for device in driven.values()})
@@ -71,7 +76,7 @@ def player_of(vehicle: "Vehicle", bus: str) -> PlayerConfig | None:
     else:
         time_s, q = np.array([0.0, HELD_S]), np.tile(next(iter(segments.values()))[1][0], (2, 1))
     ranges = joint_ranges(vehicle.urdf_text)
-    period_s = 1e-3 * sync_on(vehicle, bus)[1].period_ms
+    period_s = 1e-3 * sync_on(around, bus)[1].period_ms
     on_sync_s, on_sync = resampled(time_s, q, period_s)
     axes, columns = [], []
     for column, (name, device) in enumerate(driven.items()):
@@ -111,10 +116,9 @@ def _segments(library: "Library", joints: Sequence[str]) -> dict[str, tuple[Floa
     return {name: (library.time_s[:n], q[:n, order]) for name, n, q in motions}
 
 
-def driven_on(vehicle: "Vehicle") -> dict[str, DrivenDevice]:
+def driven_on(devices: Mapping[str, DeviceSection]) -> dict[str, DrivenDevice]:
     """The devices that are driven, by name, in the order of the file."""
-    devices = vehicle.file.device.items()
-    return {name: device for name, device in devices if isinstance(device, DrivenDevice) and device.driven}
+    return {name: device for name, device in devices.items() if isinstance(device, DrivenDevice) and device.driven}
 
 
 def read_motion(path: Path, joints: Sequence[str]) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.canopen_pdo.player_config import PlayerConfig
 from onboard.config.drive import Drive
-from onboard.config.driving import player_of
+from onboard.config.driving import Played, player_of
 from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
@@ -189,8 +189,12 @@ class Vehicle(BaseModel):
         return None if self.segments_path is None else read_segments(self.segments_path)
 
     def play(self, bus: str) -> PlayerConfig | None:
-        """What is played on a bus; see :func:`onboard.config.driving.player_of`."""
-        return player_of(self, bus)
+        """What is played on a bus, if it is armed; see :func:`onboard.config.driving.player_of`."""
+        drive = self.file.drive
+        if drive is None or not drive.armed or not (self.arm or drive.phase is not None):
+            return None
+        played = Played(self.label, drive, self.file.device, self.motion, self.segments, self.urdf_text)
+        return player_of(self, played, bus)
 
     @property
     def channels(self) -> Channels:

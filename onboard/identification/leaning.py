@@ -5,24 +5,12 @@ what the prior adds to its variance: ``dP / d(ln s) = 2 (P / s)^2``. Parameters 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.prediction.further import OF_FRICTION, Further, FurtherCell, Thruster
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 
 PART = 0.2  # of a sigma: from which on a cause of it is named
-_OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
-    f"place_{axis}": "position_m" for axis in "xyz"
-}
-_OF_CELLS = {
-    "scale": "scale_sigma",
-    "bias": "zero_sigma_N",
-    "drift": "zero_drift_N_s",
-    "delay_s": "delay_sigma_ms",
-}
 
 
 class Causes:
@@ -68,46 +56,3 @@ class Causes:
             told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
             found.append(f"leans on {told}" if told else "")
         return tuple(found)
-
-
-class Keys(NamedTuple):
-    """The keys of a vehicle's file."""
-
-    further: Sequence[Further]  # instruments besides the first IMU
-    thrusters: Sequence[Thruster]
-    joints: Sequence[str]
-
-    def of(self, parameter: str) -> str:
-        """The key of a parameter's sigma; empty for one that has none."""
-        link, inertial, _ = parameter.partition("_inertial_")
-        if inertial:
-            return f"prior.link.{link}"
-        device, correction = self.correction_of(parameter)
-        if device and isinstance(one := self.further[device - 1], FurtherCell):
-            return self._of_cell(one, correction)
-        if parameter.removeprefix("scale_") in {thruster.name for thruster in self.thrusters}:
-            return f"device.{parameter.removeprefix('scale_')}.scale_sigma"
-        for kind, key in _OF_JOINTS.items():
-            if (joint := parameter.removeprefix(f"{kind}_")) != parameter and joint in self.joints:
-                return f"prior.joint.{joint}.{key}"
-        own = correction[:-2] if correction.endswith(("_x", "_y", "_z")) else correction
-        if own == "place":
-            return "imu_prior.position_m"
-        return f"imu_prior.{own}" if own in ImuPrior._fields else ""
-
-    def _of_cell(self, cell: FurtherCell, correction: str) -> str:
-        """The same of a load cell or the torque of a joint, which a drive (CiA 402) sends in a channel of its own."""
-        if cell.friction is None:
-            return f"device.{cell.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
-        if correction in OF_FRICTION:
-            return f"prior.absolute.{correction}_{self.joints[cell.friction.joint]}"
-        drive = cell.name.removesuffix("_torque")
-        scale = f"device.{cell.name}.scale_sigma" if drive == cell.name else f"device.{drive}.torque_scale_sigma"
-        return {"bias": f"prior.absolute.bias_{cell.name}", "scale": scale}.get(correction, "")
-
-    def correction_of(self, parameter: str) -> tuple[int, str]:
-        """The instrument of a parameter by its number, and the name without it; 0 for what is no instrument's."""
-        for device, one in enumerate(self.further, 1):
-            if parameter.endswith(f"_{one.name}"):
-                return device, parameter.removesuffix(f"_{one.name}")
-        return 0, parameter.removesuffix("_imu")

@@ -19,71 +19,22 @@ leave more than noise, and the jackknife intervals include it.
 """
 
 from collections.abc import Mapping
-from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.identification.corrections import doubtful, too_large
-from onboard.identification.quantities import MOST_CONTRADICTED, Findings, QuantityEstimate
+from onboard.identification.quantities import MOST_CONTRADICTED, Findings
 from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.prediction import HeldOutFit
-from onboard.identification.useful import Size, is_positive, too_wide
+from onboard.identification.standing import Level, Standing
 
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
 WEAKLY_PREDICTED = 0.5
 FARTHEST_BODY = 5.0  # sigmas from what was found to the likeliest body
 WORST_MISFIT = 2.0  # of a maximum likelihood fit, whose residuals are independent
-
-
-class Level(StrEnum):
-    """From best to worst."""
-
-    GOOD = "good"
-    WEAK = "weak"
-    DO_NOT_USE = "do not use"
-
-
-LEVELS = (Level.GOOD, Level.WEAK, Level.DO_NOT_USE)  # by their number in QUANTITY
-
-
-class Standing(NamedTuple):
-    """Level of one quantity and its reason."""
-
-    level: Level
-    why: str = ""
-
-    @property
-    def text(self) -> str:
-        """``weak: its interval contains zero``."""
-        return f"{self.level}: {self.why}" if self.why else str(self.level)
-
-
-def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None = None) -> Standing:
-    """Level of a quantity, in flight and afterwards.
-
-    *Do not use*: a finding refuses all estimates, also those that the data do not determine, or the interval of a mass
-    or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero, or is
-    too wide for its ``size``; a finding weakens it. The text of a good one says which calibrations it leans on.
-    """
-    if findings.against:
-        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
-    if not quantity.supported:
-        return Standing(Level.WEAK, quantity.note)
-    reasons = []
-    if is_positive(quantity.name, quantity.unit):
-        if quantity.high <= 0.0:
-            return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
-        if quantity.low <= 0.0:
-            reasons.append("its interval contains zero")
-    if not reasons and (wide := too_wide(quantity, size)):
-        reasons.append(wide)
-    reasons += findings.doubts
-    if reasons:
-        return Standing(Level.WEAK, "; ".join(reasons))
-    return Standing(Level.GOOD, "; ".join([*([quantity.leans] if quantity.leans else []), *findings.widened]))
 
 
 class Verdict(NamedTuple):

@@ -19,7 +19,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.planar_log import _Recorder
 from onboard.ground.identify.replay.feed import feed
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.regressor.rows import BaseMotion

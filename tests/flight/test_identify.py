@@ -9,7 +9,7 @@ from onboard import config
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.identify_view import render
 from onboard.ground.identify.mission.mission_table import last_answers
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 

@@ -23,8 +23,8 @@ from onboard.ground.identify.replay.replay import replay
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.rows.free_body import FREE_BODY
+from onboard.identification.standing import Level, standing
 from onboard.identification.useful import sizes
-from onboard.identification.verdict import Level, standing
 from tests.flight.missions import Result, fly
 
 NAMES = (*FREE_BODY, "move_trim_x", "move_trim_y", "move_trim_z")

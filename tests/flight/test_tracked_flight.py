@@ -12,7 +12,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.mission import mission_table
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.verdict import LEVELS, Level
+from onboard.identification.standing import LEVELS, Level
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result
 from tests.flight.test_pose_tracker import DEVICE

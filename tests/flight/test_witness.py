@@ -29,7 +29,7 @@ from onboard.ground.report.flight.base_rate import base_rate
 from onboard.ground.report.flight.flight_data import FlightData, gather
 from onboard.ground.report.flight.sections import _base_rate
 from onboard.identification.change import Change
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result, fly

@@ -15,8 +15,9 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate
+from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
+from onboard.identification.verdict import Evidence, verdict
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf

@@ -16,8 +16,8 @@ from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import LEVELS, Level, Standing, standing
 
 
 def useful_of(vehicle: config.Vehicle) -> Useful:

@@ -20,7 +20,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.urdf import with_bodies
 from onboard.flight.estimate.answers import PAYLOAD_CHANGES
 from onboard.identification.quantities import BODY
-from onboard.identification.verdict import LEVELS, Level
+from onboard.identification.standing import LEVELS, Level
 
 EVERY_NS = 1_000_000_000  # between two files
 STEADY_NS = 1_000_000_000  # for which an answer has been good before it is handed over

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from onboard.ground.campaign.instants import WIDER, Instants
 from onboard.ground.log.tables.truth import Truth
-from onboard.identification.verdict import Level, Standing
+from onboard.identification.standing import Level, Standing
 
 if TYPE_CHECKING:
     from onboard.ground.identify.kinds.identified import Identified

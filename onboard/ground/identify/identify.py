@@ -41,8 +41,9 @@ from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.standard import identified_links, without_rotors
+from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
+from onboard.identification.verdict import Evidence, verdict
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
 

@@ -15,7 +15,8 @@ from onboard.ground.identify.identify import Identification
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import LoadSummary
 from onboard.identification.rows.free_body import PrincipalMoments
-from onboard.identification.verdict import Level, Verdict
+from onboard.identification.standing import Level
+from onboard.identification.verdict import Verdict
 
 _BAR, _LEAST_SHARE = 20, 0.01
 PER_KG_MM2 = 1e6

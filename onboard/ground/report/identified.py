@@ -18,7 +18,7 @@ from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.residuals import Residuals, autocorrelation
 from onboard.ground.log.views.summary import reason_words
 from onboard.ground.report.flight.figures import legend
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _LAGS = 60
 _EDGES = np.linspace(-5.0, 5.0, 61)

@@ -23,9 +23,10 @@ from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.keys import Keys
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
-from onboard.identification.leaning import PART, Causes, Keys
+from onboard.identification.leaning import PART, Causes
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,

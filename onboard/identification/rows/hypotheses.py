@@ -27,7 +27,7 @@ from onboard.identification.evidence.policy import LEAST_WEIGHT, ODDS
 from onboard.identification.quantities import Estimate, Findings
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.likelihood import nats
-from onboard.identification.verdict import Level, standing
+from onboard.identification.standing import Level, standing
 from onboard.regressor.signals import Signals
 
 _JUDGED_ROWS = 50  # between decisions

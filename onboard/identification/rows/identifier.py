@@ -19,19 +19,20 @@ from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.change import Change
+from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import (
+    MOST_CONTRADICTED,
     SUPPORTED_FREEDOM,
     SUPPORTED_SHRINKAGE,
     Estimate,
     Findings,
     Quantity,
 )
-from onboard.identification.rows.agreement import InstrumentFit, instrument_fits
+from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, of_motion
 from onboard.identification.rows.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.drawing import answered, off_drawing, unstated
+from onboard.identification.rows.drawing import answered, judged_drawing, off_drawing, unstated
 from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
-from onboard.identification.rows.found import found
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.likelihood import RowsSeen
@@ -278,8 +279,27 @@ class Identifier:
         self.rows_used += y.size
 
     def findings(self) -> Findings:
-        """Findings about the estimates that their intervals do not contain."""
-        return found(self)
+        """Reasons to refuse all estimates or to weaken them, and notes, that their intervals do not contain."""
+        said = against, doubts, told = list[str](), list[str](), list(self.taken.said)
+        share = (residual := self.refused[GateReason.RESIDUAL]) / max(self.rows_used + residual, 1)
+        if share > MOST_CONTRADICTED and self.suspects is None:
+            against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
+        if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
+            return Findings(tuple(against), ())
+        jackknife = self.block_jackknife()
+        judged: list[tuple[Sequence[str], ...]]
+        if self.suspects is None:
+            judged = [judged_fit(fit, self.correlation) for fit in self.fits(jackknife.mean)]
+        else:
+            judged = [self.suspects.judged()]
+        judged += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
+        scales, errors = {} if self.suspects else self.scales(jackknife), self.fitted_errors
+        judged += [(too_large(one), doubtful(one)) for one in (errors.in_sigmas if errors else {}, scales)]
+        for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
+            texts.extend(more)
+        if self.payload and not self.suspects and not too_large(scales) and (why := self.contradiction(jackknife)):
+            against.append(why)
+        return Findings(tuple(against), tuple(doubts), tuple(told))
 
     def contradiction(self, jackknife: JackknifeEstimate) -> str:
         """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""

@@ -22,7 +22,8 @@ from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.exiddm.prediction.further import FurtherCell
-from onboard.identification.leaning import Causes, Keys
+from onboard.identification.exiddm.prediction.keys import Keys
+from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight

@@ -4,8 +4,8 @@ import numpy as np
 
 from onboard import channels
 from onboard.flight.estimate.answers import Answers
+from onboard.identification.standing import LEVELS, Level
 from onboard.identification.useful import Useful
-from onboard.identification.verdict import LEVELS, Level
 
 
 def said(answers: Answers, supported: bool, level: Level) -> list[str]:

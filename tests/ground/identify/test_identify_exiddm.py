@@ -21,7 +21,7 @@ from onboard.ground.identify.kinds.likelihood_log import longest_held
 from onboard.identification.change import Change
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.identification.whole_flight import witnesses
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader

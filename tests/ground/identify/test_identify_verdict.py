@@ -13,7 +13,7 @@ from drivers.records import Rows, SampleStatus
 from onboard import cli, config
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.ground.identify import throws

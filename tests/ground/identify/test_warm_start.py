@@ -15,7 +15,7 @@ from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.warm_start import go_on
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter

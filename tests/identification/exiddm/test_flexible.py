@@ -11,7 +11,7 @@ from onboard.flight.estimate.identification import build_exiddm, build_online
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
-from onboard.identification.verdict import Level, standing
+from onboard.identification.standing import Level, standing
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.test_compliance import flown
 from tests.identification.exiddm.recorded_flights import online, recorded, same_bits, ticks_of

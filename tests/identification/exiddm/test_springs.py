@@ -8,7 +8,7 @@ from hil_sim.plants.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.verdict import Level, standing
+from onboard.identification.standing import Level, standing
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.recorded_flights import online, recorded, ticks_of
 

@@ -18,7 +18,7 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.kept_ticks import KeptTicks, Ticks
 from onboard.identification.rows.remade import RowsRemade, turned
 from onboard.identification.rows.suspects import RowSuspects
-from onboard.identification.verdict import Level, standing
+from onboard.identification.standing import Level, standing
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import BaseMotion, RowModel, load_cell_row

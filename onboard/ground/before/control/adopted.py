@@ -10,7 +10,7 @@ from onboard.dynamics.inertia import RigidBody, symmetric
 from onboard.dynamics.urdf import with_bodies
 from onboard.ground.identify.mission.mission_table import last_answers
 from onboard.ground.log.tables import truth
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 
 _ELEMENTS = ("xx", "xy", "yy", "xz", "yz", "zz")

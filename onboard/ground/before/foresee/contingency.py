@@ -22,7 +22,7 @@ from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.kept import kept
 from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, Plan
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 PULSE, CELL = "pulse", "cell"
 _UNIFORM = 12.0**-0.5

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from onboard.ground.before.foresee.contingency import Contingency
 from onboard.ground.before.foresee.plan import LEVEL, UNDETERMINED, Expected
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _HALF = float(ndtri(0.5 + 0.5 * LEVEL))
 _STYLE = {Level.GOOD: "green", Level.WEAK: "yellow"}

@@ -8,7 +8,7 @@ from onboard.ground.before.foresee.pivot import foresee_pivot
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
 from onboard.ground.before.foresee.planar import foresee_planar
 from onboard.ground.before.foresee.rows import foresee_rows
-from onboard.identification.verdict import LEVELS
+from onboard.identification.standing import LEVELS
 
 _MOST_TICKS = 100_000  # of all motions of the base
 

@@ -9,7 +9,7 @@ from rich.text import Text
 from scipy.special import ndtri
 
 from onboard.ground.before.foresee.plan import LEVEL, UNDETERMINED, Expected, Foreseen
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3)}
 _HALF = float(ndtri(0.5 + 0.5 * LEVEL))

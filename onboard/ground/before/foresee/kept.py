@@ -25,7 +25,7 @@ import onboard
 from onboard import config
 from onboard.dynamics.inertia import RigidBody
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 
 _MOST_BYTES, _MOST_FILES = 1 << 20, 64
 Said = Annotated[str, Field(max_length=500, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]  # nothing that steers a terminal

@@ -18,8 +18,8 @@ from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
+from onboard.identification.standing import Level, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Level, standing
 from onboard.regressor.rows import BaseMotion
 
 LEVEL = 0.95  # of the intervals shown

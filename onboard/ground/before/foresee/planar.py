@@ -14,9 +14,9 @@ from onboard.ground.identify.kinds.identified import standings
 from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
 from onboard.ground.identify.kinds.planar_log import table_prior, underway
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.joints import bound
-from onboard.identification.verdict import Level
 
 
 def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:

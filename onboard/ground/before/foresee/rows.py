@@ -41,7 +41,7 @@ from onboard.ground.before.foresee.plan import (
     steady_noise,
 )
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, standing
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints, orders_of

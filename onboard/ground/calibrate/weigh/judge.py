@@ -8,8 +8,9 @@ from onboard.estimation.calibration import wrist
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELIER
 from onboard.identification.quantities import Findings
+from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Size, Useful
-from onboard.identification.verdict import Evidence, Level, Standing, Verdict, standing, verdict
+from onboard.identification.verdict import Evidence, Verdict, verdict
 
 FARTHEST_m = 2.0
 """Centre of mass beyond which a unit is wrong: no wrist that a person handles holds a tool so; moments of a held tool

@@ -16,8 +16,9 @@ from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.budget import Contribution
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
+from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Level, Standing, Verdict, standing
+from onboard.identification.verdict import Verdict
 
 
 class Answer(NamedTuple):

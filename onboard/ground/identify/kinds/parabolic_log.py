@@ -26,7 +26,8 @@ from onboard.ground.identify.replay.feed import feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
-from onboard.identification.verdict import WORST_MISFIT, Level
+from onboard.identification.standing import Level
+from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.witnesses import Tested, tested

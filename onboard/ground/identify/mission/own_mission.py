@@ -21,7 +21,7 @@ from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from onboard.identification.verdict import LEVELS, Level, Standing
+from onboard.identification.standing import LEVELS, Level, Standing
 from onboard.recording.texts import printable
 
 

@@ -21,7 +21,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.health.status import standing
 from onboard.ground.log.views.health import PROCESSES, is_health
 from onboard.ground.log.views.standing import is_withdrawn, standing_of
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 

@@ -24,7 +24,7 @@ from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import JointNoise, plan_of
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from tests.ground.before.foresee.test_foresee import EXACT, made
 
 FREE = ("--base", "free", "--joints", "2")

@@ -21,7 +21,7 @@ from onboard.ground.before.foresee.foreseen import render
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.regressor.rows import standing
 
 ARM = Path(__file__).resolve().parents[3] / "flight" / "own" / "planar_arm.urdf"

@@ -12,7 +12,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.ground.before.foresee import kept as module
 from onboard.ground.before.foresee.kept import kept
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
-from onboard.identification.verdict import Level
+from onboard.identification.standing import Level
 from onboard.regressor.rows import BaseMotion
 
 _MASS = Expected("mass_payload", "kg", 0.1 + 0.2, 1.0 / 3.0, Level.GOOD)

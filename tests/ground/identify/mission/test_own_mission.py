@@ -9,8 +9,9 @@ from hil_sim.mission import Mission
 from onboard import config
 from onboard.ground.identify.kinds.identified import Answer, standings
 from onboard.ground.identify.mission import own_mission
+from onboard.identification.standing import Level
 from onboard.identification.useful import Useful
-from onboard.identification.verdict import Level, Verdict
+from onboard.identification.verdict import Verdict
 
 VEHICLE = SimpleNamespace(file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
 FOUND = (

@@ -1,0 +1,55 @@
+"""Level of one quantity: good, weak or do not use, with its reason."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.useful import Size, is_positive, too_wide
+
+
+class Level(StrEnum):
+    """From best to worst."""
+
+    GOOD = "good"
+    WEAK = "weak"
+    DO_NOT_USE = "do not use"
+
+
+LEVELS = (Level.GOOD, Level.WEAK, Level.DO_NOT_USE)  # by their number in QUANTITY
+
+
+class Standing(NamedTuple):
+    """Level of one quantity and its reason."""
+
+    level: Level
+    why: str = ""
+
+    @property
+    def text(self) -> str:
+        """``weak: its interval contains zero``."""
+        return f"{self.level}: {self.why}" if self.why else str(self.level)
+
+
+def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None = None) -> Standing:
+    """Level of a quantity, in flight and afterwards.
+
+    *Do not use*: a finding refuses all estimates, also those that the data do not determine, or the interval of a mass
+    or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero, or is
+    too wide for its ``size``; a finding weakens it. The text of a good one says which calibrations it leans on.
+    """
+    if findings.against:
+        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
+    if not quantity.supported:
+        return Standing(Level.WEAK, quantity.note)
+    reasons = []
+    if is_positive(quantity.name, quantity.unit):
+        if quantity.high <= 0.0:
+            return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
+        if quantity.low <= 0.0:
+            reasons.append("its interval contains zero")
+    if not reasons and (wide := too_wide(quantity, size)):
+        reasons.append(wide)
+    reasons += findings.doubts
+    if reasons:
+        return Standing(Level.WEAK, "; ".join(reasons))
+    return Standing(Level.GOOD, "; ".join([*([quantity.leans] if quantity.leans else []), *findings.widened]))
