@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from onboard.cli import main
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 _SHOWN = (("m_payload", "mass, kg", 1.0, 0.05), ("c_x_payload", "centre of mass x, mm", 1e3, 0.1))
 """Quantity, its title, the unit's factor, and the share of the truth that is shown on either side."""

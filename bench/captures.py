@@ -22,8 +22,8 @@ from bench.identification.recursive import estimator, ticks_of
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 
 Floats = NDArray[np.float64]
 

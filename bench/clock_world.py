@@ -23,7 +23,7 @@ from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.serial_line.qsb import QsbTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config

@@ -27,11 +27,11 @@ from filterpy.kalman import FadingKalmanFilter, KalmanFilter, SquareRootKalmanFi
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import PAYLOAD_SIGMA, vehicle
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.gates import ResidualGate
-from onboard.estimation.instrumental import RecursiveInstrumental
-from onboard.estimation.memory import Memory, RecursiveLeastSquares
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.instrumental import RecursiveInstrumental
+from onboard.estimation.recursive.memory import Memory, RecursiveLeastSquares
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.predicted_motion import PredictedMotion
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, joint_torque_row

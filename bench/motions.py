@@ -21,11 +21,11 @@ import numpy as np
 
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.plants import urdf_drawing
-from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.motions.joint_swings import JointSwings
 from hil_sim.plants.planned import default_plan, planned, room_for_motion
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, FreeBound, Outcome
 from onboard.ground.before.planning.criteria import Criterion

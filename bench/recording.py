@@ -31,10 +31,10 @@ from rich.table import Table
 
 from drivers import records
 from drivers.records import Rows
+from onboard.recording.format.schema import ros2msg
+from onboard.recording.format.segments import segments
 from onboard.recording.recorder import Recorder
-from onboard.recording.schema import ros2msg
 from onboard.recording.segmented import Preamble, SegmentedLog
-from onboard.recording.segments import segments
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers.records import Rows
 from onboard import config
-from onboard.dynamics.inertia import principal_moments
+from onboard.dynamics.model.inertia import principal_moments
 from onboard.ground.campaign.instants import WIDER
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.identified import Identified

@@ -14,7 +14,7 @@ from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.faults import NEVER, Fault, FaultPlan
-from hil_sim.plants.servo_axis import Axis, ServoAxis
+from hil_sim.plants.drives.servo_axis import Axis, ServoAxis
 from hil_sim.scenario.bus_tables import CanBusTable
 from hil_sim.sensing.sensors import DriftingClock
 

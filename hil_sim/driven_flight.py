@@ -11,7 +11,7 @@ from hil_sim.driven_plant import DrivenPlant, late
 from hil_sim.driven_world import Wired
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.mission import VIRTUAL_START_NS, Mission
-from hil_sim.plants.servo_axis import STEP_S
+from hil_sim.plants.drives.servo_axis import STEP_S
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.driven_vehicle import Drivable, DrivenJoint, DrivenVehicle
-from hil_sim.plants.servo_axis import STEP_S, Controller
+from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenJoint, DrivenVehicle
+from hil_sim.plants.drives.servo_axis import STEP_S, Controller
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario

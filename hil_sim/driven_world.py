@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hil_sim.arm_rig import ArmRig, Motor
 from hil_sim.faults import Fault
 from hil_sim.mission import Mission
-from hil_sim.plants.driven_vehicle import DrivenVehicle
+from hil_sim.plants.drives.driven_vehicle import DrivenVehicle
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError

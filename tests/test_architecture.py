@@ -34,7 +34,7 @@ RUNNERS = (
     *("onboard/flight/supervise/runner*.py", "onboard/flight/supervise/workers.py"),
     *("hil_sim/serve*.py", "onboard/cli/*", "bench/*"),
 )
-CLOCK_READERS = ("drivers/transports/*", *RUNNERS)
+CLOCK_READERS = ("drivers/transports/*", "drivers/transports/can/*", *RUNNERS)
 PRINTERS = ("onboard/cli/*", "bench/*")
 
 
@@ -119,43 +119,38 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
     ]
 
 
-LAYERS = {  # each room may import those before it, and itself
+LAYERS = {  # of a package: each room may import those before it, and itself; every room is here
     "onboard": (
         *("estimation", "dynamics", "regressor", "identification", "control"),
-        *("section", "npz", "timebase", "devices", "config", "flight", "ground", "cli"),
+        *("section", "npz", "ring", "channels", "recording", "timebase", "devices", "config"),
+        *("flight", "ground", "live", "cli"),
     ),
+    "onboard.flight": (
+        *("clocks", "store", "acquire", "estimate", "health", "supervise", "check"),
+        *("simulated", "hil", "bench", "trials"),
+    ),
+    "onboard.ground": ("log", "drawing", "calibrate", "identify", "api", "campaign", "report", "before"),
     "hil_sim": (
-        *("arrays", "scenario", "plants", "sensing", "faults", "devices", "buses"),
-        *("twins", "mission", "serve", "kernel"),
+        *("arrays", "scenario", "filters", "plants", "driven_plant", "sensing", "faults", "devices", "buses"),
+        *("arm_rig", "twins", "mission", "bench", "driven_world", "serve", "driven_flight", "kernel"),
+        *("serve_arm", "serve_driven"),
     ),
 }
-FLIGHT = (  # each room of it may import those before it
-    *("clocks", "store", "acquire", "estimate", "health", "supervise", "check"),
-    *("simulated", "hil", "bench", "trials"),
-)
-MOST_MODULES = 30  # in a room
+MOST_MODULES = 15  # in a folder
+COMMANDS = "onboard/cli"  # a module a command: as many as there are
 MATHEMATICS = ("estimation", "dynamics", "regressor", "identification", "control")  # import nothing else of onboard
 
 
 def rooms_stand_on_those_before_them(path: str, source: str) -> list[str]:
-    top, _, rest = path.partition("/")
-    room = rest.split("/")[0].removesuffix(".py")
-    order = LAYERS.get(top, ())
-    if room not in order:
-        return []
-    below = {f"{top}.{name}" for name in order[: order.index(room) + 1]}
-    ordered = {f"{top}.{name}" for name in order}
-    judged = OURS if top == "onboard" and room in MATHEMATICS else ordered
-    names = [i for i in imports(path, source) if within(i.name, *judged)]
-    return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, *below)]
-
-
-def rooms_of_the_flight_stand_on_those_before_them(path: str, source: str) -> list[str]:
-    room = path.removeprefix("onboard/flight/").split("/")[0].removesuffix(".py")
-    if not path.startswith("onboard/flight/") or room not in FLIGHT:
-        return []
-    beyond = tuple(f"onboard.flight.{name}" for name in FLIGHT[FLIGHT.index(room) + 1 :])
-    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, *beyond)]
+    beyond: list[Import] = []
+    for top, order in LAYERS.items():
+        room = module_of(path).removeprefix(f"{top}.").split(".")[0]
+        if not within(module_of(path), top) or room not in order:
+            continue
+        below = {f"{top}.{name}" for name in order[: order.index(room) + 1]}
+        judged = OURS if top == "onboard" and room in MATHEMATICS else {f"{top}.{name}" for name in order}
+        beyond += [i for i in imports(path, source) if within(i.name, *judged) and not within(i.name, *below)]
+    return [f"{path}:{i.line}: {i.name}" for i in beyond]
 
 
 def simulator_knows_the_ports_only(path: str, source: str) -> list[str]:
@@ -219,10 +214,8 @@ def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]
     return [f"{path}:{node.lineno}: {dotted(node)}" for node in nodes if dotted(node) in CLOCKS]
 
 
-def files_stay_short(path: str, source: str) -> list[str]:
+def code_lines(path: str, source: str) -> int:
     """Lines that hold code: not blank, not a comment, not a docstring."""
-    if source.count("\n") < CODE_LINES:
-        return []
     silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     lines: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
@@ -234,7 +227,13 @@ def files_stay_short(path: str, source: str) -> list[str]:
             and ast.get_docstring(node, clean=False) is not None
         ):
             lines.difference_update(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
-    return [f"{path}: {len(lines)} lines of code"] if len(lines) > CODE_LINES else []
+    return len(lines)
+
+
+def files_stay_short(path: str, source: str) -> list[str]:
+    if source.count("\n") < CODE_LINES or (lines := code_lines(path, source)) <= CODE_LINES:
+        return []
+    return [f"{path}: {lines} lines of code"]
 
 
 def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
@@ -247,20 +246,23 @@ def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
     return found + [f"{path}:{i.line}: {i.name}" for i in names]
 
 
-def rooms_in_a_cycle(sources: Mapping[str, str]) -> list[list[str]]:
-    """Rooms that import each other, directly or around a corner. A room is what stands one level below the top."""
-    modules = {module_of(path) for path in sources}
+def circles(tree: Mapping[str, str]) -> list[list[str]]:
+    """Siblings that import each other, directly or around a corner: modules and packages, in every package.
 
-    def room(module: str) -> str:
-        return ".".join(module.split(".")[:2])
-
-    edges: dict[str, set[str]] = {room(module): set() for module in modules}
-    for path, source in sources.items():
-        here = room(module_of(path))
+    Imports inside functions and of types alone count. ``a/__init__.py`` is ``a`` to other packages and ``a.__init__``
+    to the modules beside it.
+    """
+    packages = {module_of(path) for path in tree if path.endswith("__init__.py")}
+    modules = {module_of(path) for path in tree}
+    edges: dict[str, set[str]] = {}
+    for path, source in tree.items():
         for name in (i.name for i in imports(path, source)):
             target = name if name in modules else name.rpartition(".")[0]
-            if target in modules and room(target) != here:
-                edges[here].add(room(target))
+            if target in modules:
+                ends = [[*one.split("."), *["__init__"] * (one in packages)] for one in (module_of(path), target)]
+                apart = [k for k, (a, b) in enumerate(zip(*ends, strict=False), 1) if a != b][:1]
+                for k in apart:  # the first level at which they differ
+                    edges.setdefault(".".join(ends[0][:k]), set()).add(".".join(ends[1][:k]))
 
     def reachable(start: str) -> set[str]:
         seen: set[str] = set()
@@ -268,12 +270,28 @@ def rooms_in_a_cycle(sources: Mapping[str, str]) -> list[list[str]]:
         while waiting:
             if (name := waiting.pop()) not in seen:
                 seen.add(name)
-                waiting += edges[name]
+                waiting += edges.get(name, ())
         return seen
 
     reach = {name: reachable(name) for name in edges}
-    tangles = {frozenset(b for b in reach[a] if a in reach[b]) for a in edges if a in reach[a]}
+    tangles = {frozenset(b for b in reach[a] if a in reach.get(b, ())) for a in edges if a in reach[a]}
     return sorted(sorted(tangle) for tangle in tangles)
+
+
+def table(tree: Mapping[str, str]) -> str:
+    """Of each room its floor, the number of its files, of the largest folder, of its lines of code; and all circles."""
+    lines = [f"{'room':28}{'floor':>6}{'files':>7}{'largest folder':>16}{'code lines':>12}"]
+    for top in ("drivers", "onboard", "onboard.flight", "onboard.ground", "hil_sim", "heft"):
+        rooms: dict[str, dict[str, str]] = {}
+        for path, source in tree.items():
+            if within(module_of(path), top) and module_of(path) != top:
+                rooms.setdefault(module_of(path).removeprefix(f"{top}.").split(".")[0], {})[path] = source
+        order = LAYERS.get(top, tuple(rooms))
+        for room, files in sorted(rooms.items(), key=lambda one: order.index(one[0])):
+            most = max(Counter(PurePosixPath(path).parent for path in files).values())
+            code = sum(code_lines(path, source) for path, source in files.items())
+            lines.append(f"{top + '.' + room:28}{order.index(room) + 1:6}{len(files):7}{most:16}{code:12,}")
+    return "\n".join([*lines, f"circles: {circles(tree) or 'none'}"])
 
 
 Rule = Callable[[str, str], list[str]]
@@ -282,7 +300,6 @@ RULES: tuple[Rule, ...] = (
     transports_alone_open_buses,
     estimation_is_pure,
     rooms_stand_on_those_before_them,
-    rooms_of_the_flight_stand_on_those_before_them,
     simulator_knows_the_ports_only,
     flight_code_knows_no_simulator,
     strangers_use_different_dynamics,
@@ -294,10 +311,14 @@ RULES: tuple[Rule, ...] = (
 )
 
 
+def sources() -> dict[str, str]:
+    paths = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+
+
 @pytest.fixture(scope="module")
 def package_sources() -> Iterator[dict[str, str]]:
-    paths = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
-    yield {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+    yield sources()
     parsed.cache_clear()  # 160 MB
     imports.cache_clear()
 
@@ -314,16 +335,24 @@ def test_files_of_the_bench_stay_short() -> None:
     assert [broken for path in paths for broken in files_stay_short(path.name, path.read_text(encoding="utf-8"))] == []
 
 
-def test_no_room_is_crowded(package_sources: dict[str, str]) -> None:
-    rooms = Counter(PurePosixPath(path).parent.as_posix() for path in package_sources)
-    assert {room: count for room, count in rooms.items() if count > MOST_MODULES} == {}
-    assert {room for room in rooms if room.startswith("onboard/flight/")} == {
-        f"onboard/flight/{name}" for name in FLIGHT if f"onboard/flight/{name}" in rooms
-    }
+def test_no_folder_is_crowded(package_sources: dict[str, str]) -> None:
+    folders = Counter(PurePosixPath(path).parent.as_posix() for path in package_sources)
+    assert {folder for folder, count in folders.items() if count > MOST_MODULES} == {COMMANDS}
 
 
-def test_no_two_rooms_import_each_other(package_sources: dict[str, str]) -> None:
-    assert rooms_in_a_cycle(package_sources) == []
+def test_every_room_has_its_floor(package_sources: dict[str, str]) -> None:
+    for top, order in LAYERS.items():
+        inside = {module_of(path).removeprefix(f"{top}.") for path in package_sources if within(module_of(path), top)}
+        assert {name.split(".")[0] for name in inside if name != top} == set(order)
+
+
+def test_nothing_imports_in_a_circle(package_sources: dict[str, str]) -> None:
+    assert circles(package_sources) == [[f"onboard.identification.rows.{name}" for name in ("found", "identifier")]]
+
+
+def test_the_table_has_every_room(package_sources: dict[str, str]) -> None:
+    drawn = table(package_sources)
+    assert all(f"{top}.{room} " in drawn for top, order in LAYERS.items() for room in order)
 
 
 BREACHES: list[tuple[Rule, str, str]] = [
@@ -336,23 +365,23 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (transports_alone_open_buses, "drivers/canopen_pdo/device.py", "from can.interfaces import virtual"),
     (transports_alone_open_buses, "drivers/qsb/device.py", "import serial.tools.list_ports"),
     (transports_alone_open_buses, "onboard/flight/acquire/acquisition.py", "from gpiod.line import Edge"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "from onboard.dynamics import rows"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "from .. import ring"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "import drivers.records"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "import pinocchio"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "import logging"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "from pathlib import Path"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "from onboard.dynamics import rows"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "from ... import ring"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "import drivers.records"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "import pinocchio"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "import logging"),
+    (estimation_is_pure, "onboard/estimation/recursive/rls.py", "from pathlib import Path"),
     (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from onboard.config import Vehicle"),
-    (rooms_stand_on_those_before_them, "onboard/dynamics/vehicle.py", "from onboard.regressor import rows"),
+    (rooms_stand_on_those_before_them, "onboard/dynamics/model/vehicle.py", "from onboard.regressor import rows"),
     (
         rooms_stand_on_those_before_them,
         "onboard/flight/estimate/estimator.py",
         "def f():\n    from onboard.ground import views",
     ),
-    (rooms_stand_on_those_before_them, "onboard/devices/qsb.py", "from onboard.config import Vehicle"),
+    (rooms_stand_on_those_before_them, "onboard/devices/serial_line/qsb.py", "from onboard.config import Vehicle"),
     (rooms_stand_on_those_before_them, "hil_sim/plants/world.py", "from hil_sim.sensing import analog"),
     (
-        rooms_of_the_flight_stand_on_those_before_them,
+        rooms_stand_on_those_before_them,
         "onboard/flight/acquire/publisher.py",
         "from onboard.flight.estimate import signals",
     ),
@@ -387,7 +416,11 @@ BREACHES: list[tuple[Rule, str, str]] = [
         "hil_sim/plants/servo_flight.py",
         "from datetime import datetime as D\nD.utcnow()",
     ),
-    (only_transports_and_runners_read_clocks, "hil_sim/plants/carrier.py", "import time\ntime.clock_gettime_ns(1)"),
+    (
+        only_transports_and_runners_read_clocks,
+        "hil_sim/plants/motions/carrier.py",
+        "import time\ntime.clock_gettime_ns(1)",
+    ),
     (files_stay_short, "onboard/ring.py", "a = 1\n" * (CODE_LINES + 1)),
     (files_stay_short, "onboard/ring.py", "a = [\n" + "1,\n" * CODE_LINES + "]"),
     (the_python_interface_only_re_exports, "heft/__init__.py", "def f(): ..."),
@@ -397,7 +430,7 @@ BREACHES: list[tuple[Rule, str, str]] = [
 
 INNOCENT: list[tuple[Rule, str, str]] = [
     (
-        rooms_of_the_flight_stand_on_those_before_them,
+        rooms_stand_on_those_before_them,
         "onboard/flight/supervise/workers.py",
         "from onboard.flight.estimate import signals\nfrom onboard.flight.supervise import modes",
     ),
@@ -408,10 +441,14 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (transports_alone_open_buses, "hil_sim/buses/media.py", "import can, serial, smbus2"),
     (
         estimation_is_pure,
-        "onboard/estimation/rls.py",
+        "onboard/estimation/recursive/rls.py",
         "import math\nimport numpy as np\nfrom scipy.linalg import lapack",
     ),
-    (estimation_is_pure, "onboard/estimation/window.py", "from .rls import R\nfrom onboard.estimation import rls"),
+    (
+        estimation_is_pure,
+        "onboard/estimation/recursive/window.py",
+        "from .rls import R\nfrom onboard.estimation import rls",
+    ),
     (
         rooms_stand_on_those_before_them,
         "onboard/regressor/rows.py",
@@ -471,7 +508,7 @@ def test_every_rule_has_a_breach_and_an_innocent() -> None:
     assert {rule for rule, *_ in INNOCENT} == set(RULES)
 
 
-def test_cycles_are_seen_and_shared_ground_is_none() -> None:
+def test_circles_are_seen_at_every_depth_and_shared_ground_is_none() -> None:
     around_the_corner = {
         "onboard/a.py": "from onboard.b import deep",
         "onboard/b/deep.py": "def f():\n    from .. import c",
@@ -479,7 +516,15 @@ def test_cycles_are_seen_and_shared_ground_is_none() -> None:
         "onboard/c.py": "import onboard.a",
         "onboard/d.py": "from onboard import a, c",
     }
-    assert rooms_in_a_cycle(around_the_corner) == [["onboard.a", "onboard.b", "onboard.c"]]
+    assert circles(around_the_corner) == [["onboard.a", "onboard.b", "onboard.c"]]
     del around_the_corner["onboard/c.py"]
-    assert rooms_in_a_cycle(around_the_corner) == []
-    assert rooms_in_a_cycle({"onboard/b/x.py": "from .y import z", "onboard/b/y.py": "from . import x"}) == []
+    assert circles(around_the_corner) == []
+    inside = {"onboard/b/x.py": "from .y import z", "onboard/b/y.py": "from . import x", "onboard/b/__init__.py": ""}
+    assert circles(inside) == [["onboard.b.x", "onboard.b.y"]]
+    of_its_package = {"onboard/b/x.py": "from onboard.b import z", "onboard/b/__init__.py": "from onboard.b.x import y"}
+    assert circles(of_its_package) == [["onboard.b.__init__", "onboard.b.x"]]
+    assert circles({"onboard/b/__init__.py": "from onboard.b.x import y", "onboard/b/x.py": "import onboard.c"}) == []
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table(sources()) + "\n")

@@ -25,7 +25,7 @@ from drivers.mpu6050.decode import first_misaligned
 from drivers.nimu.packet import CHECKSUM_SPANS
 from drivers.ports import CanFrame, Edge
 from drivers.sync_pulse import SyncPulse
-from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line
+from drivers.transports.can.can_slcan import SlcanDecoder, decode_line, encode_line
 
 TRANSFER_NS = 100_000  # three bytes at 400 kHz: no bus is faster, and no two stamps are the same
 ERRNOS = (5, 6, 121, 110, 11)  # EIO, ENXIO, EREMOTEIO, ETIMEDOUT, EAGAIN

@@ -23,18 +23,18 @@ from bench.fuzzing.laws import leading
 from onboard import config
 from onboard.config.errors import ConfigError
 from onboard.config.segments import read
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.model.errors import ModelError
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.log.bring_in.errors import ImportFileError
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.ground.log.export.dump import dump
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.views import info, summary
-from onboard.recording.errors import RecordingError
-from onboard.recording.mcap_format import MAGIC, RECORD_HEAD, Chunk, Metadata
+from onboard.recording.format.errors import RecordingError
+from onboard.recording.format.mcap_format import MAGIC, RECORD_HEAD, Chunk, Metadata
+from onboard.recording.format.segments import with_crc, without_crc
 from onboard.recording.reader import LogReader
 from onboard.recording.recover import EXIT_NOTHING, recover
-from onboard.recording.segments import with_crc, without_crc
 
 PART = struct.Struct("<BH")  # of a list of records: opcode, bytes of its body
 NEXT_FILE = 0xFE  # in a list: the records that follow are of the next segment

@@ -7,7 +7,7 @@ from bench.fuzzing.decoders import CAN_GUARDS, CAN_IDS, CAN_NODES, NODE_CHANNELS
 from bench.fuzzing.laws import joined
 from drivers.canopen_pdo import CanopenBus, SyncConfig
 from drivers.modbus_load_cell.frame import read_request
-from drivers.transports.can_slcan import encode_line
+from drivers.transports.can.can_slcan import encode_line
 
 
 def _canopen_seeds() -> list[bytes]:

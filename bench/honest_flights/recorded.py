@@ -19,7 +19,7 @@ from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
 from onboard import config
-from onboard.dynamics.inertia import elements
+from onboard.dynamics.model.inertia import elements
 from onboard.ground.campaign.results import FlightResult, of_log
 from onboard.ground.identify.identify import identify
 from onboard.identification.quantities import BODY

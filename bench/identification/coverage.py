@@ -21,19 +21,19 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.inertia import RigidBody, elements
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, filtered_inflation, smooth
-from onboard.flight.estimate.cyclic import cyclic_functions
-from onboard.flight.estimate.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import CYCLIC_LEFT
+from onboard.flight.estimate.problem.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
+from onboard.flight.estimate.readings.cyclic import cyclic_functions
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
 from onboard.ground.campaign.results import Answer, FlightResult
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.standing import Level, standing
 

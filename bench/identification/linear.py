@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from bench.identification.free_flyer import BOXES, NORMAL, PAYLOAD_SIGMA, DURATION_s, vehicle
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import VehicleModel
-from onboard.estimation.consistency import JackknifeEstimate
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
+from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.rows.identifier import Identifier

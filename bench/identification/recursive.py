@@ -11,18 +11,18 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
 from bench.identification import free_flyer as case
-from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightResult
 from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursive import RecursiveExiddm, SOLVED_AT_s
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm, SOLVED_AT_s
 
 Floats = NDArray[np.float64]
 

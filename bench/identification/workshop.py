@@ -18,7 +18,7 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from hil_sim.plants.body import Body
 from onboard import config
-from onboard.dynamics.inertia import elements
+from onboard.dynamics.model.inertia import elements
 from onboard.flight import hil
 from onboard.ground.campaign.results import FlightResult, of_log
 from onboard.ground.identify.identify import identify

@@ -16,8 +16,8 @@ from bench.pumps.case import MS, Case, Rings, Sample, nothing
 from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConfig
 from drivers.ports import CanPort
 from drivers.transports import open_can
-from drivers.transports.can_slcan import SlcanPort, encode_line
-from drivers.transports.can_socket import SO_TIMESTAMPNS, SocketcanPort
+from drivers.transports.can.can_slcan import SlcanPort, encode_line
+from drivers.transports.can.can_socket import SO_TIMESTAMPNS, SocketcanPort
 
 CAN_NODES = (Cia406Config("joint_1", 1, 500_000), Cia404Config("load_cell", 2, 1000.0))
 _KERNEL_FRAME = struct.Struct("=IB3x8s")

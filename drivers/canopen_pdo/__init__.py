@@ -7,11 +7,11 @@ period is attributed to the next SYNC.
 """
 
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.cia402 import Cia402Config
-from drivers.canopen_pdo.cia404 import Cia404Config
-from drivers.canopen_pdo.cia406 import Cia406Config
 from drivers.canopen_pdo.guarding import GuardConfig
-from drivers.canopen_pdo.mapped_object import CanopenObjectConfig
+from drivers.canopen_pdo.profiles.cia402 import Cia402Config
+from drivers.canopen_pdo.profiles.cia404 import Cia404Config
+from drivers.canopen_pdo.profiles.cia406 import Cia406Config
+from drivers.canopen_pdo.profiles.mapped_object import CanopenObjectConfig
 from drivers.canopen_pdo.sync import SyncConfig
 
 __all__ = [

@@ -5,19 +5,19 @@ from functools import partial
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
-from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
-from drivers.canopen_pdo.drive_master import DriveMaster
-from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
-from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
-from drivers.canopen_pdo.player import Player
-from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.play.drive_master import DriveMaster
+from drivers.canopen_pdo.play.player import Player
+from drivers.canopen_pdo.play.player_config import PlayerConfig
+from drivers.canopen_pdo.play.torque_master import TorqueConfig, TorqueMaster
+from drivers.canopen_pdo.profiles.channel import NodeConfig, PdoChannel
+from drivers.canopen_pdo.profiles.event_channel import EventChannel
+from drivers.canopen_pdo.profiles.mapped_object import MappedObject
+from drivers.canopen_pdo.profiles.sync_channel import SyncChannel
 from drivers.canopen_pdo.rounds import Rounds, cut_at_stalls
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
-from drivers.canopen_pdo.sync_channel import SyncChannel
 from drivers.canopen_pdo.sync_rows import SyncRows
-from drivers.canopen_pdo.torque_master import TorqueConfig, TorqueMaster
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import CanFrame, CanPort
 from drivers.records import Batch, Severity

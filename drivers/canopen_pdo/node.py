@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from enum import Enum, auto
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import PdoChannel
-from drivers.canopen_pdo.drive_axis import DriveAxis
 from drivers.canopen_pdo.frame import NmtCommand, NmtState
 from drivers.canopen_pdo.guarding import Guard
+from drivers.canopen_pdo.play.drive_axis import DriveAxis
+from drivers.canopen_pdo.profiles.channel import PdoChannel
 from drivers.canopen_pdo.sdo import SdoClient, Setup, attempt, read_unsigned, write_unsigned
 from drivers.errors import ConfigurationError, DriverError, FrameError, NoAnswerError, SdoAbortError, WrongDeviceError
 from drivers.records import Severity

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 from drivers.canopen_pdo.frame import HEARTBEAT, SYNC
 from drivers.canopen_pdo.node import Node
+from drivers.canopen_pdo.profiles.sync_channel import SyncChannel
 from drivers.canopen_pdo.sync import SyncCounter
-from drivers.canopen_pdo.sync_channel import SyncChannel
 from drivers.canopen_pdo.sync_rows import SyncRows
 from drivers.ports import CanFrame
 

@@ -59,21 +59,21 @@ def open_can(url: str, clock: Clock) -> CanPort:
         UrlError: The URL is not one of these.
         OSError: The interface or tty cannot be opened.
     """
-    from drivers.transports.can_reopen import ReopeningCanPort  # noqa: PLC0415
+    from drivers.transports.can.can_reopen import ReopeningCanPort  # noqa: PLC0415
 
     return ReopeningCanPort(lambda: _can(parse(url, CAN_URLS), clock), clock)
 
 
 def _can(bus: BusUrl, clock: Clock) -> CanPort:
     if bus.kind == "can+socketcan":
-        from drivers.transports.can_socket import SocketcanPort  # noqa: PLC0415
+        from drivers.transports.can.can_socket import SocketcanPort  # noqa: PLC0415
 
         return SocketcanPort.open(bus.host, clock, bus.integer("receive_buffer", 4 << 20))
     if bus.kind in {"can+virtual", "can+python"}:
-        from drivers.transports.can_library import LibraryCanPort  # noqa: PLC0415 - python-can takes 0.1 s
+        from drivers.transports.can.can_library import LibraryCanPort  # noqa: PLC0415 - python-can takes 0.1 s
 
         return LibraryCanPort.open(bus, clock)
-    from drivers.transports.can_slcan import SlcanPort  # noqa: PLC0415
+    from drivers.transports.can.can_slcan import SlcanPort  # noqa: PLC0415
 
     return SlcanPort.open(bus, clock)
 

@@ -18,8 +18,8 @@ from typing import Any, Final, Protocol, cast, runtime_checkable
 import numpy as np
 
 from drivers.ports import CanFrame
-from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, is_process_data
-from hil_sim.devices.canopen.sync_train import WireFrame
+from hil_sim.devices.can_bus.can_wire import Babbler, CanTalker, CanWire, is_process_data
+from hil_sim.devices.can_bus.sync_train import WireFrame
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil_sim.devices.serial_line.serial_wire import Arrived, Heard, LineFormat, SerialStation, SerialWire
+from hil_sim.devices.serial_wire import Arrived, Heard, LineFormat, SerialStation, SerialWire
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _LAZY_NS: Final = 50_000_000

@@ -19,7 +19,7 @@ from typing import Any, Final, Self
 
 import serial
 
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 
 _QUEUE_BYTES: Final = 65_536  # a tty's buffers, before it throws characters away
 _FLUSHREAD: Final = 1  # linux asm-generic/ioctls.h: TIOCPKT_FLUSHREAD

@@ -8,7 +8,7 @@ faults, clock and random numbers. ``registry`` finds the kinds.
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import Pin
 from hil_sim.faults import DeviceFaults
 from hil_sim.scenario.bus_tables import SerialBusTable

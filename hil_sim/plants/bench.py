@@ -17,7 +17,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
 from hil_sim.plants.body import Body
-from hil_sim.plants.motion import PhaseSpan, Program
+from hil_sim.plants.motions.motion import PhaseSpan, Program
 from hil_sim.scenario.tables import ScenarioError
 
 STEP_s = 5e-4

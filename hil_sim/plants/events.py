@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hil_sim.plants.body import Body
-from hil_sim.plants.contact import Contact
-from hil_sim.plants.exchange import Jolt, Released
+from hil_sim.plants.parts.contact import Contact
+from hil_sim.plants.parts.exchange import Jolt, Released
 from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError

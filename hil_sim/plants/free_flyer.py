@@ -18,7 +18,7 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import body as bodies
-from hil_sim.plants.actuators import NO_ACTUATORS, Actuators, Wheel
+from hil_sim.plants.parts.actuators import NO_ACTUATORS, Actuators, Wheel
 
 Body = bodies.Body
 JOINTS = 5

@@ -24,8 +24,8 @@ from hil_sim.plants.free_flyer import (
     arm_xml,
     body_xml,
 )
-from hil_sim.plants.motion import STANDARD_GRAVITY
-from hil_sim.plants.pucks import Puck, drag_wrench
+from hil_sim.plants.motions.motion import STANDARD_GRAVITY
+from hil_sim.plants.parts.pucks import Puck, drag_wrench
 
 PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
 _STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error

@@ -15,8 +15,8 @@ import numpy as np
 from hil_sim.arrays import BoolArray, FloatArray, IndexArray
 from hil_sim.plants import urdf_drawing
 from hil_sim.plants.body import Body
-from hil_sim.plants.carrier import carried
-from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.motions.carrier import carried
+from hil_sim.plants.motions.joint_swings import JointSwings
 from hil_sim.plants.urdf_model import rotation
 from hil_sim.scenario.tables import Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import PayloadTable, VehicleScenario

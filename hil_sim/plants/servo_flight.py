@@ -23,9 +23,9 @@ from mujoco import rollout
 
 from hil_sim.arrays import FloatArray, cross
 from hil_sim.plants.body import Body
-from hil_sim.plants.carrier import Carrier, turned
-from hil_sim.plants.exchange import Jolt, Momenta, Released
-from hil_sim.plants.servos import Servo, install, of_all, stiffen
+from hil_sim.plants.drives.servos import Servo, install, of_all, stiffen
+from hil_sim.plants.motions.carrier import Carrier, turned
+from hil_sim.plants.parts.exchange import Jolt, Momenta, Released
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import JointMotion, Rows
 from hil_sim.scenario.part_tables import DragTable, StopTable

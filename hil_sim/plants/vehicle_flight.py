@@ -17,15 +17,15 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray, solved, solved_unchecked
-from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.body import Body
-from hil_sim.plants.cabin import Cabin
-from hil_sim.plants.carrier import Carrier
-from hil_sim.plants.contact import Contact
-from hil_sim.plants.exchange import Jolt, Momenta, Released
-from hil_sim.plants.jets import Jets
-from hil_sim.plants.pucks import Drag, dragged
-from hil_sim.plants.soft_parts import SoftParts, bent_inertia, full_inertia
+from hil_sim.plants.motions.attitude import Wheels
+from hil_sim.plants.motions.carrier import Carrier
+from hil_sim.plants.parts.cabin import Cabin
+from hil_sim.plants.parts.contact import Contact
+from hil_sim.plants.parts.exchange import Jolt, Momenta, Released
+from hil_sim.plants.parts.jets import Jets
+from hil_sim.plants.parts.pucks import Drag, dragged
+from hil_sim.plants.parts.soft_parts import SoftParts, bent_inertia, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
 Told = tuple[FloatArray, FloatArray, FloatArray]  # of the joints, (j,) each: angle, rate and acceleration

@@ -15,20 +15,21 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray, Track
-from hil_sim.plants import draws, servos, urdf_drawing, world
-from hil_sim.plants.attitude import holding
+from hil_sim.plants import draws, urdf_drawing, world
 from hil_sim.plants.body import Body
-from hil_sim.plants.cabin import Cabin
-from hil_sim.plants.carrier import Carrier
-from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
+from hil_sim.plants.drives import servos
+from hil_sim.plants.drives.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.events import events
-from hil_sim.plants.exchange import Jolt
-from hil_sim.plants.jets import Jets
-from hil_sim.plants.joint_swings import JointSwings, wheels
-from hil_sim.plants.pucks import pucks
+from hil_sim.plants.motions.attitude import holding
+from hil_sim.plants.motions.carrier import Carrier
+from hil_sim.plants.motions.joint_swings import JointSwings, wheels
+from hil_sim.plants.motions.spline import CubicSpline
+from hil_sim.plants.parts.cabin import Cabin
+from hil_sim.plants.parts.exchange import Jolt
+from hil_sim.plants.parts.jets import Jets
+from hil_sim.plants.parts.pucks import pucks
+from hil_sim.plants.parts.soft_parts import springs
 from hil_sim.plants.servo_flight import ServoFlight
-from hil_sim.plants.soft_parts import springs
-from hil_sim.plants.spline import CubicSpline
 from hil_sim.plants.urdf_model import UrdfModel, places
 from hil_sim.plants.vehicle_flight import Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.motion import Program
+from hil_sim.plants.motions.motion import Program
 from hil_sim.scenario.tables import ScenarioError
 
 Axis = tuple[float, float, float]

@@ -7,7 +7,7 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.free_flyer import COUNTS_PER_TURN
-from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 
 GYRO_DENSITY_rad_s = np.deg2rad(0.005)  # per root Hz; MPU-6050 product specification 3.4, section 6.1
 ACCELEROMETER_DENSITY_m_s2 = 400e-6 * STANDARD_GRAVITY  # per root Hz; section 6.2

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hil_sim import filters
 from hil_sim.arrays import Deviates, FloatArray, Track
-from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.sensor_tables import Axes, ClockTable, EncoderTable, ForceCellTable, ImuTable, LoadCellTable
 from hil_sim.sensing.interpolation import interpolate, interpolate_column, interpolate_one

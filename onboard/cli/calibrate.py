@@ -221,7 +221,7 @@ def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
         ConfigError: none is, or it is not there.
     """
     from onboard import config
-    from onboard.flight.estimate.roles import roles_of
+    from onboard.flight.estimate.readings.roles import roles_of
 
     roles = roles_of(vehicle)
     by_role = {
@@ -243,7 +243,7 @@ def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
 def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> Path:
     """A log of the devices, step by step, or of a simulated bench."""
     from onboard.flight import bench
-    from onboard.flight.estimate.roles import roles_of
+    from onboard.flight.estimate.readings.roles import roles_of
     from onboard.ground.calibrate import steps
 
     if arguments.at:
@@ -368,7 +368,7 @@ def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
 
 
 def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
-    from onboard.flight.estimate.roles import roles_of
+    from onboard.flight.estimate.readings.roles import roles_of
     from onboard.ground.calibrate.balance import calibrate_balance, rig
     from onboard.ground.calibrate.readings import readings
 

@@ -17,8 +17,8 @@ def add(commands: Commands) -> None:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.views.compare import compare, render
+    from onboard.recording.format.segments import logs
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import logs
 
     with progress() as bar:
         found = compare([LogReader(one) for one in logs(arguments.logs)], bar)

@@ -98,8 +98,8 @@ def _run(
     arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any], log: Path
 ) -> "Run":
     from hil_sim.driven_world import DrivenWorld, Wired
-    from onboard.dynamics.errors import ModelError
-    from onboard.flight.estimate.identification import build_model
+    from onboard.dynamics.model.errors import ModelError
+    from onboard.flight.estimate.problem.identification import build_model
     from onboard.flight.trials import PERIOD_MS
     from onboard.ground.before.control import run
     from onboard.ground.before.control.adopted import adopted_urdf

@@ -41,8 +41,8 @@ def _dump(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.export.dump import DumpResult, dump
     from onboard.ground.log.tables.flight_tables import FlightTables
     from onboard.ground.log.tables.selection import Selection
+    from onboard.recording.format.segments import flights, logs
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import flights, logs
 
     kind, target = arguments.to
     if kind == _STANDARD:
@@ -82,8 +82,8 @@ def _dump(arguments: argparse.Namespace) -> int:
 def _standard(arguments: argparse.Namespace, target: Path) -> int:
     from onboard.ground.log.export.standard import dump_standard
     from onboard.ground.log.tables.flight_tables import FlightTables
+    from onboard.recording.format.segments import flights, logs
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import flights, logs
 
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     groups = flights(arguments.logs)

@@ -78,7 +78,7 @@ def _guess(arguments: argparse.Namespace) -> int:
 
 def _names(vehicle: str) -> "Names":
     from onboard.devices.roles import TorqueKeys
-    from onboard.flight.estimate.roles import roles_of
+    from onboard.flight.estimate.readings.roles import roles_of
     from onboard.ground.log.bring_in.guess.propose import Names
 
     roles = roles_of(load_vehicle(vehicle))

@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
 def _mechanics(arguments: argparse.Namespace) -> int:
     import numpy as np
 
-    from onboard.dynamics.errors import ModelError
+    from onboard.dynamics.model.errors import ModelError
     from onboard.ground.before.mechanics import view
 
     step_m = None if arguments.line is None else np.array(_triple("--line", arguments.line))

@@ -36,7 +36,7 @@ def add(commands: Commands) -> None:
 def _merge(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.rescue.in_turn import in_turn
     from onboard.ground.log.rescue.merge import Part, merge
-    from onboard.recording.segments import flights, logs
+    from onboard.recording.format.segments import flights, logs
 
     clocks = dict(_clock(text) for text in arguments.align)
     groups = flights(arguments.logs)

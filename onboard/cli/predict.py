@@ -28,8 +28,8 @@ def add(commands: Commands) -> None:
 
 
 def _predict(arguments: argparse.Namespace) -> int:
-    from onboard.dynamics.errors import ModelError
     from onboard.dynamics.mechanics.momentum_form import Method
+    from onboard.dynamics.model.errors import ModelError
     from onboard.ground.identify.base_motion.flown import SHORTEST_S
     from onboard.ground.identify.base_motion.predicted import predict
     from onboard.ground.log.tables.vehicle_file import vehicle_of

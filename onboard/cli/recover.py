@@ -16,8 +16,8 @@ def add(commands: Commands) -> None:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
+    from onboard.recording.format.segments import flights, logs
     from onboard.recording.recover import recover
-    from onboard.recording.segments import flights, logs
 
     groups = flights(arguments.log)
     if len(groups) > 1:

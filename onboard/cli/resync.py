@@ -35,9 +35,9 @@ def add(commands: Commands) -> None:
 def _resync(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.rescue.merge import Part, merge
     from onboard.ground.log.rescue.resync import render, resync
+    from onboard.recording.format.segments import flights
+    from onboard.recording.format.segments import logs as named
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import flights
-    from onboard.recording.segments import logs as named
     from onboard.timebase.resync import ResyncError
 
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None

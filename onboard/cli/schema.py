@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    from onboard.config.schema import as_text
+    from onboard.config.keys.schema import as_text
 
     text = as_text()
     if arguments.output is None:

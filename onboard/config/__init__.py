@@ -1,12 +1,12 @@
 """Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
+from onboard.config.bases.free_body import Load
+from onboard.config.bases.pivot import Pivot
+from onboard.config.bases.planar import Body
 from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
-from onboard.config.free_body import Load
 from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
-from onboard.config.pivot import Pivot
-from onboard.config.planar import Body
 from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 

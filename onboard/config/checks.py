@@ -13,8 +13,8 @@ from drivers.transports import url
 from onboard.config.errors import ConfigError
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
-from onboard.dynamics.urdf_check import impossible, inertial_of, require_flyable
-from onboard.dynamics.urdf_reading import Drawing, DrawingError, shortened
+from onboard.dynamics.model.urdf_check import impossible, inertial_of, require_flyable
+from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, shortened
 
 Fail = Callable[[list[str], str], NoReturn]
 

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen_pdo.drive_axis import CYCLIC, PROFILE, AxisConfig
-from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.play.drive_axis import CYCLIC, PROFILE, AxisConfig
+from drivers.canopen_pdo.play.player_config import PlayerConfig
 from onboard.config.drive import Drive
 from onboard.config.errors import ConfigError
 from onboard.config.segments import Library
 from onboard.devices.base import DeviceSection, Surroundings
-from onboard.devices.canopen import sync_on
+from onboard.devices.can.canopen import sync_on
 from onboard.devices.driven import DrivenDevice
 
 FloatArray = NDArray[np.float64]

@@ -8,16 +8,16 @@ from urllib.parse import parse_qs, urlsplit
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.play.player_config import PlayerConfig
+from onboard.config.bases.free_body import FreeBody
+from onboard.config.bases.parabola import Parabola
+from onboard.config.bases.pivot import Pivot
+from onboard.config.bases.planar import Body, Planar
 from onboard.config.drive import Drive
 from onboard.config.driving import Played, player_of
 from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
-from onboard.config.free_body import FreeBody
 from onboard.config.mission import MissionKeys
-from onboard.config.parabola import Parabola
-from onboard.config.pivot import Pivot
-from onboard.config.planar import Body, Planar
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
 from onboard.config.text import read_urdf

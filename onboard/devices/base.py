@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.play.player_config import PlayerConfig
 from drivers.device import Device
 from drivers.records import Rows
 from onboard.devices import roles

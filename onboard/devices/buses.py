@@ -1,7 +1,7 @@
 """Base class of devices per type of bus: URLs, opening, rules for devices on one bus.
 
-``onboard.devices.canopen`` has that of CAN. A serial port comes and goes with its adapter, so its device opens it, and
-reports when it cannot.
+``onboard.devices.can.canopen`` has that of CAN. A serial port comes and goes with its adapter, so its device opens it,
+and reports when it cannot.
 """
 
 from collections import Counter

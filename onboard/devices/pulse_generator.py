@@ -8,7 +8,7 @@ from drivers.records import CAN_SYNC, PULSE
 from drivers.sync_pulse.generator import PulseGenerator, PulseGeneratorConfig
 from onboard.devices.base import Channels, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import PulseOutputDevice
-from onboard.devices.canopen import CanDevice, sync_on
+from onboard.devices.can.canopen import CanDevice, sync_on
 from onboard.devices.sync_pulse import MEAN_INTERVAL
 from onboard.section import Positive
 

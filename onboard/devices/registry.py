@@ -30,7 +30,7 @@ def kind_of(section: object) -> str | None:
 
 
 def _packaged() -> Iterator[tuple[str, type[DeviceSection]]]:
-    for found in pkgutil.iter_modules(devices.__path__, f"{devices.__name__}."):
+    for found in pkgutil.walk_packages(devices.__path__, f"{devices.__name__}."):
         if found.name != __name__:
             module = importlib.import_module(found.name)
             for section in vars(module).values():

@@ -18,9 +18,9 @@ import numpy as np
 
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import MOMENTUM, crf, crm, force_transforms, times
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 ROUNDING_m_s = 2e-3  # slip below which Coulomb drag is rounded to zero

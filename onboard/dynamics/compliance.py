@@ -25,8 +25,8 @@ from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 
 _SETTLED_rad_s2 = 1e-3  # largest change of an acceleration at which the motion is found

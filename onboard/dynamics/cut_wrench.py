@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.bodies import Bodies
-from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.kinematics import Frames, turned
+from onboard.dynamics.model.errors import UnknownFrameError
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import hat, times
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 

@@ -20,9 +20,9 @@ import numpy as np
 
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.centre import centre_by_chi, centre_of
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
+from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns, hat, times
 from onboard.estimation.arrays import FloatArray
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from onboard.dynamics.bodies import Bodies, Sums
 from onboard.dynamics.kinematics import Chain
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import coad, crm
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 JOINT_ERRORS = ("place_x", "place_y", "place_z", "zero", "scale", "delay")

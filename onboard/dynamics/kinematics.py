@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import force_transforms, hat, own_inertias, times
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ

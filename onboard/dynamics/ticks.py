@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.smoothing import smooth
 

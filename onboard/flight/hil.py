@@ -32,8 +32,8 @@ from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_log, simulated_recorder
 from onboard.flight.supervise import runner
 from onboard.flight.supervise.runner_processes import FlightError
+from onboard.recording.format.texts import printable
 from onboard.recording.recorder import NOT_KEPT
-from onboard.recording.texts import printable
 from onboard.ring import RingReader
 
 Progress = Callable[[float], None]

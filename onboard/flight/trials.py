@@ -12,10 +12,10 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.cia402 import Cia402Config
-from drivers.canopen_pdo.drive_axis import AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.drive_axis import AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.torque_master import TorqueConfig, TorqueMaster
+from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.canopen_pdo.sync import SyncConfig
-from drivers.canopen_pdo.torque_master import TorqueConfig, TorqueMaster
 from drivers.records import EVENT, Batch, Severity
 from drivers.transports import open_can
 from onboard.control.laws import SLOW_RAD_S, WINDOW, Gains, Law, Reference

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.rls import Observability
+from onboard.estimation.recursive.rls import Observability
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
 _SHOWN = 0.3  # fraction of a direction's largest share below which shares are not written

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_of, standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.regressor.base_parameters import BaseParameters

@@ -26,9 +26,9 @@ import numpy as np
 
 from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import MOST_CONTRADICTED, Findings
-from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
+from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED, NOISE
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.standing import Level, Standing
 
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other

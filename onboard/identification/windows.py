@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.consistency import NoiseScale, noise_scale
 from onboard.estimation.maximum_likelihood import Fit, Normal
+from onboard.estimation.recursive.consistency import NoiseScale, noise_scale
 
 _LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
 

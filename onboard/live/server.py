@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.records import Rows
 from onboard.live.gate import Gate, any_loopback, only_from
-from onboard.recording.schema import CDR_HEADER, message_bytes, message_name, ros2msg
+from onboard.recording.format.schema import CDR_HEADER, message_bytes, message_name, ros2msg
 from onboard.ring import RingReader
 
 DEFAULT_ADDRESS = "127.0.0.1:8765"

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from onboard.recording.errors import LogFormatError
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.segments import RECORDED
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress, marks_of, note
-from onboard.recording.segments import RECORDED
 
 
 def recorded_at_end(found: list[Path]) -> dict[str, ChannelProgress]:

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from onboard.recording.decode import MessageRun, rows_of
+from onboard.recording.format.decode import MessageRun, rows_of
+from onboard.recording.format.scan import Damage
+from onboard.recording.format.segments import END, METADATA, RECORDED, proven, without_crc, written_as
 from onboard.recording.recorded import ChannelProgress, marks_of, note
-from onboard.recording.scan import Damage
-from onboard.recording.segments import END, METADATA, RECORDED, proven, without_crc, written_as
 
 _NAMED = 4  # channels named in a text
 

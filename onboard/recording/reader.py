@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.records import Batch, Rows
-from onboard.recording.decode import Decoder, KnownChannel, MessageRun, Times, rows_of
-from onboard.recording.errors import ChannelError, LogFormatError
-from onboard.recording.mcap_format import LIBRARY, Attachment, Chunk, Header, Metadata
+from onboard.recording.format.decode import Decoder, KnownChannel, MessageRun, Times, rows_of
+from onboard.recording.format.errors import ChannelError, LogFormatError
+from onboard.recording.format.mcap_format import LIBRARY, Attachment, Chunk, Header, Metadata
+from onboard.recording.format.scan import Damage, Scan
+from onboard.recording.format.segments import is_part, number_of, segments, without_crc, written_as
 from onboard.recording.missing import SegmentsSeen
-from onboard.recording.scan import Damage, Scan
-from onboard.recording.segments import is_part, number_of, segments, without_crc, written_as
 
 EXIT_COMPLETE = 0
 EXIT_DAMAGED = 3
@@ -35,8 +35,8 @@ class LogReader:
     ``batches`` that comes to its end.
 
     Args:
-        path: a log (layout: ``onboard.recording.segments``), or the segments to read, in order. Of a log, segments
-            missing at its beginning or end are reported too.
+        path: a log (layout: ``onboard.recording.format.segments``), or the segments to read, in order. Of a log,
+            segments missing at its beginning or end are reported too.
 
     Attributes:
         path: as given; the first where segments were given.

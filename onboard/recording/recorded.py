@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from drivers import records
 from drivers.records import Rows
-from onboard.recording.segments import RECORDED, proven, without_crc
-from onboard.recording.texts import printable
+from onboard.recording.format.segments import RECORDED, proven, without_crc
+from onboard.recording.format.texts import printable
 
 GAP_CHANNEL = "recorder_gap"
 _BEYOND = 1 << 63

@@ -12,12 +12,12 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Rows
-from onboard.recording.errors import LogFormatError
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.scan import Damage
+from onboard.recording.format.segments import END, METADATA, RECORDED, beside
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress, marks_of
-from onboard.recording.scan import Damage
-from onboard.recording.segments import END, METADATA, RECORDED, beside
-from onboard.recording.texts import printable
 from onboard.recording.writer import LogWriter
 
 GAP_CHANNEL = "recover_gap"

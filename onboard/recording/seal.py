@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from onboard.recording import mcap_format
-from onboard.recording.decode import Decoder
-from onboard.recording.errors import LogFormatError
-from onboard.recording.mcap_format import Attachment, Chunk, MessageIndex, Metadata
-from onboard.recording.scan import Damage, Found, Scan
-from onboard.recording.summary import SummarySection
+from onboard.recording.format import mcap_format
+from onboard.recording.format.decode import Decoder
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.mcap_format import Attachment, Chunk, MessageIndex, Metadata
+from onboard.recording.format.scan import Damage, Found, Scan
+from onboard.recording.format.summary import SummarySection
 
 
 class Sealed(NamedTuple):

@@ -18,14 +18,11 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drivers.records import Rows
-from onboard.recording.decode import Decoder, MessageRun, rows_of
-from onboard.recording.errors import LogFormatError
-from onboard.recording.left import may_have_messages, recorded_at_end
-from onboard.recording.mcap_format import Attachment, Chunk
-from onboard.recording.recorded import ChannelProgress, note
-from onboard.recording.scan import Damage, Scan
-from onboard.recording.seal import seal
-from onboard.recording.segments import (
+from onboard.recording.format.decode import Decoder, MessageRun, rows_of
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.mcap_format import Attachment, Chunk
+from onboard.recording.format.scan import Damage, Scan
+from onboard.recording.format.segments import (
     END,
     METADATA,
     RECORDED,
@@ -35,6 +32,9 @@ from onboard.recording.segments import (
     segments,
     with_crc,
 )
+from onboard.recording.left import may_have_messages, recorded_at_end
+from onboard.recording.recorded import ChannelProgress, note
+from onboard.recording.seal import seal
 from onboard.recording.sink import FileSink, Sink, sync_directory
 from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
 
@@ -98,7 +98,7 @@ class SegmentedLog:
     """Log of one flight; same methods as ``LogWriter``.
 
     Args:
-        log: path as for ``onboard.recording.segments``.
+        log: path as for ``onboard.recording.format.segments``.
         preamble: common content of every segment's head.
         limits: size limits of a segment.
         sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.

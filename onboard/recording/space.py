@@ -16,8 +16,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from onboard.recording.errors import LogFormatError
-from onboard.recording.segments import SUFFIX, flight_or_none, segments
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.segments import SUFFIX, flight_or_none, segments
 from onboard.recording.sink import is_locked
 
 BALLAST_SUFFIX = ".heft-reserve"

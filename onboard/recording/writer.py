@@ -19,13 +19,13 @@ from typing import Self
 import numpy as np
 
 from drivers.records import GAP, Rows
-from onboard.recording import mcap_format
-from onboard.recording.chunk import ChunkBuilder, PackedChannel
-from onboard.recording.errors import ChannelError, RecordingError
-from onboard.recording.schema import message_name, ros2msg
+from onboard.recording.format import mcap_format
+from onboard.recording.format.chunk import ChunkBuilder, PackedChannel
+from onboard.recording.format.errors import ChannelError, RecordingError
+from onboard.recording.format.schema import message_name, ros2msg
+from onboard.recording.format.summary import SummarySection
+from onboard.recording.format.wall_clock import FLIGHT_METADATA, utc_offset_ns
 from onboard.recording.sink import FileSink, Sink, Taken
-from onboard.recording.summary import SummarySection
-from onboard.recording.wall_clock import FLIGHT_METADATA, utc_offset_ns
 
 CHUNK_BYTES = 16384
 _HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()

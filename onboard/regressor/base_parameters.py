@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq, qr
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
-from onboard.dynamics.vehicle import STANDARD_GRAVITY_M_S2, BaseKind
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, BaseKind
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion, RowModel
 

@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from onboard.dynamics.errors import UrdfError
-from onboard.dynamics.inertia import parameters_of, pseudo_inertia
 from onboard.dynamics.kinematics import Chain, cross
+from onboard.dynamics.model.errors import UrdfError
+from onboard.dynamics.model.inertia import parameters_of, pseudo_inertia
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.dynamics.spatial import times
-from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 
 

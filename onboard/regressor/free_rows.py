@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.kinematics import composite_inertia, cross, link_motions, wrench_columns
-from onboard.dynamics.payload import possible_body
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import possible_body
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.smoothing import smooth
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 
 COLUMNS = ("Ia", "Fv", "Fc")  # kg m^2, N m s/rad, N m

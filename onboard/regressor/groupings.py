@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from onboard.dynamics.tree import tree_of
-from onboard.dynamics.vehicle import FREE_FLYER_NV, STANDARD, VehicleModel
+from onboard.dynamics.model.tree import tree_of
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.base_parameters import BaseParameters, SampledMotion, grouping_of, sampled_rows
 from onboard.regressor.rows import RowModel

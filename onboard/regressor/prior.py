@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import UnknownFrameError, UrdfError
-from onboard.dynamics.payload import standard_root
+from onboard.dynamics.model.errors import UnknownFrameError, UrdfError
+from onboard.dynamics.model.payload import standard_root
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.base_parameters import named_relative_sigma
 from onboard.regressor.rows import RowModel

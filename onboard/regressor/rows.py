@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.kinematics import chain_motion
-from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of

@@ -6,7 +6,7 @@ from pathlib import Path
 import can
 
 from drivers.canopen_pdo import CanopenBus, SyncConfig
-from drivers.canopen_pdo.channel import NodeConfig
+from drivers.canopen_pdo.profiles.channel import NodeConfig
 from drivers.ports import CanFrame
 from drivers.records import Batch
 

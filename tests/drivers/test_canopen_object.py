@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, SyncConfig
-from drivers.canopen_pdo.mapped_object import MappedObject
+from drivers.canopen_pdo.profiles.mapped_object import MappedObject
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts, whole

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import Cia402Config, Cia406Config
-from drivers.canopen_pdo.cia406 import Encoder
+from drivers.canopen_pdo.profiles.cia406 import Encoder
 from drivers.position import Position
 from drivers.records import SampleStatus
 

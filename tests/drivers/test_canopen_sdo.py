@@ -5,10 +5,10 @@ import pytest
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODVariable, datatypes
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.cia404 import Cia404Config
-from drivers.canopen_pdo.cia404 import LoadCell as LoadCellData
-from drivers.canopen_pdo.cia406 import Cia406Config
-from drivers.canopen_pdo.cia406 import Encoder as EncoderData
+from drivers.canopen_pdo.profiles.cia404 import Cia404Config
+from drivers.canopen_pdo.profiles.cia404 import LoadCell as LoadCellData
+from drivers.canopen_pdo.profiles.cia406 import Cia406Config
+from drivers.canopen_pdo.profiles.cia406 import Encoder as EncoderData
 from drivers.canopen_pdo.sdo import SdoClient, SdoRead, SdoWrite, attempt, ensure_tpdo, read_unsigned, write_unsigned
 from drivers.errors import ConfigurationError, NoAnswerError, SdoAbortError
 from tests.drivers.can_peers import MS, Encoder, LoadCell, u32

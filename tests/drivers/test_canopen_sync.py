@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.profiles.channel import ProcessData, Sample
+from drivers.canopen_pdo.profiles.sync_channel import SyncChannel
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
-from drivers.canopen_pdo.sync_channel import SyncChannel
 from drivers.errors import ConfigurationError
 from drivers.records import SampleStatus
 from drivers.reporter import Reporter

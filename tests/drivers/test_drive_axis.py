@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.canopen_pdo.cia402 import POSITION, Cia402Config
-from drivers.canopen_pdo.drive_axis import CYCLIC, AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.drive_axis import CYCLIC, AxisConfig, DriveAxis
+from drivers.canopen_pdo.profiles.cia402 import POSITION, Cia402Config
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.reporter import Reporter
 

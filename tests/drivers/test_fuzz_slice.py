@@ -9,7 +9,7 @@ import pytest
 
 from bench.fuzzing import NAMES, Target, findings, own_engine, target
 from drivers.errors import FrameError
-from drivers.transports.can_slcan import decode_line
+from drivers.transports.can.can_slcan import decode_line
 
 SEED = 20190812
 EXECUTIONS = {  # about 2 s each, most of it the trace function

@@ -11,11 +11,11 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import example, given, settings
 
-from drivers.canopen_pdo.cia402 import MODE, POSITION, STATUS, Cia402Config
-from drivers.canopen_pdo.drive_axis import AxisConfig
-from drivers.canopen_pdo.drive_master import State
-from drivers.canopen_pdo.player import Player
-from drivers.canopen_pdo.player_config import PlayerConfig
+from drivers.canopen_pdo.play.drive_axis import AxisConfig
+from drivers.canopen_pdo.play.drive_master import State
+from drivers.canopen_pdo.play.player import Player
+from drivers.canopen_pdo.play.player_config import PlayerConfig
+from drivers.canopen_pdo.profiles.cia402 import MODE, POSITION, STATUS, Cia402Config
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.reporter import Reporter
 

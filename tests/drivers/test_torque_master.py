@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.cia402 import Cia402Config
-from drivers.canopen_pdo.drive_axis import AxisConfig
+from drivers.canopen_pdo.play.drive_axis import AxisConfig
+from drivers.canopen_pdo.play.torque_master import TorqueConfig
+from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.canopen_pdo.sync import SyncConfig
-from drivers.canopen_pdo.torque_master import TorqueConfig
 from drivers.errors import ConfigurationError
 from drivers.records import EVENT
 from drivers.transports import open_can

@@ -13,8 +13,8 @@ from can.interfaces.socketcan import SocketcanBus
 
 from drivers.errors import UrlError
 from drivers.transports import open_can
-from drivers.transports.can_reopen import ReopeningCanPort
-from drivers.transports.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
+from drivers.transports.can.can_reopen import ReopeningCanPort
+from drivers.transports.can.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
 from drivers.transports.clock import realtime_minus_monotonic
 
 

@@ -15,7 +15,7 @@ from hypothesis import given
 
 from drivers.errors import FrameError
 from drivers.transports import open_can
-from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line, encode_request
+from drivers.transports.can.can_slcan import SlcanDecoder, decode_line, encode_line, encode_request
 
 LINES = [  # Lawicel CAN232 manual; python-can's own spelling
     (b"t1811AA", 0x181, b"\xaa"),

@@ -5,11 +5,11 @@ import pytest
 
 from onboard import config
 from onboard.dynamics.cut_wrench import CutWrench
-from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
-from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
-from onboard.flight.estimate.identification import build_model
+from onboard.dynamics.model.errors import UnknownFrameError
+from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.identification.exiddm.prediction.further import (
     CellPrior,
     Friction,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
 from onboard.dynamics.joint_errors import JOINT_ERRORS, JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion, link_motions
+from onboard.dynamics.model.errors import SignalError
 from tests.dynamics.free_flyer_twin import BOX, twin
 
 PERIOD_s = 0.01

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import (
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import (
     RigidBody,
     composite_functional,
     elements,
@@ -13,7 +13,7 @@ from onboard.dynamics.inertia import (
     symmetric,
     take_away,
 )
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_mujoco, to_urdf
 
 

@@ -5,9 +5,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns, wrench_columns
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 KINDS = ["revolute", "fixed", "prismatic", "revolute", "fixed", "revolute"]

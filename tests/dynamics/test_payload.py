@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import RigidBody, pseudo_inertia
-from onboard.dynamics.payload import (
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody, pseudo_inertia
+from onboard.dynamics.model.payload import (
     body_estimate,
     body_jacobian,
     body_of,

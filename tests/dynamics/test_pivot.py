@@ -6,10 +6,10 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, composite_functional, symmetric
-from onboard.dynamics.payload import body_of, standard_of
+from onboard.dynamics.model.inertia import RigidBody, composite_functional, symmetric
+from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 
 G_m_s2, STEP_s = 9.80665, 0.02
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil_sim.plants import free_flyer
-from hil_sim.plants.actuators import Actuators, Pulse
+from hil_sim.plants.parts.actuators import Actuators, Pulse
 from onboard.dynamics.free_flight import Push, predict_base_from_rate, sensor_in_base
 from onboard.dynamics.kinematics import chain_motion
 from tests.dynamics.free_flyer_twin import twin

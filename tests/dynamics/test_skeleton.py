@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 
 from onboard import config
-from onboard.dynamics.skeleton import skeleton
-from onboard.flight.estimate.identification import build_online
+from onboard.dynamics.model.skeleton import skeleton
+from onboard.flight.estimate.problem.identification import build_online
 
 
 def test_points_are_where_the_frames_are(rng: np.random.Generator) -> None:

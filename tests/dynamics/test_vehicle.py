@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import ModelError, UnknownFrameError, UrdfError
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import ModelError, UnknownFrameError, UrdfError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 INERTIAL = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="2.5" ixy="0.1" ixz="0.2" iyz="0.3"/></inertial>'

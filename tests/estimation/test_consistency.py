@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from onboard.estimation.consistency import BlockScores, JackknifeEstimate, NoiseScale, noise_scale
 from onboard.estimation.errors import RowError, SingularError
-from onboard.estimation.memory import RecursiveLeastSquares
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, NoiseScale, noise_scale
+from onboard.estimation.recursive.memory import RecursiveLeastSquares
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.estimation.smoothing import smooth
 
 WIDTH_S, PERIOD_S = 0.1, 0.01

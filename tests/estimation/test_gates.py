@@ -15,7 +15,7 @@ from onboard.estimation.gates import (
     reasons,
     window_contains,
 )
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.rls import SquareRootRls
 
 
 def test_reasons_have_their_own_bits_and_combine():

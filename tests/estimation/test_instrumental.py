@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from onboard.estimation.errors import RowError, SingularError
-from onboard.estimation.instrumental import RecursiveInstrumental
-from onboard.estimation.memory import FOR_EVER, Memory
+from onboard.estimation.recursive.instrumental import RecursiveInstrumental
+from onboard.estimation.recursive.memory import FOR_EVER, Memory
 
 TRUTH = np.array([2.0, -1.0, 0.5])
 PRIOR = (np.array([1.0, 0.0, 0.0]), np.full(3, 50.0))

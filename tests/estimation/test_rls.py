@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.estimation.errors import EstimationError, RowError, SingularError
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.rls import SquareRootRls
 
 
 def problem(rng, p=5, n=60):
@@ -125,7 +125,7 @@ def test_forgetting_without_a_prior(rng):
 
 
 def test_lapack_refusing_is_not_passed_over(rng, monkeypatch):
-    monkeypatch.setattr("onboard.estimation.rls.lapack.dtpqrt", lambda *a, **k: (a[2], a[3], None, -4))
+    monkeypatch.setattr("onboard.estimation.recursive.rls.lapack.dtpqrt", lambda *a, **k: (a[2], a[3], None, -4))
     with pytest.raises(AssertionError, match="argument 4"):
         SquareRootRls(1).update(np.ones((1, 1)), np.ones(1), np.ones(1))
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.consistency import BlockScores
 from onboard.estimation.errors import RowError
-from onboard.estimation.memory import Memory, RecursiveLeastSquares
-from onboard.estimation.rls import SquareRootRls
-from onboard.estimation.window import WindowRls
+from onboard.estimation.recursive.consistency import BlockScores
+from onboard.estimation.recursive.memory import Memory, RecursiveLeastSquares
+from onboard.estimation.recursive.rls import SquareRootRls
+from onboard.estimation.recursive.window import WindowRls
 
 
 def batch(parts, prior=None):

@@ -9,7 +9,7 @@ import sys
 import time
 from multiprocessing.connection import Connection
 
-HEAVY = ("pinocchio", "scipy", "mujoco", "matplotlib", "pandas", "onboard.dynamics.vehicle", "onboard.regressor")
+HEAVY = ("pinocchio", "scipy", "mujoco", "matplotlib", "pandas", "onboard.dynamics.model.vehicle", "onboard.regressor")
 NOT_IN_FLIGHT = tuple(f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "signal", "spatial", "stats"))
 
 

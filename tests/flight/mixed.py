@@ -19,7 +19,7 @@ from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config

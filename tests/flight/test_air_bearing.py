@@ -12,8 +12,8 @@ from hil_sim.plants import planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
 from onboard import cli, config
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.urdf import with_bodies
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify

@@ -9,8 +9,8 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import cli, config
-from onboard.dynamics.vehicle import VehicleModel
-from onboard.flight.estimate.identification import build_online
+from onboard.dynamics.model.vehicle import VehicleModel
+from onboard.flight.estimate.problem.identification import build_online
 
 # As exporters and converters write robots: the floor is the root, frames have a mass of nothing or next to nothing, a
 # sensor is a point, a link and a joint share a name, a jaw follows another, transmissions name joints too.

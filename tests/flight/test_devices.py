@@ -9,8 +9,8 @@ from onboard.devices.base import BusDevice
 from onboard.devices.buses import PulseDevice, PulseOutputDevice
 from onboard.devices.registry import DEVICES as DEVICES_BY_KIND
 from onboard.flight.clocks import timebase_of
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import SignalSmoother
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.store import rings
 from tests.flight.mixed import DEVICES, MixedWorld, angle, force_n, vehicle
 from tests.hil_sim.devices.twin_bench import MS, START_NS

@@ -21,7 +21,7 @@ from hil_sim.scenario.tables import ScenarioError
 from hil_sim.serve_driven import world
 from onboard import cli, config
 from onboard.flight import hil
-from onboard.recording.errors import ChannelError, LogFormatError
+from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
 
 SECONDS = 16.0  # of the motion

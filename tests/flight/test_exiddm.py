@@ -10,11 +10,11 @@ import onboard
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from onboard import config
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.identification.exiddm.online import ExiddmIdentifier

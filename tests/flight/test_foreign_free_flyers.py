@@ -9,7 +9,7 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import cli, config
-from onboard.flight.estimate.identification import build_online
+from onboard.flight.estimate.problem.identification import build_online
 
 FOUND = "found [2] \xe9.urdf"
 

@@ -11,8 +11,8 @@ from onboard import config
 from onboard.cli import main
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm, build_online
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import build_exiddm, build_online
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.mission import mission_table
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay

@@ -13,16 +13,16 @@ from drivers import records
 from drivers.records import Batch, Severity, event
 from onboard import config
 from onboard.config.estimation import Estimation
-from onboard.devices.cia404 import Cia404Device
-from onboard.devices.cia406 import Cia406Device
+from onboard.devices.can.cia404 import Cia404Device
+from onboard.devices.can.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
 from onboard.flight.acquire.publisher import Publisher, joined
-from onboard.flight.estimate.history import History
-from onboard.flight.estimate.identification import METHODS
 from onboard.flight.estimate.phases import PhaseTrack
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import ChannelAtTicks, SignalSmoother
-from onboard.flight.estimate.zeroing import Temperatures, Zeroing
+from onboard.flight.estimate.problem.identification import METHODS
+from onboard.flight.estimate.readings.history import History
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import ChannelAtTicks, SignalSmoother
+from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
 from onboard.identification.quantities import Findings
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel

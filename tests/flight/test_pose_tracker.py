@@ -7,10 +7,10 @@ from drivers.records import POSE, SampleStatus
 from onboard import config
 from onboard.devices.registry import DEVICES
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import SignalSmoother
-from onboard.flight.estimate.tracked import TrackedTicks
+from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import SignalSmoother
+from onboard.flight.estimate.readings.tracked import TrackedTicks
 from onboard.timebase.specs import RecordedChannel
 from onboard.timebase.timebase import Timebase
 

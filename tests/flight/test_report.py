@@ -16,7 +16,7 @@ from PIL import Image
 
 from drivers import records
 from onboard import cli, config
-from onboard.flight.estimate.identification import build_identifier
+from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.drawing import theme, zoom
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.identify.mission.own_mission import with_quantities

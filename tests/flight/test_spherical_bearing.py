@@ -16,7 +16,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate import state
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_online
+from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay

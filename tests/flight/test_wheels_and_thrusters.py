@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.identification import build_exiddm, build_online
+from onboard.flight.estimate.problem.identification import build_exiddm, build_online
 from onboard.ground.identify.replay.replay import replay
 from tests.flight.missions import Result, fly
 from tests.flight.test_dymaflex import SHORT

@@ -17,10 +17,10 @@ from onboard import cli, config
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import ChannelAtTicks
-from onboard.flight.estimate.witness import RateWitness
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import ChannelAtTicks
+from onboard.flight.estimate.readings.witness import RateWitness
 from onboard.ground.drawing import theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.identify.identify import identify

@@ -13,7 +13,7 @@ from hil_sim.plants.body import Body
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
-from onboard.dynamics.inertia import elements
+from onboard.dynamics.model.inertia import elements
 from onboard.identification.quantities import BODY
 from tests.flight.missions import Result, fly
 

@@ -16,8 +16,8 @@ from onboard.ground.identify.replay.replay import Pass, steps
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.foreign import read_npz
 from onboard.ground.log.tables.vehicle_file import vehicle_of
-from onboard.recording import mcap_format
-from onboard.recording.errors import ChannelError
+from onboard.recording.format import mcap_format
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import MemorySink

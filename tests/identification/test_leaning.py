@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification import leaning
 from onboard.identification.exiddm.online import ExiddmIdentifier, keys_of
 from onboard.identification.leaning import Causes

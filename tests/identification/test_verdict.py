@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.estimation.rls import SquareRootRls
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut, held_out
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate
 from onboard.identification.standing import Level, Standing, standing

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConfig
-from drivers.canopen_pdo.channel import NodeConfig
+from drivers.canopen_pdo.profiles.channel import NodeConfig
 from drivers.records import Batch
 from drivers.transports import open_can
 from tests.drivers import batches as rows_of

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConfig
-from drivers.canopen_pdo.channel import NodeConfig
+from drivers.canopen_pdo.profiles.channel import NodeConfig
 from drivers.records import Batch
 from drivers.transports import open_can
-from drivers.transports.can_reopen import ReopeningCanPort
+from drivers.transports.can.can_reopen import ReopeningCanPort
 from tests.kernel.conftest import Served
 from tests.kernel.devices import NEWTONS, TURN_PER_S
 

@@ -15,8 +15,8 @@ import pytest
 
 from drivers.ports import CanFrame, CanPort
 from drivers.transports import open_can
-from drivers.transports.can_reopen import ReopeningCanPort
-from drivers.transports.can_socket import SocketcanPort
+from drivers.transports.can.can_reopen import ReopeningCanPort
+from drivers.transports.can.can_socket import SocketcanPort
 
 FRAME = struct.Struct("=IB3x8s")  # linux/can.h, struct can_frame
 CAN_ERR_FLAG, CAN_ERR_BUSOFF, CAN_EFF_FLAG, CAN_RTR_FLAG = 0x2000_0000, 0x40, 0x8000_0000, 0x4000_0000

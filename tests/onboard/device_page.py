@@ -17,10 +17,10 @@ from drivers.marks import MARK
 from drivers.records import CAN_SYNC, IMU, POSE, PULSE, SCALAR
 from onboard import config
 from onboard.devices.base import BusDevice, DeviceSection
-from onboard.devices.canopen import CanopenNodeDevice
-from onboard.devices.node_channels import CHANNELS
+from onboard.devices.can.canopen import CanopenNodeDevice
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
+from onboard.devices.serial_line.node_channels import CHANNELS
 from onboard.section import LARGEST
 
 FLOWN = Path(__file__).parents[1] / "flight" / "mixed.toml", config.packaged("dymaflex_wheels")

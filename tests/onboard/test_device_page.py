@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from onboard.devices.base import BusDevice
-from onboard.devices.node_channels import CHANNELS
 from onboard.devices.registry import DEVICES
+from onboard.devices.serial_line.node_channels import CHANNELS
 from tests.onboard.device_page import example, flown_devices, meaning, page
 
 PAGE = Path(__file__).parents[2] / "docs" / "devices.md"

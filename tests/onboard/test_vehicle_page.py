@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from onboard import cli, config
-from onboard.config import schema
-from onboard.config.meanings import MEANINGS
+from onboard.config.keys import schema
+from onboard.config.keys.meanings import MEANINGS
 from onboard.config.vehicle import VehicleFile
 from tests.onboard.vehicle_page import TABLES, page
 

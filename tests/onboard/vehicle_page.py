@@ -8,6 +8,10 @@ from pathlib import Path
 
 from pydantic import AliasChoices
 
+from onboard.config.bases.free_body import Carrier, FreeBody, Load
+from onboard.config.bases.parabola import Parabola
+from onboard.config.bases.pivot import Balance, Pivot
+from onboard.config.bases.planar import Body, Planar, Puck
 from onboard.config.drive import Drive
 from onboard.config.estimation import (
     Carried,
@@ -28,12 +32,8 @@ from onboard.config.estimation import (
     UsefulKeys,
     Zero,
 )
-from onboard.config.free_body import Carrier, FreeBody, Load
-from onboard.config.meanings import MEANINGS
+from onboard.config.keys.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
-from onboard.config.parabola import Parabola
-from onboard.config.pivot import Balance, Pivot
-from onboard.config.planar import Body, Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.ground.log.tables.columns import unit_of
 from onboard.section import LARGEST, Section

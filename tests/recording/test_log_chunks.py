@@ -8,7 +8,7 @@ from mcap.records import Channel, Chunk, DataEnd, Message, MessageIndex, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers import records
-from onboard.recording.schema import message_bytes
+from onboard.recording.format.schema import message_bytes
 from tests.recording.logs import LABEL, LARGE, READING, label_rows, reading_rows, write_small
 from tests.recording.stock_readers import chunks, stock_rows, written
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.recording.errors import LogFormatError
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.scan import Damage
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Damage
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import (
     LABEL,

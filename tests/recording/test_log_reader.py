@@ -7,7 +7,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from drivers import records
-from onboard.recording.errors import ChannelError, LogFormatError
+from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, SMALL, reading_rows, same_fields, small_labels, write_small
@@ -175,7 +175,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
 
 def test_a_log_whose_rows_are_filled_up_reads_as_one_whose_are_not(small, tmp_path, monkeypatch):
     """Logs written before messages ended with their last field."""
-    monkeypatch.setattr("onboard.recording.chunk.message_bytes", lambda dtype: dtype.itemsize)
+    monkeypatch.setattr("onboard.recording.format.chunk.message_bytes", lambda dtype: dtype.itemsize)
     older = write_small(tmp_path / "older.mcap")
     assert older.stat().st_size > small.stat().st_size
     log = LogReader(older)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from drivers import records
 from onboard import channels
-from onboard.recording.errors import SchemaError
-from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, message_name, ros2msg, units_from_ros2msg
+from onboard.recording.format.errors import SchemaError
+from onboard.recording.format.schema import CDR_HEADER, dtype_from_ros2msg, message_name, ros2msg, units_from_ros2msg
 from tests.recording.logs import LABEL
 
 IMU_TEXT = """\

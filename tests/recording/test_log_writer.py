@@ -12,7 +12,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 
 from drivers import records
 from onboard import channels
-from onboard.recording.errors import ChannelError, RecordingError, SchemaError
+from onboard.recording.format.errors import ChannelError, RecordingError, SchemaError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, MemorySink, label_rows, random_rows, reading_rows

@@ -9,10 +9,10 @@ import pytest
 
 from drivers import records
 from onboard import cli, config
-from onboard.recording import mcap_format
-from onboard.recording.mcap_format import RECORD_HEAD, Chunk
+from onboard.recording.format import mcap_format
+from onboard.recording.format.mcap_format import RECORD_HEAD, Chunk
+from onboard.recording.format.scan import Found, Scan
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Found, Scan
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
 from onboard.recording.writer import LogWriter
 

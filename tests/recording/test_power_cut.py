@@ -2,9 +2,9 @@
 
 import pytest
 
+from onboard.recording.format.segments import segments
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
-from onboard.recording.segments import segments
 from tests.recording.disks import PowerCutDisk
 from tests.recording.logs import LABEL, READING, label_rows, reading_rows, same_fields
 

@@ -9,14 +9,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from onboard.recording.errors import LogFormatError
-from onboard.recording.mcap_format import Attachment
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.mcap_format import Attachment
+from onboard.recording.format.scan import Scan
+from onboard.recording.format.segments import flights, read_head, segment_path, segments
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress
-from onboard.recording.scan import Scan
 from onboard.recording.seal import seal
 from onboard.recording.segmented import SEAL_AFTER_NS, Limits, Preamble, Progress, SegmentedLog
-from onboard.recording.segments import flights, read_head, segment_path, segments
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
 

@@ -4,9 +4,9 @@ import os
 
 import pytest
 
+from onboard.recording.format.segments import segments
 from onboard.recording.recorder import Recorder
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
-from onboard.recording.segments import segments
 from onboard.recording.sink import FileSink, is_locked
 from onboard.recording.space import MARGIN, SpaceGuard
 from tests.recording.logs import READING, reading_rows, write_small

@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
+from onboard.recording.format.segments import segment_path
 from onboard.recording.reader import LogReader
 from onboard.recording.recorder import EVENT_CHANNEL, GAP_CHANNEL, Recorder
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
-from onboard.recording.segments import segment_path
 from onboard.ring import RingReader, RingWriter
 from tests.recording.logs import READING, reading_rows
 

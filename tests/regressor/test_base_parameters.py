@@ -7,11 +7,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.ground.before.mechanics.counts import counted
 from onboard.regressor.base_parameters import (
     BaseParameters,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.regressor.friction import CoulombFriction, Motor
 
 LENGTH_rad = 0.01

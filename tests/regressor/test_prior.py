@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import UnknownFrameError, UrdfError
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
+from onboard.dynamics.model.errors import UnknownFrameError, UrdfError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.regressor.prior import Made, prior_root
 from tests.regressor.test_base_parameters import rocksat
 

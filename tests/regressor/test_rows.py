@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.regressor.friction import Motor
 from onboard.regressor.rows import (
     BaseMotion,

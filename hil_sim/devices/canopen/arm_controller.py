@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
+from hil_sim.devices.can_bus.object_dictionary import Access, DataType, Entry
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import CanopenNode
-from hil_sim.devices.canopen.object_dictionary import Access, DataType, Entry
 from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, reported_phases
 from hil_sim.scenario.sheets import Sheets

@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.devices.canopen.can_wire import TransmitFrame
-from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
+from hil_sim.devices.can_bus.can_wire import TransmitFrame
+from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
+from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
 from hil_sim.devices.canopen.sdo_server import serve
-from hil_sim.devices.canopen.tpdo import ANSWER_NS, Tpdo
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
 _BOOT_NS = 50_000_000

@@ -27,9 +27,9 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PositiveFloat
 
+from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import OFF, OPERATIONAL, CanopenNode
-from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.devices.canopen.rpdo import Rpdo
 from hil_sim.devices.emulator import Bench, Equivalent, Signal, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import CanopenNode
-from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets

@@ -7,7 +7,7 @@ master, reported by EMCY 8210h, and written nowhere.
 
 from typing import Final
 
-from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
+from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 
 _INVALID: Final = 0x8000_0000
 _LAST_CYCLIC, _FIRST_EVENT = 240, 254

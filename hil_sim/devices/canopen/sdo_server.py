@@ -1,6 +1,6 @@
 """The SDO server of a simulated node (CiA 301, 7.2.4): expedited transfers; others are aborted with 05040001h."""
 
-from hil_sim.devices.canopen.object_dictionary import Abort, DictionaryError, ObjectDictionary
+from hil_sim.devices.can_bus.object_dictionary import Abort, DictionaryError, ObjectDictionary
 
 
 def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[bytes | None, tuple[int, int] | None]:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from hil_sim.plants.servo_axis import STEP_S, Axis
+from hil_sim.plants.drives.servo_axis import STEP_S, Axis
 
 _POSITION_GAIN, _RATE_GAIN, _RATE_INTEGRAL = 30.0, 200.0, 40.0  # 1/s
 _STANDSTILL: Final = 2e-3  # rad/s

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from hil_sim.devices.canopen.object_dictionary import (
+from hil_sim.devices.can_bus.object_dictionary import (
     Abort,
     Access,
     DataType,

@@ -41,7 +41,7 @@ from pydantic import Field
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.serial_line.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_line.serial_twin import POLLED_KINDS, SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.scenario.sheets import Sheets

@@ -32,9 +32,9 @@ from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
-from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
 from hil_sim.sensing.sensors import ImuSensor

@@ -16,7 +16,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from hil_sim.devices.emulator import FORCES, Bench, Emulator, Equivalent, Signal, Twin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
 from hil_sim.scenario.sheets import Sheets

@@ -29,7 +29,7 @@ from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock
 from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.scenario.sheets import Sheets

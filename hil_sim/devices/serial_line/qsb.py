@@ -26,7 +26,7 @@ from typing import Final
 from hil_sim.devices.serial_line import qsb_map as reg
 from hil_sim.devices.serial_line.quadrature import QuadratureCounter
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from hil_sim.devices.serial_line.serial_wire import LineFormat, Transmit
+from hil_sim.devices.serial_wire import LineFormat, Transmit
 from hil_sim.faults import INPUT_KINDS, NEVER, DeviceFaults, FaultKind, garbled
 
 _SUPPLY = "supply"

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from hil_sim.devices.canopen.can_wire import TransmitFrame
+from hil_sim.devices.can_bus.can_wire import TransmitFrame
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, garbled
 from hil_sim.sensing.analog import ChipClock
 

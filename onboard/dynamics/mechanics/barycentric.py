@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics.chain import Chain, rotations
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
 

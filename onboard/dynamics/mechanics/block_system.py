@@ -15,8 +15,8 @@ import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 from scipy.linalg.lapack import dposv
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics.chain import Chain
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
 _SKEW = np.stack([pin.skew(unit) for unit in np.eye(3)]).reshape(3, 9)  # w @ _SKEW: the matrix of w x, row by row

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
 

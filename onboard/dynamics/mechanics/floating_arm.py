@@ -9,8 +9,8 @@ base floats. The dissertation takes linear and angular momentum of the base apar
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
-from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 

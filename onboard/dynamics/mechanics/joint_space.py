@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.vehicle import FREE_FLYER_NV, BaseKind
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, BaseKind
 from onboard.estimation.arrays import FloatArray
 
 _ROWS: Final = {BaseKind.FREE: (0, 1, 2, 3, 4, 5), BaseKind.PLANAR: (0, 1, 5)}  # of the base's that nothing acts on

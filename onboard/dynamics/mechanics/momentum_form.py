@@ -17,7 +17,7 @@ from onboard.dynamics.kinematics import chain_motion, turned
 from onboard.dynamics.mechanics import barycentric
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 

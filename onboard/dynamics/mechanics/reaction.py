@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.vehicle import FREE_FLYER_NV
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV
 from onboard.estimation.arrays import FloatArray
 
 

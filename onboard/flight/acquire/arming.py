@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from drivers.canopen_pdo.drive_master import DriveMaster
-from drivers.canopen_pdo.player import Player
+from drivers.canopen_pdo.play.drive_master import DriveMaster
+from drivers.canopen_pdo.play.player import Player
 from drivers.device import Device
 from drivers.records import Batch, SampleStatus, Severity, event
 from onboard import config

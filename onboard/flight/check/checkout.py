@@ -23,15 +23,15 @@ from drivers.records import Batch
 from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.acquire.devices import OpenDevices, open_devices
 from onboard.flight.check.checkout_checks import Outcome, judge_motion, judge_tare
 from onboard.flight.check.preflight import Preflight, preflight, require_devices
 from onboard.flight.clocks import sync_line
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
 
 _TARE_S = 2.0
 

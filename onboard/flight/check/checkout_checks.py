@@ -8,7 +8,7 @@ import numpy as np
 from drivers.records import GAP, Severity
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.vehicle import Joint
+from onboard.dynamics.model.vehicle import Joint
 from onboard.estimation.arrays import FloatArray
 from onboard.recording.reader import LogReader
 

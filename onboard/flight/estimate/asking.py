@@ -17,14 +17,14 @@ from onboard import channels, config
 from onboard.channels import Act
 from onboard.config.mission import Goal, goals_of
 from onboard.config.segments import Library
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.payload import body_jacobian, body_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.payload import body_jacobian, body_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate

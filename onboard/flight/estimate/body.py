@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from onboard import config
-from onboard.config.planar import Body
+from onboard.config.bases.planar import Body
 from onboard.devices.recorded import PoseKeys, ThrusterKeys, thrusters_among, tracked_among
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import composite_functional
-from onboard.dynamics.payload import body_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import composite_functional
+from onboard.dynamics.model.payload import body_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.identification.body.fit import BodyModel, Stated, Thrusters, Tracker
 from onboard.identification.body.valves import Valve
 

@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.devices.roles import TorqueKeys
-from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
 from onboard.flight.estimate.answers import Answers, change_event, useful_of
 from onboard.flight.estimate.asking import Asking
-from onboard.flight.estimate.identification import METHODS, build_online, channels_of, with_hypotheses
-from onboard.flight.estimate.joint_signals import JointSignals
 from onboard.flight.estimate.phases import PhaseTrack
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import SignalSmoother, kernel_of
-from onboard.flight.estimate.torques import TorqueLines
-from onboard.flight.estimate.tracked import TrackedTicks
-from onboard.flight.estimate.witness import RateWitness
-from onboard.flight.estimate.zeroing import Temperatures, Zeroing
+from onboard.flight.estimate.problem.identification import METHODS, build_online, channels_of, with_hypotheses
+from onboard.flight.estimate.readings.joint_signals import JointSignals
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import SignalSmoother, kernel_of
+from onboard.flight.estimate.readings.torques import TorqueLines
+from onboard.flight.estimate.readings.tracked import TrackedTicks
+from onboard.flight.estimate.readings.witness import RateWitness
+from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses

@@ -15,9 +15,9 @@ import numpy as np
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, pseudo_inertia, symmetric
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.model.inertia import RigidBody, pseudo_inertia, symmetric
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.urdf import with_bodies
 from onboard.flight.estimate.answers import PAYLOAD_CHANGES
 from onboard.identification.quantities import BODY
 from onboard.identification.standing import LEVELS, Level

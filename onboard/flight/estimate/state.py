@@ -27,7 +27,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
 FORMAT = 4

@@ -15,7 +15,7 @@ from onboard import config
 from onboard.flight.clocks import known_delays
 from onboard.flight.store.directories import write_private
 from onboard.flight.store.manifest import Manifest, Storage
-from onboard.recording.mcap_format import Attachment
+from onboard.recording.format.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
 from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
 from onboard.recording.sink import FileSink

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from drivers.records import Severity
 from onboard.flight.store import manifest
 from onboard.flight.store.flight_log import open_recorder
-from onboard.recording.errors import RecordingError
+from onboard.recording.format.errors import RecordingError
 from onboard.recording.recorder import Recorder
 from onboard.ring import RingError
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 
 from onboard.flight.store import directories
 from onboard.flight.store.directories import is_free, write_private
-from onboard.recording.mcap_format import Attachment
+from onboard.recording.format.mcap_format import Attachment
 from onboard.recording.segmented import Preamble
 
 _MANIFEST, _ATTACHED = "manifest.json", "attached"

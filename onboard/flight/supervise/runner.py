@@ -32,8 +32,8 @@ from onboard.flight.supervise.runner_forks import ForkError, ForkServer, Prepare
 from onboard.flight.supervise.runner_notify import Notifier
 from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worker
 from onboard.flight.supervise.stop_signals import StopSignals
-from onboard.recording.errors import LogFormatError
-from onboard.recording.segments import segment_path, segments
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.segments import segment_path, segments
 from onboard.ring import RingReader
 
 _LOOK_S = 0.1  # between two looks at a flight in which nobody says anything

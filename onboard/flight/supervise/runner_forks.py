@@ -306,7 +306,7 @@ def _run(control: Connection) -> None:
     leave_signals_to_supervisor()
     name_process("forks")
     transports = import_module("drivers.transports")
-    for found in pkgutil.iter_modules(transports.__path__, "drivers.transports."):
+    for found in pkgutil.walk_packages(transports.__path__, "drivers.transports."):
         with contextlib.suppress(ImportError):  # of a bus library that this computer does not have
             import_module(found.name)
     for module in _PRELOADED:

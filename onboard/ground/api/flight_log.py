@@ -17,8 +17,8 @@ from onboard.ground.log.export.aligned import aligned
 from onboard.ground.log.export.dump import chosen_columns
 from onboard.ground.log.tables.columns import columns, with_times
 from onboard.ground.log.tables.flight_tables import FlightTables
-from onboard.recording.errors import ChannelError
-from onboard.recording.scan import Damage
+from onboard.recording.format.errors import ChannelError
+from onboard.recording.format.scan import Damage
 
 if TYPE_CHECKING:
     import pandas as pd

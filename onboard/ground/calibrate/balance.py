@@ -8,12 +8,12 @@ from pydantic import Field
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.payload import body_of
+from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import Balance, balance
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, require_within, still
 from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits

@@ -8,8 +8,8 @@ import numpy as np
 
 from onboard import config
 from onboard.devices.roles import ImuRole
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_of
+from onboard.dynamics.model.inertia import elements
+from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.bifilar import (
     AxisErrors,
@@ -20,8 +20,8 @@ from onboard.estimation.calibration.bifilar import (
     swing,
 )
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import Readings, Span, still
 from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
 

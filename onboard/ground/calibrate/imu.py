@@ -17,7 +17,7 @@ from onboard.estimation.calibration.imu import (
     turns,
 )
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, still

@@ -17,7 +17,7 @@ from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.bench import BEGIN, END
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.vehicle_file import attached_vehicle
 from onboard.ground.log.tables.vehicle_time import UNKNOWN

@@ -13,11 +13,11 @@ from pydantic import Field
 from scipy.stats import chi2
 
 from onboard import config
-from onboard.dynamics.payload import body_of
+from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import BY_CHANCE
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
 

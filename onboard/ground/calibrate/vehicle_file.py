@@ -14,7 +14,7 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Comment, Item
 
 from onboard import config
-from onboard.flight.estimate.identification import build_online
+from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.calibrate.result import Change
 
 _OURS = re.compile(r"(; )?\+- [^;]* \(1 sigma\)$")  # of an earlier calibration

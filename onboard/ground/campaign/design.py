@@ -15,7 +15,7 @@ import numpy as np
 from onboard import config
 from onboard.config.text import MOST_BYTES_URDF
 from onboard.ground.campaign.plan_file import Factor, Plan, RandomFaults
-from onboard.recording.segments import flights
+from onboard.recording.format.segments import flights
 
 Tables = dict[str, Any]
 Point = dict[str, str | float]  # level or number by factor

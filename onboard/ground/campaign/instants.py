@@ -15,8 +15,8 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.mission import own_mission
 from onboard.ground.log.tables.truth import Truth
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 CHANGING_S = 1.0  # lag_ms and smoothing_ms of the packaged vehicles, twice
 WIDER = 3.2905 / 1.9600  # a 99.9 % interval, of a 95 % one

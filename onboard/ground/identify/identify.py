@@ -14,13 +14,13 @@ import numpy as np
 from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
-from onboard.dynamics.urdf import with_bodies
-from onboard.dynamics.vehicle import STANDARD
+from onboard.dynamics.model.urdf import with_bodies
+from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
@@ -37,15 +37,15 @@ from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.budget import budget
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.standard import identified_links, without_rotors
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, verdict
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 _PRINCIPAL = ("I_1", "I_2", "I_3")  # moments of a thrown load
 

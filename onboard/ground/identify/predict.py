@@ -8,8 +8,8 @@ from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.replay.feed import feed
-from onboard.identification.rows.prediction import HeldOutFit, prediction
-from onboard.recording.errors import ChannelError
+from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 

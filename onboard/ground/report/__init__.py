@@ -11,7 +11,7 @@ from onboard.ground.drawing import theme
 from onboard.ground.report.flight import figures
 from onboard.ground.report.flight.flight_data import gather
 from onboard.ground.report.flight.sections import document
-from onboard.recording.scan import Damage
+from onboard.recording.format.scan import Damage
 
 
 def report(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.evidence.policy import LIKELY_SIZE
 

@@ -19,12 +19,12 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction, at_sensor
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import BodyEstimate, body_estimate, standard_of
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate, standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, covariance_of, fit
@@ -41,8 +41,8 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     whitened,
 )
 from onboard.identification.exiddm.prediction.parameters import Block, Layout, UncertainLinks
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.prediction import HeldOutFit
 
 _GOOD_FIT = 1.3  # whitened residual sum per row at which no further guess is tried
 _ITERATIONS = 60  # on a part of the flight

@@ -20,10 +20,10 @@ import pinocchio as pin
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import symmetric
 from onboard.dynamics.kinematics import cross
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import symmetric
 from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.guesses import FIRST_TICKS, first_rate

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from onboard.dynamics.errors import SignalError
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.exiddm.before_capture import (
@@ -24,7 +24,7 @@ from onboard.identification.exiddm.before_capture import (
 )
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 
 NAMES: Final = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")

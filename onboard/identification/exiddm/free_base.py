@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction, predict_base
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.kinematics import first_ticks, link_motions
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.batch import Exiddm, Schedule, checked
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s

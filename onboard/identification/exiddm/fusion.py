@@ -9,8 +9,8 @@ it before the first IMU does, so the filter leaves the accused out only if the s
 it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as
 any pose agrees where the one it should show is not known. The reference, the first IMU in use, is not tested so: what
 contradicts the model there is a change, which the filter detects. Where it is itself the wrong one, a window is
-explained without it (:mod:`onboard.identification.exiddm.trials`), and the next IMU becomes the reference. One that
-gives no readings for a second is left out as well.
+explained without it (:mod:`onboard.identification.exiddm.recursion.trials`), and the next IMU becomes the reference.
+One that gives no readings for a second is left out as well.
 """
 
 from collections import deque

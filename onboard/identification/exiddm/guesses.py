@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor

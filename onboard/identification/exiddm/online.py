@@ -7,10 +7,10 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf
 from scipy.special import ndtri
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
+from onboard.dynamics.model.vehicle import STANDARD
 from onboard.dynamics.tracked_pose import LINES
-from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
@@ -18,14 +18,14 @@ from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
-from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.keys import Keys
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
-from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
+from onboard.identification.exiddm.recursion.bounded_work import last_work
+from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
 from onboard.identification.leaning import PART, Causes
 from onboard.identification.quantities import (
     BODY,

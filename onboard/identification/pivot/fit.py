@@ -7,7 +7,8 @@ scales with the wheels' inertia, of which no reading knows.
 
 Derivatives of the motion are differences of its prediction, all variants integrated at once; those of the IMU's errors
 are :func:`onboard.identification.exiddm.prediction.imu_errors.imu_reading`'s. Intervals are widened by what is left
-over of each sensor, and by the scatter of the windows' scores (:func:`onboard.estimation.consistency.noise_scale`).
+over of each sensor, and by the scatter of the windows' scores
+(:func:`onboard.estimation.recursive.consistency.noise_scale`).
 """
 
 from collections.abc import Iterator
@@ -15,13 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.inertia import composite_functional, symmetric
+from onboard.dynamics.model.inertia import composite_functional, symmetric
+from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
-from onboard.dynamics.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.consistency import NoiseScale
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal, inverse_of
+from onboard.estimation.recursive.consistency import NoiseScale
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, Layout
 from onboard.identification.exiddm.prediction.ticks import Ticks

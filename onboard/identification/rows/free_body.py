@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import (
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import (
     RigidBody,
     composite_functional,
     elements,
@@ -25,7 +25,7 @@ from onboard.dynamics.inertia import (
     take_away,
 )
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import JackknifeEstimate
+from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.quantities import Quantity
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import BaseParameters
@@ -84,7 +84,7 @@ class RotorCalibration(NamedTuple):
 def free_body_quantities(model: RowModel, base: BaseParameters, prior_root: FloatArray) -> tuple[Quantity, ...]:
     """Centre of mass, m in base axes, and inertia about it, kg m^2, of the whole vehicle, joints locked at zero.
 
-    Functionals of the base parameters by :func:`onboard.dynamics.inertia.composite_functional`.
+    Functionals of the base parameters by :func:`onboard.dynamics.model.inertia.composite_functional`.
 
     Args:
         model: force and moment rows of a free base.
@@ -142,7 +142,7 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95, exac
 def without_carrier(
     whole: Whole, carrier: KnownBody | None, rotor_sigma: float = 0.0
 ) -> tuple[RigidBody, PrincipalMoments]:
-    """A vehicle minus its carrier (:func:`onboard.dynamics.inertia.take_away`), and the principal moments of the rest.
+    """A vehicle minus its carrier (:func:`onboard.dynamics.model.inertia.take_away`) and its principal moments.
 
     Args:
         whole: carrier and load.

@@ -1,21 +1,21 @@
 """Payload from rows: mass, centre of mass, inertia about it, with intervals, where determined.
 
 The rows are linear in the standard parameters; the intervals of the non-linear quantities are linearised at the
-estimate (:func:`onboard.dynamics.payload.body_jacobian`). An estimate that no body has, as of a light payload whose
-inertia the rows hardly tell, is moved to the most likely one that can exist; how far a quantity was moved is a part of
-its sigma.
+estimate (:func:`onboard.dynamics.model.payload.body_jacobian`). An estimate that no body has, as of a light payload
+whose inertia the rows hardly tell, is moved to the most likely one that can exist; how far a quantity was moved is a
+part of its sigma.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.errors import ConvergenceError
+from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.identification.rows.checks.prediction import HeldOutFit, predicted, reference_of
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.prediction import HeldOutFit, predicted, reference_of
 from onboard.identification.rows.row_blocks import RowBlocks
 
 _FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved

@@ -10,38 +10,37 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.vehicle import BaseKind
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
-from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
-from onboard.estimation.instrumental import RecursiveInstrumental
-from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.consistency import JackknifeEstimate
+from onboard.estimation.recursive.instrumental import RecursiveInstrumental
+from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.change import Change
-from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import (
-    MOST_CONTRADICTED,
     SUPPORTED_FREEDOM,
     SUPPORTED_SHRINKAGE,
     Estimate,
     Findings,
     Quantity,
 )
-from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
-from onboard.identification.rows.considered import Considered, check, of_motion
-from onboard.identification.rows.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.drawing import answered, judged_drawing, off_drawing, unstated
-from onboard.identification.rows.fitted_corrections import Fitted, FittedCorrections
+from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits
+from onboard.identification.rows.checks.prediction import prediction, without_unknown
+from onboard.identification.rows.checks.suspects import RowSuspects
+from onboard.identification.rows.found import found
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.likelihood import RowsSeen
-from onboard.identification.rows.prediction import prediction, without_unknown
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
-from onboard.identification.rows.scales import estimated_scales, fill_scales
-from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
-from onboard.identification.rows.suspects import RowSuspects
-from onboard.identification.rows.whitening import NoisyRows, Whitening
+from onboard.identification.rows.stated_errors.considered import Considered, check, of_motion
+from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors, Start
+from onboard.identification.rows.stated_errors.drawing import answered, off_drawing, unstated
+from onboard.identification.rows.stated_errors.fitted_corrections import Fitted, FittedCorrections
+from onboard.identification.rows.stated_errors.scales import estimated_scales, fill_scales
+from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken
+from onboard.identification.rows.stated_errors.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
 from onboard.regressor.rows import BaseMotion, RowModel
@@ -73,7 +72,7 @@ class Identifier:
         whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
         stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free and
             scales that are not estimated, it is taken as wide as the rows ask
-            (:mod:`onboard.identification.rows.stated`).
+            (:mod:`onboard.identification.rows.stated_errors.stated`).
         recorded_apart: rows with the payload and those without are of different recordings.
         suspects: weighs what may not be as stated; nothing is, where not given.
 
@@ -279,27 +278,8 @@ class Identifier:
         self.rows_used += y.size
 
     def findings(self) -> Findings:
-        """Reasons to refuse all estimates or to weaken them, and notes, that their intervals do not contain."""
-        said = against, doubts, told = list[str](), list[str](), list(self.taken.said)
-        share = (residual := self.refused[GateReason.RESIDUAL]) / max(self.rows_used + residual, 1)
-        if share > MOST_CONTRADICTED and self.suspects is None:
-            against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
-        if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
-            return Findings(tuple(against), ())
-        jackknife = self.block_jackknife()
-        judged: list[tuple[Sequence[str], ...]]
-        if self.suspects is None:
-            judged = [judged_fit(fit, self.correlation) for fit in self.fits(jackknife.mean)]
-        else:
-            judged = [self.suspects.judged()]
-        judged += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
-        scales, errors = {} if self.suspects else self.scales(jackknife), self.fitted_errors
-        judged += [(too_large(one), doubtful(one)) for one in (errors.in_sigmas if errors else {}, scales)]
-        for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
-            texts.extend(more)
-        if self.payload and not self.suspects and not too_large(scales) and (why := self.contradiction(jackknife)):
-            against.append(why)
-        return Findings(tuple(against), tuple(doubts), tuple(told))
+        """Findings about the estimates that their intervals do not contain."""
+        return found(self)
 
     def contradiction(self, jackknife: JackknifeEstimate) -> str:
         """Reason why the rows contradict the prior; empty where that is taken as wide as they ask."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.vehicle import BaseKind
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.instrumental import RecursiveInstrumental
+from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.identification.rows.predicted_motion import PredictedMotion
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowFold, RowModel

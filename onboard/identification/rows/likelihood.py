@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.rls import SquareRootRls
 
 
 class RowsSeen(NamedTuple):

@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, VehicleModel
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.columns import body_parameters
 from onboard.regressor.rows import BaseMotion

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.consistency import BlockScores
+from onboard.estimation.recursive.consistency import BlockScores
 
 Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None]
 """Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1), and by which sigma (m,)."""

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.inertia import RigidBody, composite_functional, elements, pseudo_inertia, take_away
-from onboard.dynamics.payload import body_jacobian, body_of, possible_body, standard_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements, pseudo_inertia, take_away
+from onboard.dynamics.model.payload import body_jacobian, body_of, possible_body, standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.rows.free_body import Whole
@@ -34,7 +34,7 @@ class LinkEstimate(NamedTuple):
 
 
 def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEstimate:
-    """Standard parameters with their body, by :func:`onboard.dynamics.payload.possible_body`."""
+    """Standard parameters with their body, by :func:`onboard.dynamics.model.payload.possible_body`."""
     if not mean[0] > 0.0:
         return LinkEstimate(link, mean, covariance, None, np.inf)
     try:

@@ -17,14 +17,14 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.joint_errors import Readings
-from onboard.dynamics.payload import possible_body
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import possible_body
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.maximum_likelihood import Descent, Fit, Normal, fit

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onboard.dynamics.vehicle import STANDARD
+from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change

@@ -1,10 +1,11 @@
 """Batch fit of a whole flight: segments with the payload held and segments without, one set of instruments and links.
 
-The likelihood of :mod:`onboard.identification.exiddm.recursive` without its linearisation errors: all unknowns are
-constant over the flight, but the base's rate at the start of each segment and the IMU's biases, and every iteration
-predicts the whole flight anew about the same estimate (Gauss-Newton, :mod:`onboard.estimation.maximum_likelihood`).
-What is flown free determines biases, scales, links and joints, and so narrows the payload's interval. All instruments
-of the predictor take part but those that are left out, be it the first IMU.
+The likelihood of :mod:`onboard.identification.exiddm.recursion.recursive` without its linearisation errors: all
+unknowns are constant over the flight, but the base's rate at the start of each segment and the IMU's biases, and every
+iteration predicts the whole flight anew about the same estimate (Gauss-Newton,
+:mod:`onboard.estimation.maximum_likelihood`). What is flown free determines biases, scales, links and joints, and so
+narrows the payload's interval. All instruments of the predictor take part but those that are left out, be it the first
+IMU.
 
 A bias is a straight line over the flight with a kink every ``KINK_s``: the sigma of a kink's change of slope is that of
 the random walk of the filter's drift, ``drift sqrt(2 KINK_s / DRIFT_MEMORY_s)``. A delay that wanders (a clock without
@@ -22,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal

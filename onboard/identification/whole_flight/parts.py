@@ -17,8 +17,8 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.whole_flight.blocks import Block, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight

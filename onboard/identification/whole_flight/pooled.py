@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.whole_flight.blocks import Block, misfit_by_instrument, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_jacobian
+from onboard.dynamics.model.inertia import elements
+from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.exiddm.prediction.further import FurtherCell

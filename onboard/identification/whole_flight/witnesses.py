@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.identification.corrections import contradicted, told, too_large

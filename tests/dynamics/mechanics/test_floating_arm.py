@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import follow, straight_line
 from onboard.dynamics.mechanics.reaction import reaction
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import START, URDF, arm, fly, spline
 

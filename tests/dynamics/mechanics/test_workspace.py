@@ -5,13 +5,13 @@ import pinocchio as pin
 import pytest
 
 from bench.block_race import BlockRace
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics import barycentric as bary
 from onboard.dynamics.mechanics import nonholonomic, workspace
 from onboard.dynamics.mechanics import virtual_manipulator as virtual
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from tests.dynamics.mechanics.mujoco_flights import START, arm, fly
 

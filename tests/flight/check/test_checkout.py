@@ -15,7 +15,7 @@ from rich.console import Console
 
 from onboard.cli import main
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.vehicle import Joint
+from onboard.dynamics.model.vehicle import Joint
 from onboard.flight.check.checkout import Bench, Lengths, Record, _pulse, checkout, render, write
 from onboard.flight.check.checkout_checks import Outcome, judge_motion, judge_tare
 from onboard.flight.check.preflight import _run_in_turn

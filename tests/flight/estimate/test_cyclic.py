@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.flight.estimate.cyclic import cyclic_functions, cyclic_of
+from onboard.flight.estimate.readings.cyclic import cyclic_functions, cyclic_of
 
 
 def test_errors_of_channels_beside_each_other_are_those_of_each_alone() -> None:

@@ -13,13 +13,13 @@ import pytest
 
 from drivers.records import Batch
 from onboard import channels, config
-from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.hand_over import HandOver, check
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.identification.change import Change
 from onboard.identification.quantities import BODY, BODY_UNITS
 

@@ -20,9 +20,9 @@ from onboard.flight.store.flight_log import Started, open_recorder, preamble, st
 from onboard.flight.store.harvest import harvest
 from onboard.flight.supervise import runner
 from onboard.flight.supervise.runner_processes import FlightError
+from onboard.recording.format.segments import segments
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble, SegmentedLog
-from onboard.recording.segments import segments
 from onboard.ring import RingReader, RingWriter
 from tests.flight.missions import Result
 

@@ -18,8 +18,8 @@ from onboard import cli, config
 from onboard.flight.supervise.runner_forks import ForkServer
 from onboard.flight.supervise.runner_processes import Worker
 from onboard.ground.log.views.info import info
+from onboard.recording.format.segments import segment_path
 from onboard.recording.reader import LogReader
-from onboard.recording.segments import segment_path
 from tests.flight import forked
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]

@@ -7,7 +7,7 @@ import pytest
 import heft
 from drivers import records
 from onboard.channels import QUANTITY
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.writer import LogWriter
 
 WALL_NS = 1_795_190_705_000_000_000

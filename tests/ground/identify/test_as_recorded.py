@@ -8,8 +8,8 @@ import pytest
 from drivers.records import SCALAR
 from onboard import config
 from onboard.devices.recorded import RecordedAngle, RecordedDevice
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.stuck import StuckWatch
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.stuck import StuckWatch
 from onboard.ground.before.init.vehicle import Wanted, make
 from onboard.ground.identify.replay.as_recorded import as_recorded, quantum_of
 from onboard.recording.reader import LogReader

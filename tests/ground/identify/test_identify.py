@@ -11,7 +11,7 @@ import pytest
 from bench import spoilt_throws
 from drivers.records import IMU, SCALAR
 from onboard import cli, config
-from onboard.dynamics.inertia import RigidBody, parallel_axis, symmetric
+from onboard.dynamics.model.inertia import RigidBody, parallel_axis, symmetric
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.identify_view import render
@@ -20,7 +20,7 @@ from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.identification.rows.free_body import FREE_BODY, whole_body
 from onboard.identification.standing import Level
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.ground.identify import throws

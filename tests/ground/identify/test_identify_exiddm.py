@@ -14,16 +14,16 @@ from drivers.records import IMU, SCALAR
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
 from onboard import channels, cli, config
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.likelihood_log import longest_held
 from onboard.identification.change import Change
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.standing import Level
 from onboard.identification.whole_flight import witnesses
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from onboard.config.parabola import Parabola
+from onboard.config.bases.parabola import Parabola
 from onboard.ground.identify.kinds.parabolas import Stage, cut, stages
 from onboard.identification.exiddm.prediction.ticks import Ticks
 

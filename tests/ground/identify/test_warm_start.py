@@ -7,7 +7,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard import cli, config
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store.flight_log import preamble
 from onboard.ground.identify.identify import identify
@@ -16,7 +16,7 @@ from onboard.ground.identify.replay.warm_start import go_on
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.standing import Level
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import PAYLOAD, twin

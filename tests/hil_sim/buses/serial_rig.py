@@ -3,7 +3,7 @@
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS
 

@@ -8,7 +8,7 @@ from hil_sim.buses.serial_port import PtySerial, VirtualSerial, install_serial
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault
 from tests.hil_sim.buses.serial_rig import FAST, Rig
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu

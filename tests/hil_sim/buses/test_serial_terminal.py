@@ -8,7 +8,7 @@ import serial
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.buses.serial_rig import Echo
 from tests.hil_sim.devices.serial_bench import RealTime

@@ -3,7 +3,7 @@
 import threading
 import time
 
-from hil_sim.devices.serial_line.serial_wire import SerialWire
+from hil_sim.devices.serial_wire import SerialWire
 from tests.hil_sim.devices.twin_bench import MS, START_NS
 
 

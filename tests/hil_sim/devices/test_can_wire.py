@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.canopen.can_wire import CanWire
-from hil_sim.devices.canopen.frame_length import crc15, frame_bits
+from hil_sim.devices.can_bus.can_wire import CanWire
+from hil_sim.devices.can_bus.frame_length import crc15, frame_bits
 from hil_sim.faults import NEVER
 from tests.hil_sim.devices.twin_bench import START_NS
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

@@ -14,7 +14,7 @@ from pymodbus.client import ModbusSerialClient
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.devices.serial_line.modbus_load_cell import DIVISIONS, ModbusLoadCellTwin, crc16
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line, RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

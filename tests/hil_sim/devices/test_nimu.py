@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.serial_line.nimu import NimuTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, StairImu

@@ -13,7 +13,7 @@ from cobs import cobs
 from hypothesis import given
 
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType, crc16, frame, stuff
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

@@ -10,7 +10,7 @@ from hypothesis import given
 
 from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.media import CanBus
-from hil_sim.devices.canopen.frame_length import frame_bits
+from hil_sim.devices.can_bus.frame_length import frame_bits
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.twin_bench import START_NS, Analog, CanRig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.drivers.pose_model import x25
 from tests.hil_sim.devices.serial_bench import Line

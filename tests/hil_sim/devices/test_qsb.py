@@ -3,7 +3,7 @@
 import pytest
 
 from hil_sim.devices.serial_line.qsb import TICK_512_HZ, TICK_1900_US
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError
 from tests.hil_sim.devices.qsb_bench import COUNT, FREE_X4, Bench, data_of, faults
 

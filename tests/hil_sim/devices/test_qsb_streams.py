@@ -10,7 +10,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault
 from tests.hil_sim.devices.qsb_bench import COUNT, FREE_X4, Bench, data_of, faults, stamp_of
 from tests.hil_sim.devices.twin_bench import MS, START_NS

@@ -11,7 +11,7 @@ from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.serial_line.qsb import QsbTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import START_NS, Analog, RateClock, StairImu

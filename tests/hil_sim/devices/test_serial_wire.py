@@ -10,7 +10,7 @@ from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_line.serial_wire import LineFormat, SerialWire, hear, waveform
+from hil_sim.devices.serial_wire import LineFormat, SerialWire, hear, waveform
 from hil_sim.faults import NO_FAULTS, Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu

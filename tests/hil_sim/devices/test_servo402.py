@@ -10,7 +10,7 @@ from canopen.profiles.p402 import BaseNode402
 
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.faults import Fault, FaultPlan
-from hil_sim.plants.servo_axis import ServoAxis
+from hil_sim.plants.drives.servo_axis import ServoAxis
 from tests.hil_sim.devices.test_drive402 import dictionary, mask, network
 from tests.hil_sim.devices.twin_bench import START_NS, CanRig
 

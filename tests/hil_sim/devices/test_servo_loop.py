@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.canopen.servo_loop import ServoLoop
-from hil_sim.plants.servo_axis import STEP_S, ServoAxis
+from hil_sim.plants.drives.servo_axis import STEP_S, ServoAxis
 
 PERIOD_S = 0.005
 RATE = 0.6  # rad/s

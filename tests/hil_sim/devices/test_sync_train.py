@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from hil_sim.devices.can_bus.frame_length import frame_bits, frames_bits
 from hil_sim.devices.canopen.arm_controller import ArmController
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
-from hil_sim.devices.canopen.frame_length import frame_bits, frames_bits
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.devices.canopen.reaction_wheel import ReactionWheel
 from hil_sim.devices.sync.sync_box import SyncBox

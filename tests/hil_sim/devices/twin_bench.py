@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
-from hil_sim.devices.canopen.can_wire import CanTalker, CanWire
+from hil_sim.devices.can_bus.can_wire import CanTalker, CanWire
+from hil_sim.devices.can_bus.sync_train import WireFrame
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
-from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable

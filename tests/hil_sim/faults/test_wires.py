@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil_sim.buses.media import CanBus, I2cBus
-from hil_sim.devices.canopen.can_wire import Babbler, CanWire
+from hil_sim.devices.can_bus.can_wire import Babbler, CanWire
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.faults import Fault
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil_sim.plants.carrier import turned
+from hil_sim.plants.motions.carrier import turned
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.load import load
 from tests.hil_sim import built

@@ -9,8 +9,8 @@ import pytest
 import onboard
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import free_flyer, urdf_drawing
-from hil_sim.plants.actuators import Actuators, Hold, Pulse, Wheel
-from hil_sim.plants.attitude import Wheels
+from hil_sim.plants.motions.attitude import Wheels
+from hil_sim.plants.parts.actuators import Actuators, Hold, Pulse, Wheel
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.plants.vehicle_plant import VehiclePlant
@@ -18,7 +18,7 @@ from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import AttitudeTable
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 
 URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex_wheels" / "dymaflex.urdf"
 PLACES_m = ((0.1, 0.1, -0.1), (-0.1, 0.1, -0.1), (0.0, -0.1, -0.1))

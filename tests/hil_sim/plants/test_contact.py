@@ -6,10 +6,10 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from hil_sim.plants.body import Body
-from hil_sim.plants.contact import Contact
 from hil_sim.plants.events import events
-from hil_sim.plants.exchange import Released
-from hil_sim.plants.soft_parts import SoftParts
+from hil_sim.plants.parts.contact import Contact
+from hil_sim.plants.parts.exchange import Released
+from hil_sim.plants.parts.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError

@@ -6,8 +6,8 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from hil_sim.plants.body import Body
-from hil_sim.plants.driven_vehicle import Drivable, Drive, DrivenVehicle
-from hil_sim.plants.servo_axis import ServoAxis
+from hil_sim.plants.drives.driven_vehicle import Drivable, Drive, DrivenVehicle
+from hil_sim.plants.drives.servo_axis import ServoAxis
 
 ONE = (
     '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" type="hinge" axis="0 0 1"/>'

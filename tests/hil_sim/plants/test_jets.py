@@ -8,7 +8,7 @@ import pytest
 
 import onboard
 from hil_sim.devices.vehicle_file import rehearsal
-from hil_sim.plants.jets import RISE_s
+from hil_sim.plants.parts.jets import RISE_s
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.tables import ScenarioError
 

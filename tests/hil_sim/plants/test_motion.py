@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from hil_sim.plants import carrier
-from hil_sim.plants.carrier import Carrier, carried, turned
-from hil_sim.plants.joint_swings import JointSwings
-from hil_sim.plants.motion import STANDARD_GRAVITY, dynamic_pressure
+from hil_sim.plants.motions import carrier
+from hil_sim.plants.motions.carrier import Carrier, carried, turned
+from hil_sim.plants.motions.joint_swings import JointSwings
+from hil_sim.plants.motions.motion import STANDARD_GRAVITY, dynamic_pressure
 from hil_sim.plants.urdf_drawing import read
 from hil_sim.scenario.load import load
 from tests.hil_sim.plants.rocket import NO_AIR, NO_VIBRATION

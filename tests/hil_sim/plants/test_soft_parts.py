@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from hil_sim.plants.soft_parts import Slosh, SoftParts
+from hil_sim.plants.parts.soft_parts import Slosh, SoftParts
 from hil_sim.plants.urdf_model import UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError

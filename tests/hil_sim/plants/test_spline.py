@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-from hil_sim.plants.spline import CubicSpline
+from hil_sim.plants.motions.spline import CubicSpline
 
 
 @pytest.mark.parametrize("clamped", [False, True])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer, urdf_drawing
-from hil_sim.plants.exchange import Released
+from hil_sim.plants.parts.exchange import Released
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard import config

@@ -3,9 +3,9 @@
 import numpy as np
 
 from hil_sim.plants import free_flyer
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.payload import standard_covariance, standard_of
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_covariance, standard_of
 from onboard.identification.exiddm.before_capture import Payload, Zeros, before_capture
 from tests.identification.exiddm.recorded_flights import BIASED, online, recorded, ticks_of
 

@@ -3,14 +3,14 @@
 import numpy as np
 
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
-from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.model.payload import standard_covariance
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from tests.dynamics.free_flyer_twin import URDF
 
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])

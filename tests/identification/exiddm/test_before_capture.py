@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.dynamics.errors import SignalError
+from onboard.dynamics.model.errors import SignalError
 from onboard.ground.identify.identify_view import _within
 from tests.identification.exiddm.captures import LARGE, Case
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from onboard.identification.exiddm.claims import after_a_change, kind_of
-from onboard.identification.exiddm.window import Hypothesis
+from onboard.identification.exiddm.recursion.claims import after_a_change, kind_of
+from onboard.identification.exiddm.recursion.window import Hypothesis
 
 NOTHING, SAME, NEW = Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW
 

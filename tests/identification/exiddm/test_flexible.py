@@ -7,7 +7,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard import config
-from onboard.flight.estimate.identification import build_exiddm, build_online
+from onboard.flight.estimate.problem.identification import build_exiddm, build_online
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import UnknownFrameError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
-from onboard.identification.exiddm import linearised as module
-from onboard.identification.exiddm.linearised import Linearised
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.recursion import linearised as module
+from onboard.identification.exiddm.recursion.linearised import Linearised
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
 LINKS = ["base", *(f"link_{k}" for k in range(1, 6))]

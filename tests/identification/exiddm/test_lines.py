@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.lines import InnovationLines
+from onboard.identification.exiddm.recursion.lines import InnovationLines
 
 PERIOD_s, BATCH = 0.01, 10
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_jacobian, body_of
+from onboard.dynamics.model.inertia import elements
+from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.identification.corrections import contradicted, told
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against

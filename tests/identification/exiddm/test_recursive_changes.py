@@ -9,7 +9,7 @@ from hil_sim.plants import free_flyer
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.snapshots import Before
+from onboard.identification.exiddm.recursion.snapshots import Before
 from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import PRIOR, CAPTURE_s, RELEASE_s, online, recorded, ticks_of

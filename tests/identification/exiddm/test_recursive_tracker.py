@@ -8,14 +8,14 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.tracked_pose import LINES
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.further import FurtherPose, PosePrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
-from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.trials import CellTrials, Trial, Trials, trials_of
-from onboard.identification.exiddm.window import Hypothesis
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.trials import CellTrials, Trial, Trials, trials_of
+from onboard.identification.exiddm.recursion.window import Hypothesis
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import BIASES, WIDE, online, recorded, ticks_of
 

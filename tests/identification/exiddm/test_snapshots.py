@@ -3,7 +3,7 @@
 import numpy as np
 
 from onboard.flight.estimate.state import Places, from_bytes, to_bytes
-from onboard.identification.exiddm.snapshots import TIERS, Snapshots
+from onboard.identification.exiddm.recursion.snapshots import TIERS, Snapshots
 
 
 def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(rng):

@@ -2,9 +2,9 @@
 
 import pytest
 
-from onboard.identification.exiddm import stepped as module
-from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.stepped import Stepped
+from onboard.identification.exiddm.recursion import stepped as module
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursion.stepped import Stepped
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
 BATCH, LENGTH_s = 10, 4.0

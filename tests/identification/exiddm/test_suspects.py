@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.dynamics.payload import body_of
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.dynamics.model.payload import body_of
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.suspects import ALL_MASSES, Rivals, suspects_of
 

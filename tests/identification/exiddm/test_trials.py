@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.trials import CellTrials, Trial, Trials
-from onboard.identification.exiddm.window import Hypothesis, Solved
+from onboard.identification.exiddm.recursion.trials import CellTrials, Trial, Trials
+from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
 HYPOTHESES = (Hypothesis.SAME,)
 

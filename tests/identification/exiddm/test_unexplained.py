@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.lines import Unexplained, line_of
+from onboard.identification.exiddm.recursion.lines import Unexplained, line_of
 
 PERIOD_s = 0.01
 

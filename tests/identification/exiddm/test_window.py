@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from onboard.estimation.maximum_likelihood import Descent
-from onboard.identification.exiddm import pieces
-from onboard.identification.exiddm import window as windows
-from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve, _Problem
+from onboard.identification.exiddm.recursion import pieces
+from onboard.identification.exiddm.recursion import window as windows
+from onboard.identification.exiddm.recursion.pieces import Pieces
+from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve, _Problem
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.identification.quantities import Findings, mass_quantities
-from onboard.identification.rows.agreement import instrument_fits, judged_fit
+from onboard.identification.rows.checks.agreement import instrument_fits, judged_fit
 from onboard.identification.rows.hypotheses import Hypotheses, Member
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks

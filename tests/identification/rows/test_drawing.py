@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.identification.quantities import Findings
-from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.stated_errors.considered import Considered
 from tests.identification.rows.test_identifier import feed, flight, identifier, part, setup
 
 CAUSES = (

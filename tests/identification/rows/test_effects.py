@@ -6,9 +6,9 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.planned import default_plan
 from onboard import config
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.gates import GateReason, reasons
-from onboard.flight.estimate.identification import build_identifier
+from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.before.foresee.plan import Plan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import Wanted, make

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from onboard.identification.rows import fitted_corrections
-from onboard.identification.rows.considered import Considered
-from onboard.identification.rows.fitted_corrections import FittedCorrections
+from onboard.identification.rows.stated_errors import fitted_corrections
+from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.fitted_corrections import FittedCorrections
 
 TOLD = Considered("scale of a", "cell", "scale", 0.1)
 HIDDEN = Considered("scale of b", "cell", "scale", 0.1)  # its effect is the first parameter's

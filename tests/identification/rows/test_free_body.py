@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import RigidBody, elements, parallel_axis, principal_moments, symmetric
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.estimation.consistency import Interval
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.inertia import RigidBody, elements, parallel_axis, principal_moments, symmetric
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.recursive.consistency import Interval
 from onboard.identification.rows.free_body import (
     FREE_BODY,
     KnownBody,

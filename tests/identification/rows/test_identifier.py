@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
-from onboard.dynamics.errors import SignalError, UnknownFrameError
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import RowError
 from onboard.estimation.gates import GateReason
-from onboard.estimation.memory import Memory
+from onboard.estimation.recursive.memory import Memory
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
-from onboard.identification.rows.considered import Considered, columns
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.stated_errors.considered import Considered, columns
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import BaseMotion, RowModel, base_motion, load_cell_row

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.rls import SquareRootRls
-from onboard.identification.rows.considered import Considered
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated import Stated, StatedSigmas, Taken
+from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken
 from onboard.regressor.base_parameters import BaseParameters
 
 NOISE, SIGMA = 1e-3, 0.01  # of the rows; of both parameters, drawn as one

@@ -8,16 +8,16 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from hil_sim.plants.body import Body
-from onboard.dynamics.inertia import RigidBody, elements
-from onboard.dynamics.payload import body_of
-from onboard.dynamics.urdf import with_bodies
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.rows import kept_ticks, suspects
-from onboard.identification.rows.considered import Considered
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import body_of
+from onboard.dynamics.model.urdf import with_bodies
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.rows.checks import kept_ticks, suspects
+from onboard.identification.rows.checks.kept_ticks import KeptTicks, Ticks
+from onboard.identification.rows.checks.remade import RowsRemade, turned
+from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.kept_ticks import KeptTicks, Ticks
-from onboard.identification.rows.remade import RowsRemade, turned
-from onboard.identification.rows.suspects import RowSuspects
+from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.standing import Level, standing
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root

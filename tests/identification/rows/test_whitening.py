@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from onboard.estimation.smoothing import Response, SmoothingWindow, correlation_inflation
-from onboard.identification.rows.whitening import NoisyRows, Whitening
+from onboard.identification.rows.stated_errors.whitening import NoisyRows, Whitening
 from onboard.regressor.rows import BaseMotion
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, orders_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.payload import standard_of
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.pooled import Pool
 from tests.dynamics.free_flyer_twin import BOX

@@ -6,9 +6,9 @@ import pytest
 from drivers.records import IMU, SCALAR
 from onboard import config
 from onboard.devices import si
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import _values
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import _values
 from onboard.ground.log.tables.columns import columns
 from onboard.ground.log.tables.meaning import Meaning
 

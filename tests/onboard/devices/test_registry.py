@@ -9,8 +9,9 @@ import pytest
 
 from onboard import config
 from onboard.config import loader
-from onboard.devices import canopen, recorded, registry
+from onboard.devices import recorded, registry
 from onboard.devices.base import BusDevice, DeviceSection
+from onboard.devices.can import canopen
 from onboard.devices.registry import DEVICES, GROUP, from_elsewhere, kind_of
 
 VANE = """

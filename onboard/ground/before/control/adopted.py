@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, symmetric
-from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.model.inertia import RigidBody, symmetric
+from onboard.dynamics.model.urdf import with_bodies
 from onboard.ground.identify.mission.mission_table import last_answers
 from onboard.ground.log.tables import truth
 from onboard.identification.standing import Level

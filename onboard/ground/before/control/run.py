@@ -24,9 +24,9 @@ from onboard.devices.base import JointDevice
 from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire
 
 PERIOD_S: Final = 1e-3 * PERIOD_MS

@@ -14,16 +14,16 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_jacobian, standard_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_jacobian, standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.identification import build_exiddm, channels_of
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import CYCLIC_LEFT, kernel_of
-from onboard.flight.estimate.torques import TorqueLines
+from onboard.flight.estimate.problem.identification import build_exiddm, channels_of
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
+from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.ground.before.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
 from onboard.identification.exiddm.prediction.further import Further

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import onboard
 from onboard import config
-from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.model.inertia import RigidBody
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
 from onboard.identification.standing import Level
 

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.kinematics import link_motions, turned
-from onboard.dynamics.payload import body_of
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import body_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import Response, SmoothingWindow
-from onboard.flight.estimate.identification import build_model
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import kernel_of
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
 from onboard.identification.standing import Level, standing
 from onboard.identification.useful import Useful, sizes

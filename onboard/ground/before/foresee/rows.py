@@ -4,9 +4,9 @@ Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters
 sigmas that the stated noise has behind the smoothing kernel. None is drawn: what it does to the regressor is taken in
 as its mean, and what is reported is the formal covariance, with prior and considered calibrations in it.
 
-Where rows are filtered (:mod:`onboard.identification.rows.whitening`) all ticks are taken, or, coarse, those given
-stand for the many that fit between them: their noise is white, smaller by that number, and without what differentiated
-samples add.
+Where rows are filtered (:mod:`onboard.identification.rows.stated_errors.whitening`) all ticks are taken, or, coarse,
+those given stand for the many that fit between them: their noise is white, smaller by that number, and without what
+differentiated samples add.
 """
 
 import copy
@@ -20,15 +20,15 @@ from onboard import config
 from onboard.devices.roles import TorqueKeys
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.identification import build_identifier
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import kernel_of
+from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.before.foresee.plan import (
     UNDETERMINED,
     Expected,

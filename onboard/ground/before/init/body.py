@@ -8,7 +8,7 @@ from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from onboard import config
-from onboard.config import schema
+from onboard.config.keys import schema
 from onboard.ground.before.init.drawing import Drawn, with_frame
 from onboard.ground.before.init.vehicle import write_files
 

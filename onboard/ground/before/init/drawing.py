@@ -14,11 +14,11 @@ import numpy as np
 
 from onboard import config
 from onboard.config.text import MOST_BYTES_URDF
-from onboard.dynamics import urdf_check, urdf_reading
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.urdf import with_bodies
-from onboard.dynamics.urdf_reading import DrawingError
-from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model import urdf_check, urdf_reading
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.urdf import with_bodies
+from onboard.dynamics.model.urdf_reading import DrawingError
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 
 PLACEHOLDER = RigidBody(10.0, np.zeros(3), 0.2 * np.eye(3))  # of a base that weighs nothing
 

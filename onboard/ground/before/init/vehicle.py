@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from onboard import config
-from onboard.config import schema
-from onboard.flight.estimate.identification import build_online
+from onboard.config.keys import schema
+from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing
 from onboard.ground.before.init.devices import NewDevice
 from onboard.ground.before.init.drawing import Drawn

@@ -12,9 +12,9 @@ from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import TipMotion, follow, straight_line
 from onboard.dynamics.mechanics.reaction import reaction
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.mechanics.counts import closed_forms
 
 FOLLOWED_M = 1e-3  # what the inverse kinematics keeps where the arm can (docs/mechanics.md, 2.94)

@@ -12,12 +12,12 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.free_flight import predict_base_from_rate
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.free import Noise, body_covariance, fly
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan

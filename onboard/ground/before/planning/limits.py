@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from onboard import config
 from onboard.config import text
-from onboard.dynamics.errors import UnknownFrameError
-from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
+from onboard.dynamics.model.errors import UnknownFrameError
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion
 from onboard.section import Positive, Real, Section, Vector3

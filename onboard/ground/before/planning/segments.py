@@ -12,9 +12,9 @@ import numpy as np
 
 from onboard import config
 from onboard.config.segments import Library
-from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.model.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, FreeBound
 from onboard.ground.before.planning.limits import Limits

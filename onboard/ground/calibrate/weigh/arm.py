@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.urdf_reading import plain, read
+from onboard.dynamics.model.urdf_reading import plain, read
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.errors import PosesError

@@ -19,8 +19,8 @@ from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.identification.evidence.policy import ODDS, ODDS_OF_PART
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
+from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.prediction import HeldOutFit
 
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 MOST_POSES = 3000

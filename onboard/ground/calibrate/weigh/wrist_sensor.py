@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys, LoadCellRole, SmoothedChannel
-from onboard.dynamics.urdf_reading import plain, read
-from onboard.dynamics.vehicle import NAMED
+from onboard.dynamics.model.urdf_reading import plain, read
+from onboard.dynamics.model.vehicle import NAMED
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.weigh.arm import Arm, moved, orientation
 from onboard.ground.calibrate.weigh.errors import PosesError
 

@@ -5,21 +5,21 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.answers import change_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import METHODS, build_model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import METHODS, build_model
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM, runs_of
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.table.run import TableRun
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 

@@ -8,12 +8,12 @@ from scipy.special import ndtri, stdtrit
 from drivers.records import Rows, SampleStatus
 from onboard import config
 from onboard.devices.recorded import ThrusterKeys
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
-from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Answer, Identified, standings
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, Poses, WINDOW_s
 from onboard.identification.body.valves import Valve, valve_of_on_times
@@ -22,7 +22,7 @@ from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import WORST_MISFIT, Evidence, verdict
 from onboard.identification.windows import against
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 _LEVEL = 0.95

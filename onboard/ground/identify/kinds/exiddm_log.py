@@ -15,14 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.errors import ModelError, SignalError
+from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.likelihood_log import (
     LONGEST_S,
@@ -46,11 +46,11 @@ from onboard.identification.exiddm.before_capture import (
     Zeros,
     before_capture,
 )
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight

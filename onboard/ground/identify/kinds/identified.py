@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.vehicle import STANDARD
+from onboard.dynamics.model.inertia import elements
+from onboard.dynamics.model.vehicle import STANDARD
 from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
 from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.exiddm.before_capture import BeforeCapture

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from onboard.dynamics.errors import ModelError
-from onboard.dynamics.inertia import RigidBody, elements
-from onboard.dynamics.payload import BodyEstimate
+from onboard.dynamics.model.errors import ModelError
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.rls import Observability
+from onboard.estimation.recursive.rls import Observability
 from onboard.ground.identify.kinds.identified import Answer, Identified, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from onboard.config.parabola import Parabola
+from onboard.config.bases.parabola import Parabola
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.free_fall import is_free
 from onboard.identification.exiddm.prediction.ticks import Ticks

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
 from onboard.ground.identify.kinds.identified import Answer, Identified, RunAnswer
 from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, no_answer, told

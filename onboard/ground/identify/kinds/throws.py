@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, elements, symmetric
+from onboard.dynamics.model.inertia import RigidBody, elements, symmetric
 from onboard.identification.corrections import contradicted
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.free_body import (

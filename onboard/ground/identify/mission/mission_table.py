@@ -24,9 +24,9 @@ from onboard.ground.identify.mission import accounts, own_mission
 from onboard.ground.identify.mission.answered import SECTIONS, answered, error, error_told, published_of
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.ground.log.views.standing import answers_of
-from onboard.recording.errors import LogFormatError
+from onboard.recording.format.errors import LogFormatError
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 Result = dict[str, Any]
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody, composite_functional, elements
-from onboard.dynamics.payload import body_of, standard_of
-from onboard.dynamics.vehicle import STANDARD, VehicleModel
+from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements
+from onboard.dynamics.model.payload import body_of, standard_of
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_identifier, build_model, build_online
+from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
 from onboard.ground.identify.identify import likelihood_of
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.pivot.online import PivotRun

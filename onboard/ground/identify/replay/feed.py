@@ -11,10 +11,10 @@ from drivers.records import Batch
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.source import Interleaved
 from onboard.ground.log.tables.vehicle_file import require_kinds
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 _LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step

@@ -21,8 +21,8 @@ from onboard.ground.identify.replay.replay import Pass, steps
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import require_kinds, vehicle_of
 from onboard.ground.log.views.summary import LogOverview, count_gates, summary
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 _ABSENT = "not set"
 

@@ -23,7 +23,7 @@ from onboard.flight.store.flight_log import computed_on
 from onboard.ground.identify.replay.comparison import Comparison
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import require_kinds, vehicle_of
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])

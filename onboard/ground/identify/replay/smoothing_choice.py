@@ -14,11 +14,11 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.replay.feed import feed
+from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.prediction import predicted, reference_of
 from onboard.recording.reader import LogReader
 
 WIDTHS_ms = (100.0, 200.0, 400.0, 800.0)

@@ -21,11 +21,11 @@ from scipy.special import ndtri
 from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_online
+from onboard.flight.estimate.problem.identification import build_online
 from onboard.identification.exiddm.captured_body import NAMES
-from onboard.identification.rows.considered_errors import Start
 from onboard.identification.rows.identifier import Identifier
-from onboard.recording.errors import ChannelError
+from onboard.identification.rows.stated_errors.considered_errors import Start
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 COMMON_ERRORS = 3.0

@@ -13,7 +13,7 @@ from onboard.ground.log.bring_in import foreign
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.mapping import NS_PER, ImuChannel, Scalar, ScalarChannel, Time, VectorMapping
 from onboard.ground.log.bring_in.text_rows import Values
-from onboard.recording.decode import FARTHEST_NS
+from onboard.recording.format.decode import FARTHEST_NS
 
 _MOST_ROUNDED = 0.1  # rms of what rounding takes away, of the rms of the values
 _MOST_OFF = 0.01  # of a unit quaternion's length

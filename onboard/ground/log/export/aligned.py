@@ -17,15 +17,15 @@ from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.export import opener
 from onboard.ground.log.export.dump import DumpResult, begin
 from onboard.ground.log.tables.columns import TIME_FIELD, Column, time_columns
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.selection import Selection, inside
 from onboard.ground.log.tables.vehicle_time import UNKNOWN, Timed, timed
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 _IMU_UNITS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 _MARGIN_NS = 100_000_000  # history kept: longest filter delay, half a period, a few samples

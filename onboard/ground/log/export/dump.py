@@ -18,8 +18,8 @@ from onboard.ground.log.export import TableWriter, legend, opener
 from onboard.ground.log.tables.columns import Column
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.selection import Selection
+from onboard.recording.format.scan import Damage
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Damage
 
 _BLOCK_ROWS = 16384
 _BLOCK_BYTES = 4 << 20

@@ -21,7 +21,7 @@ from drivers.records import Rows
 from onboard.devices import si
 from onboard.devices.roles import ANGLE
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.export.aligned import aligned
 from onboard.ground.log.export.dump import DumpResult, begin
 from onboard.ground.log.tables.columns import TIME_FIELD, Column

@@ -15,9 +15,9 @@ from scipy.interpolate import CubicSpline
 
 from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.payload import standard_of
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.smoothing import smooth

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from drivers.records import EVENT, GAP, SCALAR, Rows
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
 from onboard.ground.log.rescue.merge import Merged, Part
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 

@@ -16,10 +16,10 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, Batch, Rows
 from onboard.channels import CLOCK
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
+from onboard.recording.format.scan import Damage
+from onboard.recording.format.segments import END, METADATA, RECORDED
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Damage
-from onboard.recording.segments import END, METADATA, RECORDED
 from onboard.recording.writer import LogWriter
 
 NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a channel, as records hold it

@@ -17,11 +17,11 @@ from drivers.records import IMU, SCALAR
 from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import ANGLE, RATE
-from onboard.dynamics.payload import BodyEstimate
+from onboard.dynamics.model.payload import BodyEstimate
+from onboard.dynamics.model.vehicle import BaseKind, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel as Model
 from onboard.dynamics.ticks import FlightSignals
-from onboard.dynamics.vehicle import BaseKind, VehicleSpec
-from onboard.dynamics.vehicle import VehicleModel as Model
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.ground.log.rescue.sampled import sampled
 from onboard.identification.exiddm.batch import Exiddm

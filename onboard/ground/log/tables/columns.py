@@ -17,7 +17,7 @@ from drivers.records import Rows
 from onboard.devices import si
 from onboard.ground.log.tables.meaning import Meaning
 from onboard.ground.log.tables.vehicle_time import UNKNOWN
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 
 Values = NDArray[np.generic]
 

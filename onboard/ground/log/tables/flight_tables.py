@@ -13,9 +13,9 @@ from onboard.ground.log.tables.meaning import Meaning, meanings
 from onboard.ground.log.tables.selection import Selection, inside, span_of
 from onboard.ground.log.tables.vehicle_file import attached_vehicle, require_kinds
 from onboard.ground.log.tables.vehicle_time import UNKNOWN, clocked, timed
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
+from onboard.recording.format.wall_clock import utc_offset_ns
 from onboard.recording.reader import LogReader
-from onboard.recording.wall_clock import utc_offset_ns
 
 
 class FlightTables:

@@ -8,7 +8,7 @@ from drivers.records import PULSE
 from onboard import config
 from onboard.channels import HEALTH, HEALTH_STREAM
 from onboard.devices.roles import Roles, SmoothedChannel
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.vehicle_time import clocked
 from onboard.recording.reader import LogReader
 

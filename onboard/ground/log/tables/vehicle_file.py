@@ -6,7 +6,7 @@ from pathlib import Path
 
 from onboard import config
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 MOST_NAME_BYTES = 255  # of a file, by Linux

@@ -18,9 +18,9 @@ from scipy import stats
 
 from onboard.ground.log.views.info import LogInfo, info
 from onboard.ground.log.views.summary import LogOverview, summary
+from onboard.recording.format.scan import Damage
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Damage
-from onboard.recording.texts import printable
 
 LEVEL = 1.96  # sigmas of a 95 % interval
 DISAGREE = 0.01  # chance that flights of one value scatter so widely, below which it is said

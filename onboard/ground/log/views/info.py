@@ -13,10 +13,10 @@ from rich.text import Text
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.views.continuity import NO_RANGES, Continuity, Ranges, common, count, union
+from onboard.recording.format.scan import Damage
+from onboard.recording.format.schema import message_name
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.scan import Damage
-from onboard.recording.schema import message_name
-from onboard.recording.texts import printable
 
 _EVENTS_KEPT = 6
 _MODES_KEPT = 50

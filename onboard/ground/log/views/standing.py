@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from onboard.identification.standing import LEVELS, Level, Standing
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 
 
 def standing_of(row: np.void) -> Standing | None:

@@ -17,8 +17,8 @@ from onboard.ground.log.tables.thin import Thinned
 from onboard.ground.log.tables.vehicle_file import attached_vehicle
 from onboard.ground.log.views.health import HealthSummary, is_health
 from onboard.ground.log.views.standing import is_withdrawn, shown, standing_of
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 from onboard.timebase.delays import Delay
 

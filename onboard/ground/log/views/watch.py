@@ -22,7 +22,7 @@ from onboard.flight.health.status import standing
 from onboard.ground.log.views.health import PROCESSES, is_health
 from onboard.ground.log.views.standing import is_withdrawn, standing_of
 from onboard.identification.standing import Level
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
 _RATE_NS = 2_000_000_000  # window for rates and gate shares

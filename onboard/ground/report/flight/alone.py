@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import BlockScores, JackknifeEstimate
-from onboard.estimation.memory import FOR_EVER
-from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate
+from onboard.estimation.recursive.memory import FOR_EVER
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.ground.report.flight.flight_data import SweepData
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.identifier import Identifier

@@ -15,7 +15,7 @@ from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
 from onboard.ground.report.flight.alone import Alone
 from onboard.ground.report.flight.figures import legend, second_axis, shade
 from onboard.ground.report.flight.flight_data import FlightData, SweepData
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 
 _LINES = 4  # sweeps per axes
 GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}

@@ -5,7 +5,7 @@ import json
 import numpy as np
 from matplotlib.figure import Figure
 
-from onboard.dynamics.skeleton import Skeleton, skeleton
+from onboard.dynamics.model.skeleton import Skeleton, skeleton
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots

@@ -15,7 +15,7 @@ from onboard.ground.drawing.theme import COLOUR, CYCLE, WIDTH_IN, subplots
 from onboard.ground.log.tables.thin import Trace
 from onboard.ground.log.views.summary import reason_words
 from onboard.ground.report.flight.flight_data import FlightData, SweepData
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
 STATE_COLOUR = {

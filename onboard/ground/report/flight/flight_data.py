@@ -12,11 +12,11 @@ from drivers.records import EVENT, GAP, IMU, SCALAR, Batch, Rows, Severity
 from onboard import channels, config
 from onboard.devices import si
 from onboard.devices.roles import Roles
-from onboard.dynamics.errors import ModelError
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.errors import ModelError
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import KERNELS_PER_BLOCK, build_online
-from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.problem.identification import KERNELS_PER_BLOCK, build_online
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables import truth as true
 from onboard.ground.log.tables.phases import Phase, phases_of
 from onboard.ground.log.tables.thin import Envelope, Thinned, Trace
@@ -25,8 +25,8 @@ from onboard.ground.log.views.health import HealthSummary, is_health
 from onboard.ground.log.views.info import LogInfo, info
 from onboard.ground.report.flight.streams import Intervals, Spectrum
 from onboard.identification.rows.identifier import Identifier
+from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
-from onboard.recording.texts import printable
 
 _EVENTS_KEPT = 200
 _CHANGES = (b"capture", b"ejection")

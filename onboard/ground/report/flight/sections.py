@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from drivers.records import Severity
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.gates import GateReason
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
@@ -19,7 +19,7 @@ from onboard.ground.report.flight.compared import Compared, compared, truths_of
 from onboard.ground.report.flight.flight_data import FlightData
 from onboard.ground.report.flight.health import health
 from onboard.ground.report.flight.sweeps import by_sweep
-from onboard.recording.texts import printable
+from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
 _EVENTS_SHOWN = 40

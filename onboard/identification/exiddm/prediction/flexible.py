@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.compliance import Bend, Compliance, Moved, Springs, Told
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.vehicle import VehicleModel
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, Layout, SpringPrior
 

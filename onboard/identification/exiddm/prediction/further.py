@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.cut_wrench import CutWrench
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import LINES
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, imu_blocks, tick_mean
 from onboard.identification.exiddm.prediction.parameters import Block

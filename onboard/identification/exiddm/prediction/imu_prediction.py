@@ -16,8 +16,8 @@ import numpy as np
 
 from onboard.dynamics.free_flight import sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors, Readings
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import (

@@ -13,8 +13,8 @@ from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.kinematics import chain_motion, cross
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.further import PlacedImu
 

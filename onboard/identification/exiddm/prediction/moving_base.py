@@ -9,8 +9,8 @@ from onboard.dynamics.compliance import Bend, Moved
 from onboard.dynamics.free_flight import BasePrediction, Push, bodies_from_rate, predict_base_from_rate
 from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import Columns
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import Thruster

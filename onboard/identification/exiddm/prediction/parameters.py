@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.joint_errors import JOINT_ERRORS
+from onboard.dynamics.model.errors import UnknownFrameError
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.dynamics.spatial import Columns
-from onboard.dynamics.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 
 
@@ -135,7 +135,7 @@ class UncertainLinks:
     Args:
         vehicle: with a payload link; its standard parameters are the prior of all other links.
         covariance: of the standard parameters of links by name, (10, 10) each, positive definite (see
-            :func:`onboard.dynamics.payload.standard_covariance`); links that are not named are certain.
+            :func:`onboard.dynamics.model.payload.standard_covariance`); links that are not named are certain.
 
     Attributes:
         indices: of the payload and of these links in ``vehicle.links``.

@@ -9,8 +9,8 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.driven_world import DrivenWorld, Wired
 from hil_sim.faults import Fault
 from onboard import cli, config
-from onboard.dynamics.inertia import RigidBody, symmetric
-from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.model.inertia import RigidBody, symmetric
+from onboard.dynamics.model.urdf import with_bodies
 from onboard.ground.before.control import run, view
 from onboard.ground.before.control.run import Asked, Stage
 from onboard.ground.before.control.trials_log import TrialsLog

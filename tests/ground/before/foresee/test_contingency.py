@@ -11,14 +11,14 @@ from onboard import config
 from onboard.cli import main
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.payload import standard_of
+from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
-from onboard.flight.estimate.cyclic import cyclic_functions
-from onboard.flight.estimate.exiddm_priors import exiddm_prior
-from onboard.flight.estimate.identification import build_exiddm
-from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import kernel_of
+from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior
+from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.readings.cyclic import cyclic_functions
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.before.foresee.contingency import foresee_without
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import JointNoise, plan_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.model.inertia import RigidBody
 from onboard.ground.before.foresee import kept as module
 from onboard.ground.before.foresee.kept import kept
 from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan

@@ -14,10 +14,10 @@ from hil_sim.plants.body import Body
 from hil_sim.plants.draws import as_built
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import body_of, standard_of
-from onboard.flight.estimate.identification import build_identifier, build_online
-from onboard.flight.estimate.roles import roles_of
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_of, standard_of
+from onboard.flight.estimate.problem.identification import build_identifier, build_online
+from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
 
 

@@ -18,16 +18,16 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import urdf_drawing
 from hil_sim.plants.body import Body
+from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.planned import default_plan
-from hil_sim.plants.spline import CubicSpline
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard import config
 from onboard.cli import BAD_INPUT, main
 from onboard.config.driving import Range, require_within, resampled
 from onboard.config.segments import Library
-from onboard.dynamics.inertia import RigidBody
-from onboard.flight.estimate.identification import build_model
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import segments
 from onboard.ground.before.planning.limits import JointLimit, Limits, LimitsFile

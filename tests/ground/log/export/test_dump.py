@@ -15,7 +15,7 @@ from onboard.ground.log.export import legend
 from onboard.ground.log.export.dump import dump
 from onboard.ground.log.tables.columns import unit_of
 from onboard.ground.log.tables.selection import Selection
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.writer import LogWriter
 from onboard.timebase.clock import ClockState
 

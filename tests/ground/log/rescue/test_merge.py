@@ -9,7 +9,7 @@ from drivers import records
 from drivers.records import Severity
 from onboard import cli
 from onboard.ground.log.rescue.merge import Part, merge
-from onboard.recording.errors import ChannelError
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
 from onboard.recording.writer import LogWriter

@@ -1,0 +1,1 @@
+"""Motion played to the drives of a CANopen bus on its SYNC."""

@@ -1,0 +1,93 @@
+"""Drives torques of a control law over the drives of a CAN bus (CiA 402 mode 10), and stops them all when it must.
+
+Armed, it beats, enables the drives with torque zero where they stand, and then asks the law for torques once a SYNC, as
+soon as every drive has answered it; they are in force from the next SYNC on. A SYNC that a drive does not answer in
+time has no torques of its own: those of the last one stay. It watches on every pump what the player of positions
+watches too (:meth:`DriveAxis.unwell`), the state and mode of every drive and its rate. Whatever is wrong becomes a
+quick stop of all drives, once; so does a law that says why it ends.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from drivers.canopen_pdo.play.drive_axis import CYCLIC_TORQUE, AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.drive_master import DriveMaster, State
+from drivers.canopen_pdo.sync import SyncCounter
+from drivers.errors import ConfigurationError
+from drivers.records import Severity
+from drivers.reporter import Reporter
+
+Law = Callable[[int, Sequence[int]], Sequence[int] | str]
+"""Torques in thousandths of the rated ones, for the SYNC number and the counts at it; or why to stop."""
+
+
+@dataclass(frozen=True)
+class TorqueConfig:
+    """What is driven, and by which law.
+
+    Attributes:
+        axes: The drives, in the order of the law's counts and torques.
+        law: Asked once a SYNC.
+        heartbeat_ms: How long the drives do without our heartbeat.
+        sync_limit_ms: Longest time without SYNC, or without an answer of a drive.
+        master: Our node number, of the heartbeat.
+    """
+
+    axes: tuple[AxisConfig, ...]
+    law: Law
+    heartbeat_ms: int = 100
+    sync_limit_ms: float = 25.0
+    master: int = 127
+
+    def __post_init__(self) -> None:
+        if not self.axes or not 1 <= self.master <= 127 or any(axis.drive.node == self.master for axis in self.axes):
+            raise ConfigurationError(f"master node {self.master}: a number of 1..127 that no drive has; and a drive")
+
+
+class TorqueMaster(DriveMaster):
+    """The master of one CAN bus, in the player's place; arguments and attributes as :class:`DriveMaster` has."""
+
+    SENDS: ClassVar = "torque"
+    STOPPED_AS: ClassVar = Severity.WARNING  # a law says so at the end of its trials, too
+
+    def __init__(
+        self, config: TorqueConfig, sync: SyncCounter, send: Callable[[int, bytes], None], report: Reporter
+    ) -> None:
+        super().__init__(config, CYCLIC_TORQUE, sync, send, report)
+        self.config = config
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the law is asked for torques."""
+        return self.state is State.PLAYING
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether it has ended for good."""
+        return self.state is State.STOPPED
+
+    def _started(self) -> None:
+        """The law is asked from the next SYNC on."""
+
+    def _hold_still(self, axis: DriveAxis) -> None:
+        axis.torque(0)
+
+    def _go_on(self) -> None:
+        if self.state is State.ENABLING:
+            self._enable()
+        else:
+            self._ask()
+
+    def _ask(self) -> None:
+        tick = self._sync.tick
+        answered = all(axis.heard_ns >= self._sync.host_ns for axis in self.axes)
+        if tick is None or tick == self._sent_tick or not answered:
+            return
+        self._sent_tick = tick
+        torques = self.config.law(tick, [axis.position or 0 for axis in self.axes])
+        if isinstance(torques, str):
+            self.stop(torques)
+            return
+        for axis, torque in zip(self.axes, torques, strict=True):
+            axis.torque(torque)

@@ -1,0 +1,1 @@
+"""Channels of a CANopen bus by device profile: objects read, mapped and configured."""

@@ -1,0 +1,1 @@
+"""CANopen frames, object dictionary and process data on the wire."""

@@ -1,0 +1,1 @@
+"""Servo drives of a vehicle's joints."""

@@ -1,0 +1,1 @@
+"""Prescribed motions of bases and joints."""

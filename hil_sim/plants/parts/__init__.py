@@ -1,0 +1,1 @@
+"""What acts on the bodies of a plant: jets, pucks, contact, soft parts, actuators."""

@@ -1,0 +1,1 @@
+"""Tables of a vehicle file for the kinds of base that have one."""

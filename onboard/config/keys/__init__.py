@@ -1,0 +1,1 @@
+"""Meanings of the keys of a vehicle file, for its schema and its page."""

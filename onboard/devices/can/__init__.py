@@ -1,0 +1,1 @@
+"""Kinds of device on a CAN bus."""

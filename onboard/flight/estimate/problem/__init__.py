@@ -1,0 +1,1 @@
+"""The estimation problem that a vehicle's file states."""

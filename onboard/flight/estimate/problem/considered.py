@@ -1,0 +1,143 @@
+"""Errors of instruments that rows consider (:mod:`onboard.identification.rows.stated_errors.considered`)."""
+
+from collections.abc import Iterator, Sequence
+
+from onboard import config
+from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.model.vehicle import BaseKind
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.rows.checks.suspects import RowSuspects
+from onboard.identification.rows.stated_errors.considered import Considered, Effect
+from onboard.identification.rows.stated_errors.stated import Stated
+from onboard.regressor.base_parameters import BaseParameters
+from onboard.regressor.rows import RowModel
+
+FEWEST_GAINS = 2  # that can have an error in common
+COMMON_SHARE = 0.5  # of the variance of each gain: see :func:`of_gains`
+
+
+def of_motion(roles: Roles) -> list[Considered]:
+    """Errors of the sensors of motion, where the file states how well they are known.
+
+    Args:
+        roles: of the devices.
+    """
+    found = list[Considered]()
+    for joint in roles.joints:
+        name, at = joint.channel, joint.joint
+        found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
+        found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
+        found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
+    for imu in roles.imus[:1]:
+        found += _of_imu(imu)
+    return [cause for cause in found if cause.sigma > 0.0]
+
+
+def _of_imu(imu: ImuRole) -> Iterator[Considered]:
+    channel, turn = imu.channels[0], imu.misalignment_sigma_rad
+    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
+        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
+        (
+            "accel",
+            "accelerometer",
+            "accelerometer_scale",
+            "accelerometer_misalignment",
+            "accelerometer_delay",
+            imu.accel_scale_sigma,
+        ),
+    )
+    for short, name, scale, misalignment, delay, sigma in kinds:
+        what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
+        yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
+        yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
+        for axis, letter in enumerate("xyz"):
+            turned = f"{channel} misalignment_sigma_rad"
+            yield Considered(f"scale {what} along {letter}", imu.frame, scale, sigma, key, axis)
+            yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
+
+
+def of_bias(imu: ImuRole, left: config.ImuPriorKeys, *, accelerometer: bool) -> Iterator[Considered]:
+    """What calibration leaves of a gyro's and an accelerometer's bias: the rows take both readings as they are.
+
+    Args:
+        imu: of the base.
+        left: 1 sigma by axis; an error of which none is stated is not considered.
+        accelerometer: its bias too, which is not estimated.
+    """
+    kinds: tuple[tuple[str, Effect, float, str], ...] = (
+        ("gyro", "gyro_bias", left.gyro_bias_rad_s, "gyro_bias_rad_s"),
+        ("accelerometer", "accelerometer_bias", left.accelerometer_bias_m_s2, "accelerometer_bias_m_s2"),
+    )
+    for name, effect, sigma, key in kinds[: 1 + accelerometer]:
+        for axis, letter in enumerate("xyz" if sigma else ""):
+            what = f"bias of {imu.channels[0]}'s {name} along {letter}"
+            yield Considered(what, imu.frame, effect, sigma, f"imu_prior.{key}", axis)
+
+
+def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
+    """What one cell alone can never tell from mass, and what its rows do not estimate.
+
+    Args:
+        cell: a load cell or a motor's torque.
+        scaled: its scale is estimated.
+    """
+    name, keys = cell.name, cell.keys
+    lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
+    scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
+    delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
+    drift_N_s = (keys.zero_drift_N_s if isinstance(keys, LoadCellKeys) else None) or 0.0
+    drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
+    return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+
+
+def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
+    """The same with half of the variance of the torques' gains in one factor on all of them.
+
+    Torque constants of an arm come from one source (a data sheet, a gear's efficiency, the magnets' temperature), so
+    their errors are neither independent nor one: nobody states which, and each half is as large. Of different
+    gains the least is what all can have in common.
+
+    Args:
+        found: errors of all cells.
+        roles: of the devices.
+    """
+    scales = [cause for cause in found if cause.effect == "scale" and cause.sigma > 0.0]
+    if len(scales) < FEWEST_GAINS or not all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells):
+        return list(found)
+    if len(scales) < len(roles.cells):
+        return list(found)
+    common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
+    own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]
+    return [*own, Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques")]
+
+
+def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
+    """Which key states the sigma of each standard parameter; all links but the payload's are drawn alike."""
+    payload, found = str(model.vehicle.spec.payload_link), list[Stated]()
+    for column, name in enumerate(model.names):
+        link = model.vehicle.links[column // 10] if column < 10 * len(model.vehicle.links) else ""
+        if name in prior.absolute or not link:
+            found.append(Stated(f"prior.absolute.{name}", payload if link == payload else name.split("_")[0]))
+        else:
+            table = "link" if link in prior.link else "relative"
+            found.append(Stated(f"prior.{table}.{link}", payload if link == payload else f"prior.{table}"))
+    return found
+
+
+def row_suspects(
+    vehicle: config.Vehicle, model: RowModel, base: BaseParameters, prior: FloatArray, considered: Sequence[Considered]
+) -> RowSuspects | None:
+    """What may not be as stated of an arm on a fixed base whose cells' scales are estimated; None of another.
+
+    Args:
+        vehicle: its file.
+        model: its rows.
+        base: their base parameters.
+        prior: root of the covariance of the standard parameters, (P, P).
+        considered: errors that the rows consider.
+    """
+    settings = vehicle.file.estimation
+    forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
+    if model.vehicle.spec.base is not BaseKind.FIXED or not model.scales or model.motors or forgets or settings.carried:
+        return None
+    return RowSuspects(model, base, prior, considered)

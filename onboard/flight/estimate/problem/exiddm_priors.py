@@ -1,0 +1,110 @@
+"""What the vehicle file states before a flight, as the ExIDDM takes it: links, instruments, joints, payload."""
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.model.errors import UrdfError
+from onboard.dynamics.model.payload import standard_covariance
+from onboard.dynamics.model.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.identification.exiddm.prediction.further import DisturbancePrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
+
+# Of a silent file: air, umbilicals and valves of bench flights, 0.01 N on the 26 kg of DYMAFLEX.
+UNTOLD_m_s2 = 4e-4
+
+
+def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
+    """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
+
+    Raises:
+        UrdfError: a link that the URDF does not have, or has no inertia.
+    """
+    settings = vehicle.file.estimation
+    covariance = {}
+    for link, sigma in settings.prior.link.items():
+        if link not in model.links:
+            raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
+        own = 10 * model.links.index(link)
+        known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
+        covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
+    asked = settings.exiddm
+    first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
+    payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
+    return covariance, imu_prior_of(vehicle), payload_sigma
+
+
+def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
+    """The prior on errors of an IMU, as the vehicle file states it."""
+    keys = vehicle.file.estimation.imu_prior
+    prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
+    return prior.with_cross_axis(*keys.cross_axis)
+
+
+def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:
+    """Prior on what pushes the base unknown; none between hands and with a tracker, which does not predict it.
+
+    A silent key: a force in proportion to the vehicle's mass without payload, a torque of it at the radius of
+    gyration of its heaviest link.
+    """
+    keys = vehicle.file.estimation.disturbance
+    if tracked or vehicle.file.parabola is not None:
+        return DisturbancePrior()
+    masses = model.chi[::10]
+    heaviest = model.chi[10 * int(masses.argmax()) :]
+    radius_m = float(np.sqrt((heaviest[4] + heaviest[6] + heaviest[9]) / 2.0 / heaviest[0]))
+    force = UNTOLD_m_s2 * float(masses.sum()) if keys.force_N is None else keys.force_N
+    return DisturbancePrior(force, force * radius_m if keys.torque_N_m is None else keys.torque_N_m, keys.time_s)
+
+
+def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
+    """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
+
+    A silent joint of which the rate is measured is a rotor with the scale and the delay of its device.
+
+    Cyclic errors are those that the encoders' devices state.
+
+    Raises:
+        UnknownFrameError: a joint that the URDF does not have.
+        UrdfError: a stiffness of a joint that does not turn, or carries nothing.
+    """
+    stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
+    ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
+    rotors = {joint.joint: joint for joint in roles.joints if joint.is_rate}
+    joints = {}
+    for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
+        if name in rotors and name not in stated:  # a body of revolution: place and angle have no effect
+            rotor = rotors[name]
+            joints[name] = JointPrior(0.0, 0.0, rotor.scale_sigma, rotor.delay_sigma_s, ())
+            continue
+        own = stated.get(name, config.JointKeys())
+        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
+        joints[name] = JointPrior(
+            own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic, _spring(model, name, own)
+        )
+    return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
+
+
+def _spring(model: VehicleModel, name: str, keys: config.JointKeys) -> SpringPrior | None:
+    if keys.stiffness_N_m_rad is None:
+        return None
+    if not model.joint(name).revolute:
+        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: the joint slides; a spring is of one that turns")
+    if not model.distal_links(name):
+        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: no link with inertia lies beyond the joint")
+    known = keys.stiffness_relative, keys.damping_N_m_s_rad, keys.damping_relative
+    return SpringPrior(keys.stiffness_N_m_rad, *known)
+
+
+def check_springs(vehicle: config.Vehicle, why: str) -> None:
+    """Check that no joint is said to be flexible, where that is not known to the estimator.
+
+    Raises:
+        UrdfError: one is.
+    """
+    flexible = [name for name, own in vehicle.file.estimation.prior.joint.items() if own.stiffness_N_m_rad is not None]
+    if flexible:
+        text = f"prior.joint.{flexible[0]}.stiffness_N_m_rad: flexible joints are known to"
+        raise UrdfError(f'{text} the method "exiddm" of a free base alone, {why}; take it out')

@@ -1,0 +1,412 @@
+"""From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.config.vehicle import LinkSection
+from onboard.devices.recorded import RecordedDevice
+from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.model.errors import ModelError, UrdfError
+from onboard.dynamics.model.inertia import RigidBody, symmetric
+from onboard.dynamics.model.payload import body_of
+from onboard.dynamics.model.urdf import with_bodies
+from onboard.dynamics.model.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.recursive.memory import FOR_EVER, Memory
+from onboard.estimation.smoothing import Response
+from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
+from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
+from onboard.flight.estimate.problem.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.pivot import pivot_run
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import kernel_of
+from onboard.flight.estimate.readings.torques import torque_cell
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.flexible import require_stiff
+from onboard.identification.exiddm.prediction.further import (
+    CellPrior,
+    Further,
+    FurtherCell,
+    FurtherImu,
+    FurtherPose,
+    PosePrior,
+    Thruster,
+)
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.online import OnlineIdentifier
+from onboard.identification.pivot.online import PivotRun
+from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
+from onboard.identification.rows.free_body import free_body_quantities
+from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.considered_errors import Start
+from onboard.identification.rows.stated_errors.whitening import Whitening
+from onboard.identification.table.run import TableRun
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.friction import Motor
+from onboard.regressor.prior import Made, prior_root
+from onboard.regressor.rows import (
+    RowModel,
+    WrenchRow,
+    base_force_rows,
+    base_moment_rows,
+    joint_torque_row,
+    load_cell_row,
+)
+
+NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
+KERNELS_PER_BLOCK = 5
+FEWEST_SAMPLES = 2  # of an instrument in a tick
+UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
+
+
+def build_model(vehicle: config.Vehicle) -> VehicleModel:
+    """The Pinocchio model of a vehicle file.
+
+    Raises:
+        ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
+    """
+    section = vehicle.file.vehicle
+    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
+    urdf = vehicle.urdf_text
+    model = VehicleModel(urdf, spec)
+    measured = {name: _measured(model, name, own) for name, own in vehicle.file.link.items()}
+    return VehicleModel(with_bodies(urdf, measured), spec) if measured else model
+
+
+def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
+    """A link by what was measured of it, and by the URDF."""
+    if link not in model.links:
+        raise UrdfError(f"[link.{link}]: links with inertia are {', '.join(model.links)}")
+    at = 10 * model.links.index(link)
+    mass_kg, centre_m, inertia = body_of(model.chi[at : at + 10])
+    return RigidBody(
+        mass_kg if own.mass_kg is None else own.mass_kg,
+        centre_m if own.centre_of_mass_m is None else np.array(own.centre_of_mass_m),
+        inertia if own.inertia_kg_m2 is None else symmetric(np.array(own.inertia_kg_m2)),
+    )
+
+
+def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
+    """What flies, by the method that the vehicle file asks for, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    return METHODS[vehicle.file.estimation.method].build(vehicle)
+
+
+def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
+    """The ExIDDM of a vehicle file: recursive for a free base, afterwards on an air-bearing table and between hands.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    if vehicle.file.body is not None:
+        text = "a body without joints is identified when its run is over: heft identify"
+        raise config.ConfigError(f"{vehicle.label}: {text}")
+    if vehicle.file.planar is not None:
+        return build_planar(vehicle)
+    if vehicle.file.vehicle.base == "pivot":
+        return build_pivot(vehicle)
+    online, model = build_exiddm(vehicle)
+    between_hands = vehicle.file.parabola is not None  # its momentum is another one after every release
+    return (TableRun(str(model.spec.payload_link), online.further) if between_hands else online), model
+
+
+def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:
+    """The identifier, or parallel ones where a redundant cell or a release may be wrong.
+
+    Args:
+        vehicle: its file.
+        online: a fresh one.
+    """
+    phases = vehicle.file.estimation.phases
+    cells = [(cell.name, cell.keys) for cell in roles_of(vehicle).cells]
+    if not isinstance(online, Identifier) or online.memory != FOR_EVER:
+        return online
+    place = [
+        keys.joint if isinstance(keys, TorqueKeys) else (keys.frame, keys.axis, keys.measures) for _, keys in cells
+    ]
+    redundant = [name for (name, _), own in zip(cells, place, strict=True) if place.count(own) > 1]
+    if not redundant and (phases is None or phases.payload_gone is None):
+        return online
+    return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
+
+
+def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[ExiddmIdentifier, VehicleModel]:
+    """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
+
+    Args:
+        vehicle: its file.
+        tracked: a pose tracker takes part, if there is one.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
+    asked, samples = settings.exiddm, samples_per_tick(vehicle)
+    try:
+        model = build_model(vehicle)
+        check_joints(roles, model)
+        covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+        period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
+        require_stiff(model, geometry)
+        further = further_instruments(vehicle, model, imu_prior)
+        trackers = tracker_of(roles) if tracked else []
+        if trackers or vehicle.file.parabola is not None:
+            check_springs(vehicle, "without a pose tracker and not between hands")
+        further += trackers
+        priors = covariance, imu_prior, geometry, further
+        thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
+        others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, model, tracked=bool(trackers))
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others)
+        known = None
+        if settings.carried:
+            known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
+        step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
+        told = asked.held_at_start, asked.false_alarms_per_hour, known
+        exiddm = RecursiveExiddm(predictor, payload_sigma, *told, step_ticks)
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    return ExiddmIdentifier(exiddm), model
+
+
+def samples_per_tick(vehicle: config.Vehicle) -> int:
+    """Samples of the base IMU in a tick.
+
+    Raises:
+        ConfigError: fewer than two.
+    """
+    channel = roles_of(vehicle).imu.channels[0]
+    samples = _samples(vehicle, channel)
+    if samples < 2:
+        period_s = roles_of(vehicle).signals[channel].period_s
+        text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
+        raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
+    return samples
+
+
+def _samples(vehicle: config.Vehicle, channel: str) -> int:
+    """Samples of a channel in a tick."""
+    return round(1.0 / (roles_of(vehicle).signals[channel].period_s * vehicle.file.estimation.row_rate_hz))
+
+
+def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior: ImuPrior) -> list[Further]:
+    """What the ExIDDM uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
+    found, roles = list[Further](), roles_of(vehicle)
+    for imu in roles.imus[1:]:
+        if (samples := _samples(vehicle, imu.channels[0])) >= FEWEST_SAMPLES:
+            prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
+            place_m = vehicle.file.estimation.imu_prior.position_m
+            found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
+    for cell in roles.cells:
+        keys = cell.keys
+        if (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+            continue
+        if isinstance(keys, TorqueKeys):
+            found.append(torque_cell(vehicle, model, cell, keys, samples))
+            continue
+        bias = 0.01 * keys.capacity_N if keys.zero_sigma_N is None else keys.zero_sigma_N
+        drift = 1e-5 * keys.capacity_N if keys.zero_drift_N_s is None else keys.zero_drift_N_s
+        prior_of_cell = CellPrior(bias, drift, keys.relative_sigma, keys.delay_sigma_ms * 1e-3)
+        projection = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m).projection
+        found.append(FurtherCell(cell.name, keys.frame, projection, samples, prior_of_cell))
+    return found
+
+
+def tracker_of(roles: Roles) -> list[Further]:
+    """The pose tracker, if there is one; thrusters push the centre of mass, which it does not predict."""
+    if roles.thrusters:
+        return []
+    return [
+        FurtherPose(
+            one.channel,
+            one.frame,
+            PosePrior(one.acceleration_m_s2, one.misalignment_rad, one.place_m, one.scale, one.delay_s),
+        )
+        for one in roles.trackers[:1]
+    ]
+
+
+def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...]]:
+    """The channels of each further instrument but trackers, by its name."""
+    names = {imu.channels[0]: imu.channels for imu in roles.imus} | {cell.name: (cell.channel,) for cell in roles.cells}
+    return [names[one.name] for one in further if not isinstance(one, FurtherPose)]
+
+
+def build_pivot(vehicle: config.Vehicle) -> tuple[PivotRun, VehicleModel]:
+    """The estimator of a vehicle on a spherical air bearing, and its model.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    try:
+        model = build_model(vehicle)
+        check_joints(roles_of(vehicle), model)
+        check_thrusters(roles_of(vehicle))
+        return pivot_run(vehicle, model, samples_per_tick(vehicle)), model
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+
+
+def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
+    """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
+
+    Raises:
+        ConfigError: a name that the URDF does not have.
+    """
+    roles = roles_of(vehicle)
+    samples_per_tick(vehicle)
+    try:
+        model = build_model(vehicle)
+        check_joints(roles, model)
+        check_thrusters(roles)
+        check_springs(vehicle, "not on a table")
+        model.pose_in_base(roles.imu.frame)
+        exiddm_prior(vehicle, model)
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
+        try:
+            model.pose_in_base(puck.frame)
+        except ModelError as error:
+            place = vehicle.origin.place(["planar", "puck", str(index), "frame"])
+            raise config.ConfigError(f"{place}: {error}") from error
+    return TableRun(str(model.spec.payload_link)), model
+
+
+def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
+    """The identifier of a vehicle file, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF.
+    """
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
+    try:
+        model = build_model(vehicle)
+        check_joints(roles, model)
+        check_thrusters(roles)
+        check_springs(vehicle, "not to rows")
+        rows: list[WrenchRow] = []
+        considered: list[Considered] = []
+        scales: dict[str, float] = {}
+        for cell in roles.cells:
+            scaled = settings.scales == "estimated" and cell.keys.relative_sigma > 0.0
+            rows.append(_cell_row(cell, model, scaled))
+            considered += of_cell(cell, scaled=scaled)
+            scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
+        considered = [*of_gains(considered, roles), *of_motion(roles)]
+        zero_force = settings.zero_force_sigma_m_s2
+        if model.spec.base in (BaseKind.PRESCRIBED, BaseKind.FREE) and roles.imus:
+            considered += of_bias(roles.imu, settings.imu_prior, accelerometer=zero_force is None)
+        if "force" in settings.base_rows:
+            rows += base_force_rows(model)
+        if "moment" in settings.base_rows:
+            rows += base_moment_rows(model)
+        row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
+        offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
+        absolute = {**settings.prior.absolute, **offsets, **scales}
+        made = {name: Made(*own.model_dump().values()) for name, own in settings.prior.link.items()}
+        prior = prior_root(row_model, settings.prior.relative, absolute, made)
+        known = np.asarray(~prior.any(axis=1), np.bool_)
+        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
+        quantities: tuple[Quantity, ...] = ()
+        if settings.masses:
+            drawing = {
+                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
+                for link, own in settings.masses.drawing.items()
+            }
+            _check_links(drawing, model)
+            quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
+        if vehicle.file.free_body:
+            quantities += free_body_quantities(row_model, base, prior)
+        identifier = Identifier(
+            row_model,
+            base,
+            prior,
+            (settings.block_ms or KERNELS_PER_BLOCK * settings.smoothing_ms) * 1e-3,
+            quantities,
+            considered,
+            settings.gates.residual_sigma,
+            Memory(settings.memory.forgetting_s, settings.memory.window_s),
+            settings.gates.huber_sigma,
+            imu_frame=roles.imu.frame if roles.imus else None,
+            instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
+            start=_start(vehicle, base.names) if settings.carried else None,
+            whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
+            stated=stated_by(vehicle.file.estimation.prior, row_model),
+            suspects=row_suspects(vehicle, row_model, base, prior, considered),
+            recorded_apart=all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values()),
+        )
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    return identifier, model
+
+
+def _whitening(vehicle: config.Vehicle, model: VehicleModel, rows: int, columns: int) -> Whitening | None:
+    """Of the rows of a base that is not free, where it is asked for."""
+    settings = vehicle.file.estimation
+    if model.spec.base is BaseKind.FREE or settings.row_noise == "white":
+        return None
+    width_s = settings.smoothing_ms * 1e-3
+    return Whitening(rows, columns, 1.0 / settings.row_rate_hz, width_s, Response(width_s, kernel_of(vehicle)))
+
+
+def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
+    carried = vehicle.file.estimation.carried
+    assert carried is not None
+    if tuple(carried.names) != names:
+        text = f"what {carried.log} had learned is of {', '.join(carried.names)}; here there are {', '.join(names)}"
+        raise config.ConfigError(f"{vehicle.label}: {text}. Go on with the vehicle that flew then")
+    sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
+    return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
+
+
+def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
+    for link in drawing:
+        if link not in model.links:
+            raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
+
+
+def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
+    """The row of a load cell or of a joint's torque."""
+    keys = cell.keys
+    if isinstance(keys, TorqueKeys):
+        row = joint_torque_row(model, keys.joint, keys.friction)
+        return replace(row, name=cell.name, bias=True, scale=scaled)
+    return load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
+
+
+def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
+    """Motors whose friction is Dahl's, and those of several joints."""
+    torques = [cell.keys for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
+    own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
+    given = vehicle.file.estimation.motor.items()
+    return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
+
+
+class Method(NamedTuple):
+    """An estimator that flies.
+
+    Attributes:
+        build: makes it from a vehicle file.
+        tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
+    """
+
+    build: Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
+    tick_means: bool
+
+
+METHODS = {  # by ``[estimation] method``
+    "rows": Method(build_identifier, tick_means=False),
+    "instrumental": Method(build_identifier, tick_means=False),
+    "exiddm": Method(build_likelihood, tick_means=True),
+}

@@ -1,0 +1,1 @@
+"""Ticks of the estimator from samples: roles, signals, witnesses, torques, tracked poses."""

@@ -1,0 +1,389 @@
+"""Converts records to smoothed SI signals at the estimator's ticks, all channels with the same kernel, delays removed.
+
+Samples are stored with their device ticks; their times are computed from the timebase at every step, so that a new
+clock solution shifts all samples of a window consistently.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows, SampleStatus, Severity
+from onboard import config
+from onboard.devices import si
+from onboard.devices.roles import SmoothedChannel, TrackerRole
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.gates import GateReason, reasons, window_contains
+from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
+from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cyclic_of
+from onboard.flight.estimate.readings.history import History
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.stuck import Said, StuckWatch
+from onboard.timebase.timebase import Timebase
+
+HISTORY_S = 2.0
+_TINY = float(np.finfo(np.float64).tiny)
+CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmonics, and what depends on the load
+
+
+class ChannelAtTicks(NamedTuple):
+    """A channel at n ticks."""
+
+    derivatives: tuple[FloatArray, ...]  # each (n, columns): the signal, its rate of change, ...
+    sigma: tuple[FloatArray, ...]  # each (n, columns): noise of the above
+    refused: NDArray[np.int64]  # (n,) GateReason
+    cyclic: FloatArray | None = None  # (n, derivatives, 2 x errors) smoothed cosine and sine of each cyclic error
+    of_samples: tuple[FloatArray, ...] = ()  # each (n, columns): share of the noise's variance by independent samples
+
+
+def kernel_of(vehicle: config.Vehicle) -> Kernel:
+    """The kernel that the vehicle file asks for."""
+    asked = vehicle.file.estimation.smoothing
+    if asked == "spline":
+        return SPLINE
+    from onboard.estimation import kinematics  # noqa: PLC0415 - filterpy takes most of a second to import
+
+    return kinematics.filter_kernel() if asked == "filter" else kinematics.smoother_kernel()
+
+
+class SignalSmoother:
+    """The smoothed channels of one vehicle.
+
+    Args:
+        vehicle: its file.
+        cyclic_fitted: cyclic errors of encoders are fitted: their functions are wanted, and the noise is what is left.
+        trackers: whose poses are wanted.
+    """
+
+    def __init__(
+        self, vehicle: config.Vehicle, *, cyclic_fitted: bool = False, trackers: Sequence[TrackerRole] = ()
+    ) -> None:
+        self._cyclic_fitted = cyclic_fitted
+        self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
+        self._kernel = kernel_of(vehicle)
+        self._response = Response(self.width_s, self._kernel)
+        self._signals = {**roles_of(vehicle).signals, **{one.channel: one.signal for one in trackers}}
+        self._histories = {
+            name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
+        }
+        self._noises: dict[tuple[str, ...], tuple[FloatArray, list[tuple[float, slice | NDArray[np.bool_]]]]] = {}
+        self._reach_ns = round(1.5e9 * self.width_s)
+        self._zero_lost: set[str] = set()
+        self._told: set[tuple[str, str]] = set()
+        self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
+        self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
+
+    def append(self, batches: Mapping[str, Rows]) -> list[tuple[str, Said]]:
+        """Take in what a step consumed; returns channels with what there is to say of them."""
+        said = list[tuple[str, Said]]()
+        for name, arrived in batches.items():
+            if name not in self._signals or not len(arrived):
+                continue
+            signal, history = self._signals[name], self._histories[name]
+            restarts = np.flatnonzero(arrived["status"] & SampleStatus.AFTER_RESET)
+            if len(restarts):
+                history.clear()
+                if not signal.absolute:
+                    self._zero_lost.add(name)
+            rows = arrived[restarts[-1] :] if len(restarts) else arrived
+            values, usable = _values(signal, rows)
+            if signal.is_pose:  # one that repeats is not usable already
+                history.append(rows, self._continued(name, values, usable), reasons(~usable, GateReason.SATURATED))
+                continue
+            why = ""
+            if name in self._zero_lost:
+                usable[:] = False
+                why = "its counter restarted and its zero is lost: rows that need it are refused; set its zero again"
+            elif not np.isfinite(values).all():
+                unit = rows["unit"][~np.isfinite(values[:, 0])][0].decode("ascii", "replace")
+                known = ", ".join(u.decode() for u in signal.si)
+                why = f"unit {unit!r} is none of {known}: not used, correct its device"
+                values = np.nan_to_num(values)
+            if why and (name, why) not in self._told:
+                self._told.add((name, why))
+                said.append((name, Said(Severity.ERROR, "not_usable", why)))
+            stuck, before, told = self._watches[name].watch(rows, usable)
+            if told is not None:
+                said.append((name, told))
+            history.mark(before, GateReason.STUCK)
+            wrong = reasons(~usable, GateReason.SATURATED)
+            if stuck.any():
+                wrong |= reasons(stuck, GateReason.STUCK)
+            history.append(rows, values, wrong)
+        return said
+
+    def _continued(self, name: str, values: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+        """Poses, (n, 7), with the sign of each quaternion next to that of the one before."""
+        values = np.where(usable[:, None], values, 0.0)
+        last = self._attitudes[name]
+        for row in np.flatnonzero(usable):
+            values[row, :4] *= -1.0 if values[row, :4] @ last < 0.0 else 1.0
+            last = values[row, :4]
+        self._attitudes[name] = last.copy()
+        return values
+
+    def together(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
+    ) -> ChannelAtTicks:
+        """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
+        return _side_by_side(self.each(names, timebase, at_ns, derivatives))
+
+    def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> ChannelAtTicks:
+        """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
+        [smoothed] = self.each([name], timebase, at_ns, derivatives)
+        return smoothed
+
+    def each(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
+    ) -> list[ChannelAtTicks]:
+        """As :meth:`at`, for several channels: those that were sampled together are smoothed together."""
+        found: dict[str, ChannelAtTicks] = {}
+        groups: list[dict[str, _Recent]] = []
+        for name in names:
+            recent = self._recent(name, timebase, at_ns)
+            if isinstance(recent, GateReason):
+                found[name] = _nothing(len(self._signals[name].noise), len(at_ns), derivatives, recent)
+                continue
+            for group in groups:
+                other = next(iter(group))
+                if self._signals[other].delays_s == self._signals[name].delays_s and group[other].is_with(recent):
+                    group[name] = recent
+                    break
+            else:
+                groups.append({name: recent})
+        for group in groups:
+            found |= self._smooth(group, at_ns, derivatives)
+        return [found[name] for name in names]
+
+    def means(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int
+    ) -> ChannelAtTicks:
+        """Channels as means over the tick of ``period_ns`` about each of ``at_ns``, their columns side by side.
+
+        A tick with half of its samples or fewer has a gap; one with a sample that may not be used is refused. Samples
+        are hardly ever even about a tick's middle, so the mean is that of a straight line through them.
+        """
+        if not names:
+            return _nothing(0, len(at_ns), 0, GateReason.OK)
+        return _side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
+
+    def _recent(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64]) -> "_Recent | GateReason":
+        """What of a channel can be under the kernel at any of ``at_ns``."""
+        history = self._histories[name]
+        # a sample is taken before it arrives: what arrived long before the window is not under it
+        recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
+        stamps = history.stamps[recent]
+        if len(stamps) < 2:
+            return GateReason.GAP
+        times_ns = timebase.time_ns(name, stamps)
+        if times_ns is None:
+            return GateReason.NOT_SYNCHRONISED
+        times_s = (times_ns - at_ns[0]) * 1e-9
+        values, wrong = history.values[recent], history.wrong[recent]
+        later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
+        waited = timebase.waited(name, stamps)
+        late = bool(waited.any())
+        if late or not later.all():
+            kept = np.append(True, later) & ~waited
+            times_s, values, wrong = times_s[kept], values[kept], wrong[kept]
+        last_s = (at_ns[-1] - at_ns[0]) * 1e-9
+        near = slice(*np.searchsorted(times_s, [-self.width_s, last_s + self.width_s]).tolist())
+        if near.stop - near.start < 2:
+            return GateReason.GAP
+        timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9
+        gap_s = (4.5 if late else 3.5) * self._signals[name].period_s
+        return _Recent(times_s[near], values[near], wrong[near], gap_s, timing_s)
+
+    def _smooth(
+        self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
+    ) -> dict[str, ChannelAtTicks]:
+        """Channels sampled together, with the same delays."""
+        one = next(iter(group.values()))
+        at_s = (at_ns - at_ns[0]) * 1e-9
+        alone = len(group) == 1
+        values = one.values if alone else np.hstack([recent.values for recent in group.values()])
+        noise, delays = self._noise_of(tuple(group))
+        out = np.full((derivatives + 1, len(at_ns), len(noise)), np.nan)
+        sigma = np.full_like(out, np.nan)
+        gaps = np.zeros(len(at_ns), np.int64)
+        for delay_s, where in delays:
+            window = SmoothingWindow(
+                one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel
+            )
+            smoothed, gain = window.stacked(values[:, where], range(derivatives + 1))
+            out[..., where], sigma[..., where] = smoothed, gain[..., None] * noise[where]
+            if not window.valid.all():
+                gaps |= reasons(~window.valid, GateReason.GAP)
+        of_samples = sigma * sigma
+        # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
+        change, of_change = np.empty_like(out), np.empty_like(sigma)
+        change[:-1], change[-1] = out[1:], _rate_of_change(out[-1], at_s)
+        of_change[:-1], of_change[-1] = sigma[1:], sigma[-1] * (np.pi / self.width_s)
+        moved = one.timing_s * np.sqrt(np.maximum(change * change - of_change * of_change, 0.0))
+        sigma = np.hypot(sigma, moved)
+        if derivatives:
+            self._ripple(group, out[1], sigma)
+        of_samples /= np.maximum(sigma * sigma, _TINY)
+        found, column, cyclic = {}, 0, self._cyclic(group, values, window, derivatives)
+        for name, recent in group.items():
+            part = slice(column, column + recent.values.shape[1])
+            refused, column = gaps, part.stop
+            for reason in _reasons_in(recent.wrong):
+                held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
+                refused = refused | reasons(held, reason)
+            signal = tuple(out[:, :, part]), tuple(sigma[:, :, part])
+            found[name] = ChannelAtTicks(*signal, refused, cyclic.get(name), tuple(of_samples[:, :, part]))
+        return found
+
+    def _noise_of(self, names: tuple[str, ...]) -> tuple[FloatArray, list[tuple[float, slice | NDArray[np.bool_]]]]:
+        """Noise of the columns of channels with the same delays, and which columns have each delay."""
+        if names not in self._noises:
+            delays_s = np.array(self._signals[names[0]].delays_s * len(names))
+            which = [(delay_s, _contiguous(delays_s == delay_s)) for delay_s in dict.fromkeys(delays_s.tolist())]
+            self._noises[names] = np.hstack([self._signals[name].noise for name in names]), which
+        return self._noises[names]
+
+    def _ripple(self, group: Mapping[str, "_Recent"], rate: FloatArray, sigma: FloatArray) -> None:
+        """Add what the kernel passes of the encoders' cyclic errors to the noise.
+
+        Args:
+            group: the channels.
+            rate: of each, (n, columns) rad/s.
+            sigma: (orders, n, columns), which changes.
+        """
+        columns, periods, rms, _ = self._errors(group)
+        if not columns.size:
+            return
+        left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
+        for order in range(len(sigma)):
+            passed = left * self._response.gain(periods * rate[:, columns], order)
+            for k, column in enumerate(columns.tolist()):
+                sigma[order, :, column] = np.hypot(sigma[order, :, column], passed[:, k])
+
+    def _errors(self, group: Mapping[str, "_Recent"]) -> Cyclic:
+        """Cyclic errors of a group's channels."""
+        ripples = tuple(self._signals[name].ripple for name in group)
+        return cyclic_of(ripples, tuple(recent.values.shape[1] for recent in group.values()))
+
+    def _cyclic(
+        self, group: Mapping[str, "_Recent"], values: FloatArray, window: SmoothingWindow, derivatives: int
+    ) -> dict[str, FloatArray]:
+        """Functions of the cyclic errors of the channels that have some, see :class:`ChannelAtTicks`.
+
+        Args:
+            group: the channels.
+            values: of each, beside each other, (k, columns).
+            window: of their samples.
+            derivatives: that are wanted.
+        """
+        columns, periods, _, ends = self._errors(group)
+        if not (derivatives and self._cyclic_fitted and columns.size):
+            return {}
+        smoothed = window.derivatives(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
+        functions = np.stack([one.values for one in smoothed], axis=1)
+        parts = zip(group, [0, *ends], ends, strict=False)
+        return {name: functions[:, :, 2 * first : 2 * last] for name, first, last in parts if last > first}
+
+    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:
+        channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
+        n, columns = len(at_ns), len(channel.noise)
+        if isinstance(recent, GateReason):
+            return _nothing(columns, n, 0, recent)
+        values, sigma = np.full((2, n, columns), np.nan)
+        unusable = {
+            reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0)) for reason in _reasons_in(recent.wrong)
+        }
+        at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
+        refused = np.zeros(n, np.int64)
+        delays_s, noise = np.array(channel.delays_s), channel.inflation * np.array(channel.noise)
+        each_s = list(dict.fromkeys(channel.delays_s))
+        times_s = recent.times_s - np.array(each_s)[:, None]  # (d, k)
+        low, high = (
+            np.array([np.searchsorted(t, at_s + side) for t in times_s])[..., None] for side in (-half_s, half_s)
+        )  # (d, n, 1)
+        refused |= reasons((high - low <= half_s / channel.period_s).any(axis=0)[:, 0], GateReason.GAP)
+        for reason, count in unusable.items():
+            refused |= reasons((count[high] > count[low]).any(axis=0)[:, 0], reason)
+        index = low + np.arange(int((high - low).max(initial=1)))  # (d, n, l)
+        under = index < high
+        index = np.minimum(index, times_s.shape[1] - 1)
+        samples = np.maximum(high - low, 1)
+        offset_s = np.where(under, np.take_along_axis(times_s[:, None], index, axis=2) - at_s[:, None], 0.0)
+        middle_s = offset_s.sum(axis=2, keepdims=True) / samples
+        away_s = np.where(under, offset_s - middle_s, 0.0)
+        spread = np.maximum((away_s * away_s).sum(axis=2, keepdims=True), _TINY)
+        weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
+        spreads = np.sqrt((weights * weights).sum(axis=2, keepdims=True))
+        for k, delay_s in enumerate(each_s):
+            mine = _contiguous(delays_s == delay_s)
+            under_it = recent.values.T[mine].take(index[k], axis=1)  # (columns, n, l)
+            values[:, mine] = (weights[k, :, None] @ under_it.transpose(1, 2, 0))[:, 0]
+            sigma[:, mine] = noise[mine] * spreads[k]
+        values[refused != 0] = sigma[refused != 0] = np.nan
+        return ChannelAtTicks((values,), (sigma,), refused, of_samples=(np.ones_like(values),))
+
+
+class _Recent(NamedTuple):
+    """Samples of one channel that a step may need."""
+
+    times_s: FloatArray  # (k,) since the first tick, the filter's delay not removed
+    values: FloatArray  # (k, columns)
+    wrong: NDArray[np.int64]  # (k,) GateReason
+    gap_s: float  # longer ones between samples are gaps
+    timing_s: float  # sigma of the times, common to all
+
+    def is_with(self, other: "_Recent") -> bool:
+        """Whether both were sampled at the same times, as well known."""
+        return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
+
+
+def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
+    """Columns as a slice, where they lie beside each other."""
+    at = np.flatnonzero(which)
+    together = slice(int(at[0]), int(at[-1]) + 1)
+    return together if together.stop - together.start == len(at) else which
+
+
+def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:
+    """Those that any of some samples has."""
+    every = int(np.bitwise_or.reduce(wrong))
+    return GateReason(every) if every else ()
+
+
+def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> ChannelAtTicks:
+    nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
+    return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)), of_samples=nothing)
+
+
+def _side_by_side(parts: Sequence[ChannelAtTicks]) -> ChannelAtTicks:
+    if len(parts) == 1:
+        return parts[0]
+    values, sigma, of_samples = (
+        tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
+        for sides in zip(*((part.derivatives, part.sigma, part.of_samples) for part in parts), strict=True)
+    )
+    refused = np.bitwise_or.reduce([part.refused for part in parts])
+    return ChannelAtTicks(values, sigma, refused, of_samples=of_samples)
+
+
+def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
+    """Of ``values`` (n, columns) from tick to tick; 0 where there is no neighbour to tell it."""
+    rate = np.zeros_like(values)
+    if len(at_s) > 1:
+        steps = (values[1:] - values[:-1]) / (at_s[1] - at_s[0])
+        rate[0], rate[-1] = steps[0], steps[-1]
+        rate[1:-1] = 0.5 * (steps[1:] + steps[:-1])
+    return rate if np.isfinite(rate).all() else np.nan_to_num(rate)
+
+
+def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
+    usable = si.usable(rows)
+    if signal.is_pose:
+        return si.pose(rows), usable
+    if not signal.si:
+        return si.imu(rows, signal), usable
+    readings: FloatArray = (rows["value_raw"] - signal.zero_count) * rows["scale"] * si.factors(rows, signal)
+    return signal.corrected(readings[:, None]), usable & (np.abs(readings) < signal.limit)

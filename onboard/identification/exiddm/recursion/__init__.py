@@ -1,0 +1,1 @@
+"""The recursive fit of a free-flyer: window, bounded work, trials."""

@@ -1,0 +1,40 @@
+"""What a filter knows of the payload that is held, as those ask for it who use the filter."""
+
+import numpy as np
+
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.recursion.bounded_work import BoundedWork
+
+
+class Holding(BoundedWork):
+    """State of a filter, and whether it is of a payload.
+
+    Args:
+        predictor: of the instruments.
+        call_ticks: ticks of a call that does not come late.
+
+    Attributes:
+        state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
+        covariance: (p, p).
+        held: a payload is held; None while that is not decided.
+    """
+
+    def __init__(self, predictor: ImuPredictor, call_ticks: int) -> None:
+        super().__init__(call_ticks, predictor.period_s, predictor.no_ticks, flexible=predictor.bends.size > 0)
+        self.predictor = predictor
+        self.state: FloatArray | None = None
+        self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
+        self.held: bool | None = None
+
+    @property
+    def holds(self) -> bool:
+        """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
+        return self.state is not None and bool(self.held) and not self.lets_go
+
+    def estimate(self) -> BodyEstimate | None:
+        """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
+        if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
+            return None
+        return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])

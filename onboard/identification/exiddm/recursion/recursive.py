@@ -1,0 +1,403 @@
+"""Recursive non-linear ExIDDM: onboard estimate of a free-flyer's payload from joints and base IMU.
+
+The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in batches of ticks by an extended Kalman
+filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far from
+the truth is wrong, so the first seconds are solved as one growing window
+(:mod:`onboard.identification.exiddm.recursion.window`); after that every batch is one filter step. Steps linearised
+about a payload that is still far off are replaced by a window that has them all
+(:mod:`onboard.identification.exiddm.recursion.stepped`). Where a motion tells little (a light payload, slow motions),
+the window grows until it determines the mass.
+
+At a change the estimates of rate and payload are reset, all others are kept, and a new window begins. The hypothesis
+that fits that window classifies it: nothing held (an ejection, or a contact if nothing was), the same payload (a
+contact), a payload where nothing was held (a capture), or another payload without a release (an instrument's change).
+
+The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
+
+The work of a call is bounded (:mod:`onboard.identification.exiddm.recursion.bounded_work`).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.change import ChangeDetector
+from onboard.estimation.errors import SingularError
+from onboard.identification.change import Change
+from onboard.identification.evidence.bank import Known
+from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.guesses import first_state
+from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
+from onboard.identification.exiddm.misfit import InnovationMisfit
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.recursion.claims import Claim, after_a_change, at_first, kind_of
+from onboard.identification.exiddm.recursion.holding import Holding
+from onboard.identification.exiddm.recursion.linearised import Linearised
+from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexplained
+from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, bridged, initially
+from onboard.identification.exiddm.recursion.stepped import Stepped
+from onboard.identification.exiddm.recursion.trials import CellTrials, Choice, Trial, Trials, trials_of
+from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve
+from onboard.identification.exiddm.suspects import Rivals
+
+SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
+_WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
+_LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
+DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
+
+
+class RecursiveExiddm(Holding):
+    """Recursive estimate of a payload.
+
+    Args:
+        predictor: of the vehicle's IMU.
+        payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
+        held: a payload is held at the start.
+        false_alarms_per_hour: of the change detector, at most.
+        call_ticks: ticks of a call that does not come late.
+        known: standard parameters of the payload held last, (10,), and their covariance, (10, 10): the first window
+            decides whether it is still held, or nothing or another one, regardless of ``held``.
+
+    Attributes:
+        ticks_used: with an IMU, taken in since the start or the last change.
+        glitches: number of ticks left out as outliers.
+        changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
+        exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
+            the model changed, and the estimate contradicts what was known before.
+        unexplained: windows that no hypothesis explains.
+        undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
+        lines: coherent lines in the reference IMU's innovations.
+        fusion: the instruments, and which of them are left out.
+        rivals: what may not be as stated.
+        misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
+    """
+
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        payload_sigma: FloatArray,
+        held: bool,
+        false_alarms_per_hour: float = 0.1,
+        known: Known | None = None,
+        call_ticks: int = BATCH_TICKS,
+    ) -> None:
+        super().__init__(predictor, call_ticks)
+        self.payload_sigma = np.asarray(payload_sigma, np.float64)
+        self.held = self._before = held if known is None else None
+        self._suspected: Change | None = None  # not yet classified
+        self._claim, self._none = Claim(), predictor.no_ticks
+        self._left: FloatArray | None = None  # by the last one
+        self.exchanged, self.undecided, self.ticks_used, self.glitches = False, "", 0, 0
+        self.changes: list[Change] = []
+        self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
+        self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
+        self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
+        self._snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
+        self.rivals, self._initial = Rivals(predictor), initially(predictor, known)
+        self._innovations = Innovations(predictor, self.fusion, self.rivals)
+        self._open(at_first(held, known is not None), self._initial)
+
+    def settled(self) -> bool:
+        """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
+        replaced = self._stepped is not None and self._stepped.first
+        return (not self._hypotheses or self._grown > 1.0) and not (replaced or self.solving)
+
+    @property
+    def confirmed(self) -> bool:
+        """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it.
+
+        Nor without the motion before it, where that has told that something is not as stated and is yet to be taken in.
+        """
+        return not self._awaits and (not self._hypotheses or self.ticks_used * self._period_s > SOLVED_AT_s[1])
+
+    def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
+        seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
+        imu = next(k for k in self.fusion.imus if k not in trial.without)
+        prior, start = self._innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
+        if self._stepped is not None and self._earlier is not None and self.state is not None:
+            prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
+        return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu)
+
+    def _announced(self, held: bool, time_s: float) -> None:
+        if held != self.held:
+            self.exchanged, self._suspected = False, None
+            self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
+            self._reopen(self._claim.make(held, self.estimate() is not None), 0)
+
+    # ------------------------------------------------------------------ a window, as a whole
+
+    def _open(self, hypotheses: tuple[Hypothesis, ...], prior: Known, begun: Ticks | None = None) -> None:
+        """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
+        self._hypotheses, self._prior = hypotheses, prior
+        self._solves, self._grown, self._awaits = int(begun is not None), 1.0, False  # what was before a change
+        self.unexplained.begin(change=self._suspected is not None)
+        self._start: FloatArray | None = None
+        self._window, self._pending = self._none, self._none if begun is None else begun
+        self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
+        self._stepped: Stepped | None = None  # ticks of the window and of the steps since
+        self._earlier: Before | None = None  # motion before the change, while it is not known what was held
+        self._accused: Accusation | None = None  # the window is solved without it
+        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
+            one.forget()
+        self._snapshots.clear()
+
+    def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int | None) -> None:
+        """Begin a window with what was known so many batches ago; None: before the first tick."""
+        now = self._prior if self.state is None else (self.state, self.covariance)
+        if batches_back is None:
+            now = self._initial
+        elif len(self._snapshots):
+            now = self._snapshots.back(batches_back)
+        self.state, self.held, self.ticks_used = None, None, 0
+        self._open(hypotheses, now)
+
+    def _ready(self) -> None:
+        self.fusion.run(float(self._pending.time_s[-1]))
+        self._begin_window() if self._hypotheses else self._step()
+
+    def _wanted(self) -> int:
+        whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
+        return max(whole - len(self._pending.time_s), 0)
+
+    def _window_ticks(self) -> int:
+        return round(self._grown * _WINDOWS_s[self._solves] / self.predictor.period_s)
+
+    def _begin_window(self) -> None:
+        """Ask for the window; where one instrument is accused, for the fits that tell whether it is wrong."""
+        self._window = self._pending.part(slice(-self._window_ticks(), None))
+        self.fusion.expect(self._window.measured)
+        self._trials = None if self._accused is None else self._trials_now(self._accused.instrument)
+        self._ask()
+
+    def _trials_now(self, accused: int | None) -> Trials | CellTrials:
+        window = self._solves or int(accused is None and self.unexplained.count > 0)  # no contact takes so long
+        return trials_of(self.fusion, self._hypotheses, accused, window, len(_WINDOWS_s))
+
+    def _ask(self) -> None:
+        """Ask for the window with all instruments, or for the next trial."""
+        self._asked = self._window, (self._trials and self._trials.next()) or Trial(self._hypotheses)
+
+    def _end_of(self, solve: WindowSolve) -> None:
+        """Take in the result of a window."""
+        found, self._left = solve.found, solve.left
+        self._linearised.forget()
+        if self._stepped is not None and self._earlier is not None:
+            if found is not None and found.hypothesis is Hypothesis.NOTHING:
+                self._prior = self._earlier.known
+            self._earlier, self._asked = None, self._stepped.asked
+            return
+        if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
+            stepped, self._stepped, self._awaits = self._stepped, None, False
+            assert stepped is not None
+            self.unexplained.count += found is None and stepped.first
+            if found is not None:
+                self._stepped, self._start = stepped.after(found), found.start
+                self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
+                self.lines.begin(found.residual)
+            assert self.state is not None
+            self._snapshots.append(self.state, self.covariance)
+            return
+        if self._trials is not None:
+            self._trials.take(found)
+        elif found is not None or self._grown > 1.0 or self._claim.unseen:  # a change before a wrong instrument
+            self._not_explained() if found is None else self._explained(found)
+            return
+        else:
+            self._trials = self._trials_now(None)
+        self._ask() if self._trials.next() is not None else self._judge(self._trials.choice)
+
+    def _judge(self, choice: Choice | None) -> None:
+        """Leave out the instrument without which the window is explained, if that is one, or one much better."""
+        accused = self._accused
+        if choice is None and accused is not None:
+            self._acquit(accused)
+        elif choice is None or (accused is None and not choice.clear):
+            self._not_explained(choice.doubt(self.fusion.names) if choice else "")
+        elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
+            self._solves += 1  # wait for a longer window
+        else:
+            self._accused, self.undecided = None, self.undecided or choice.doubt(self.fusion.names)
+            self._do_without(choice, accused)
+
+    def _do_without(self, choice: Choice, accused: Accusation | None) -> None:
+        """Go on from the window without an instrument; anew, if what was known before may come from it.
+
+        That of an accused one is from before it was, but a tracker tells of all the time that it was used.
+        """
+        anew, length = choice.instrument in self.fusion.trackers, self._solves
+        old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
+        self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
+        self._explained(choice.found, instrument=True)
+        if anew or (old and (not self.held or self._innovations.misled(choice.found.state))):
+            window, self._asked = self._window, None
+            self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
+            self._pending, self._solves = window, length
+
+    def _not_explained(self, between: str = "") -> None:
+        """The contact may not be over; estimates of the other unknowns are kept.
+
+        Args:
+            between: which instruments contradict each other, if it is explained without either of them.
+        """
+        self._hypotheses, unseen = self._claim.otherwise(self._hypotheses, self._window.time_s)
+        if unseen is not None:
+            self._before, self._suspected = Hypothesis.SAME in self._hypotheses, unseen
+            self.changes.append(unseen)
+        # a window that has grown contradicts none before it: they determined nothing
+        longer = self._solves > 0 and self._grown == 1.0
+        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=longer, between=between)
+        self.state, self.held, self._start, self._solves, self._grown = None, None, None, 0, 1.0
+        self._pending = self._pending.part(slice(-self._window_ticks(), None))
+
+    def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
+        """Take in a solved window; ``instrument``: an instrument was wrong, and is left out of it."""
+        ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
+        if self._suspected is not None:
+            self.changes.append(self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument)))
+            self._suspected = None
+        self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
+        if len(self._hypotheses) > 1:
+            self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
+        self.held = hypothesis is not Hypothesis.NOTHING
+        self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
+        self.lines.begin(solved.residual)
+        self.ticks_used, self._hypotheses, self.unexplained.wait, self._pending = solved.used, (hypothesis,), 0, ticks
+        if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
+            self._solves += 1
+        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= DETERMINED:
+            told, grown = solved.growth(self._grown, float(self.payload_sigma[0]))
+            whole, self._grown, self._start = grown > self._grown, grown, solved.start if told else None
+            if self._claim.held and not solved.tells_mass:  # is anything held at all?
+                self._hypotheses = (Hypothesis.NOTHING,)
+                self._begin_window()
+            elif not whole:
+                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+                if told:
+                    self._start = first_state(self.predictor, self._pending, solved.start, self.fusion.imus[0])
+        else:
+            self.glitches += solved.glitches
+            self._hypotheses, self._pending, self.covariance = (), ticks.part(slice(-2, None)), solved.kept
+            self.unexplained.settle()
+            self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
+            if self._stepped and self._earlier and self.rivals.weighed(*self._earlier.known).names:
+                self._asked, self._awaits = self._earlier.asked, True
+
+    # ------------------------------------------------------------------ a batch, as a step
+
+    def _step(self) -> None:
+        assert self.state is not None
+        ticks, self._due, self._window = self._pending, self._due - self._step_work, self._none
+        with np.errstate(over="ignore", invalid="ignore"):
+            about, predicted = self._linearised.predict(ticks, self.state)
+            noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        self.covariance = self._linearised.known(self.covariance)
+        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
+        state, covariance, suspect, used = self.state, self.covariance, False, 0
+        there = self.fusion.whole(batch.measured)
+        try:
+            innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+        except SingularError:
+            self.glitches += BATCH_TICKS
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
+            return
+        own = self.predictor.lines[self.fusion.reference]
+        base = np.flatnonzero(there[:, own.start])  # ticks with the reference
+        if base.size:
+            verdict = self._detector.check((innovation.of_reference[base] ** 2).sum(axis=1))
+            if verdict.alarm:
+                self._alarm(verdict.score, verdict.batches)
+                return
+            suspect = verdict.suspect
+            if verdict.glitches.any() and not suspect:
+                self.glitches += int(verdict.glitches.sum())
+                there[base[verdict.glitches], own] = False
+                innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+            self._innovations.judge(innovation, there, self.misfit)
+            self.lines.add(innovation.of_reference[there[:, own.start]].ravel(), there[:, own.start])
+        if not suspect:
+            innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
+            W, e, _ = innovation.told(used)
+            state, covariance = state + W.T @ e, covariance - W.T @ W
+            self.ticks_used += int(there[:, own.start].sum())
+        self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
+        self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
+        self.rivals.steps.step(innovation.told(used), predicted.transition)
+        self._pending = ticks.part(slice(BATCH_TICKS, None))
+        if self._stepped is not None:
+            self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
+            if begun is not None:
+                self._open((Hypothesis.NOTHING,), self._prior, begun)
+                return
+            if self._stepped.due(apart=self._linearised.apart):
+                self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
+                return
+        self._snapshots.append(self.state, self.covariance)
+        self._snapshots.moves(None if ticks.rest else ticks)
+        if not suspect:
+            self._compare(innovation, used)
+
+    def _free(self, free: Callable[[Known], Known]) -> None:
+        """Go on as if everything may be wrong that is suspected."""
+        assert self.state is not None
+        first, self._initial = self._prior[0] is self._initial[0], free(self._initial)
+        self._prior = self._initial if first else free(self._prior)
+        self.state, self.covariance = free((self.state, self.covariance))
+        self._snapshots.become(free)
+        self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
+        self._innovations.may_be_wrong = self.rivals.freed_at
+        self._linearised.begin_anew()
+
+    def _compare(self, innovation: Innovation, used: int) -> None:
+        """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
+        assert self.state is not None
+        # an empty arm that seems to be heavier than drawn may hold something: a change decides
+        if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
+            self._free(free)
+            return
+        known = self.state, self.covariance
+        found = self._innovations.contradicting(innovation, used, *known, self.rivals.too_far(*known))
+        accused = self.fusion.standing(found)
+        if accused is not None:
+            self._before = bool(self.held)
+            kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
+            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.back)
+            self._accused = accused
+
+    def _acquit(self, accused: Accusation) -> None:
+        """It is a change that the accused instrument has shown; of what kind, the trials may have found."""
+        back_s = (accused.batches + 1) * BATCH_TICKS * self.predictor.period_s
+        times = float(self._pending.time_s[-1]), float(self._pending.time_s[0]) - back_s
+        self._accused, self._suspected = None, Change("change", *times, np.nan)
+        self.changes.append(self._suspected)
+        if self._trials is not None and self._trials.changed is not None:
+            self._explained(self._trials.changed)
+            return
+        known = self._prior[0] is not self._initial[0]
+        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), known)
+        self._begin_window()
+
+    def _alarm(self, score: float, batches: int) -> None:
+        now_s, back_s = float(self._pending.time_s[-1]), batches * BATCH_TICKS * self.predictor.period_s
+        suspected = Change("change", now_s, now_s - back_s, score)
+        self._claim.held, self._before, self._suspected = None, bool(self.held), suspected
+        self.changes.append(self._suspected)
+        back, earlier = (batches, None) if self.held else self._snapshots.since_rest(batches)
+        self._reopen(after_a_change(bool(self.held)), back + 1)
+        self._earlier = earlier
+
+    def _bridge(self, after: Ticks) -> None:
+        """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
+        gap_s = float(after.time_s[0] - self._pending.time_s[0])
+        fastest, self._claim.unseen = self._pending.fastest(self.predictor.lines[self.fusion.reference]), True
+        if self._hypotheses or self.state is None:
+            self._open(self._hypotheses, self._prior)
+        elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.anew_at.size:
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
+        else:
+            both, now = self._pending.part(slice(0, 1)).and_then(after), (self.state, self.covariance)
+            self.state, self.covariance = bridged(self.predictor, both, now, fastest * gap_s)
+            self._stepped, self._earlier, self._pending = None, None, self._none
+            self._snapshots.moves(None)

@@ -1,0 +1,1 @@
+"""Agreement of rows and instruments with an estimate; suspects among them."""

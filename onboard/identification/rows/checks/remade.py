@@ -1,0 +1,148 @@
+"""Rows of kept ticks made again about any estimate, of an arm on a fixed base: readings, and their derivatives.
+
+The recursion's rows are linear in the base parameters, made of the motion as it was read. Here angles, rates and
+accelerations are first corrected for errors of the encoders, and readings for those of the cells:
+
+    q' = (q - zero) / (1 + scale) + delay dq + delay^2 ddq / 2,    reading = (1 + gain) (Y(q', dq', ddq') chi + bias)
+
+with the specific force turned by how far the base is from level, and the wrench by how far the cells are turned in
+their mount. Derivatives by errors of motion are differences.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.rows.checks.kept_ticks import Ticks
+from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.regressor.base_parameters import BaseParameters
+from onboard.regressor.rows import BaseMotion, RowModel
+
+_STEP = 1e-6  # rad, relative or s, of a difference
+_SPANNED = 1e-9  # relative: rows that hold a turned one
+STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next
+OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "level")
+OF_READING = ("delay", "drift", "step", "turned")
+
+
+class Made(NamedTuple):
+    """Rows of all ticks about an estimate."""
+
+    reading: FloatArray  # (t, m) as predicted
+    slope: FloatArray  # (t, m, p + k) by base parameters and errors
+
+
+class RowsRemade:
+    """Prediction of one model's rows.
+
+    Args:
+        model: the rows, their base fixed.
+        base: their base parameters, p.
+        errors: k of them, of instruments and of how these are mounted.
+    """
+
+    def __init__(self, model: RowModel, base: BaseParameters, errors: Sequence[Considered]) -> None:
+        self._model, self._errors, self._p = model, tuple(errors), len(base.names)
+        names = [row.name for row in model.rows]
+        self._joints = [joint.name for joint in model.vehicle.joints]
+        self._row = [names.index(one.row) if one.effect in OF_READING and one.row in names else 0 for one in errors]
+        self._gains = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
+        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)
+        self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
+        self._turned = {k: turned(model, one) for k, one in enumerate(errors) if one.effect == "turned"}
+
+    def at(self, ticks: Ticks, beta: FloatArray, errors: FloatArray) -> Made:
+        """Readings and their derivatives about base parameters (p,) and errors (k,)."""
+        moving = [k for k, one in enumerate(self._errors) if one.effect in OF_MOTION]
+        tried = [errors]
+        for k in moving:
+            step = np.zeros(len(errors))
+            step[k] = _STEP
+            tried.append(errors + step)
+        Y = self._rows(ticks, tried)
+        without = Y[..., :-1].copy()
+        without[..., [column for _, column in self._gains]] = 0.0
+        wrench = without @ beta + Y[..., -1]  # (s, t, m) before gains
+        mix = np.eye(wrench.shape[2]) + sum(errors[k] * T for k, T in self._turned.items())
+        mixed = wrench @ mix.T
+        gain = np.ones(mixed.shape[1:])
+        for row, column in self._gains:
+            gain[:, row] += beta[column]
+        steps = np.ones_like(gain)
+        for k, later in self._later(len(gain)):
+            steps[:, self._row[k]] += errors[k] * later
+        slope = np.zeros((*gain.shape, self._p + len(errors)))
+        slope[..., : self._p] = (gain * steps)[..., None] * (mix @ without[0])
+        for row, column in self._gains:
+            slope[:, row, column] = steps[:, row] * mixed[0, :, row]
+        for number, k in enumerate(moving, 1):
+            slope[..., self._p + k] = gain * steps * (mixed[number] - mixed[0]) / _STEP
+        for k, T in self._turned.items():
+            slope[..., self._p + k] = gain * steps * (wrench[0] @ T.T)
+        for k, later in self._later(len(gain)):
+            slope[:, self._row[k], self._p + k] = (gain * mixed[0])[:, self._row[k]] * later
+        reading = gain * steps * mixed[0]
+        for k, one in enumerate(self._errors):
+            if one.effect in ("delay", "drift"):
+                row = self._row[k]
+                slope[:, row, self._p + k] = ticks.time_s if one.effect == "drift" else -ticks.rate[:, row]
+                reading[:, row] += errors[k] * slope[:, row, self._p + k]
+        return Made(reading, slope)
+
+    def _later(self, ticks: int) -> Iterator[tuple[int, FloatArray]]:
+        """Each error that is a step, and whether a tick comes after it, (t,)."""
+        for k, one in enumerate(self._errors):
+            if one.effect == "step":
+                yield k, (np.arange(ticks) * (STEPS + 1) >= ticks * (1 + (one.axis or 0))).astype(np.float64)
+
+    def _rows(self, ticks: Ticks, tried: Sequence[FloatArray]) -> FloatArray:
+        """Rows of the corrected motion for each of s vectors of errors, (s, t, m, p + 1); what is known last."""
+        parts = [self._corrected(ticks, errors) for errors in tried]
+        q, dq, ddq, force = (np.concatenate(part) for part in zip(*parts, strict=True))
+        still = np.zeros_like(force)
+        none = np.zeros((len(q), len(self._model.rows)))
+        held = np.tile(ticks.attached, len(tried))
+        moved = q, dq, ddq, BaseMotion(still, still, force)
+        Y = self._model.regressor(*moved, held, predicted=none, fold=self._fold)
+        return np.asarray(Y, np.float64).reshape(len(tried), len(ticks.time_s), *Y.shape[1:])
+
+    def _corrected(self, ticks: Ticks, errors: FloatArray) -> tuple[FloatArray, ...]:
+        """Motion without the errors of its sensors: angles, rates, accelerations, specific force."""
+        zero, scale, delay = np.zeros((3, len(self._joints)))
+        tilt = np.zeros(3)
+        for one, error in zip(self._errors, errors.tolist(), strict=True):
+            if one.effect == "level":
+                tilt[one.axis or 0] = error
+            elif one.effect in OF_MOTION:
+                kind = {"joint_zero": zero, "joint_scale": scale, "joint_delay": delay}[one.effect]
+                kind[self._joints.index(one.row)] = error
+        over = 1.0 / (1.0 + scale)
+        q = (ticks.q - zero) * over + delay * ticks.dq + 0.5 * delay**2 * ticks.ddq
+        dq = ticks.dq * over + delay * ticks.ddq + 0.5 * delay**2 * ticks.jerk
+        return q, dq, ticks.ddq * over + delay * ticks.jerk, ticks.force + np.cross(tilt, ticks.force)
+
+
+def turned(model: RowModel, error: Considered) -> FloatArray:
+    """What a small turn of all cells at a frame adds to each reading, by the others, (m, m); per rad.
+
+    Args:
+        model: the rows.
+        error: frame and axis.
+
+    Returns:
+        Zeros where other components of the wrench than the cells measure would be read.
+    """
+    T = np.zeros((len(model.rows), len(model.rows)))
+    axis = np.eye(3)[error.axis or 0]
+    at = [k for k, row in enumerate(model.rows) if row.frame == error.row]
+    every = np.array([model.rows[k].projection for k in at]).T  # (6, rows)
+    for k in at:
+        own = np.array(model.rows[k].projection)
+        rotated = np.concatenate([np.cross(axis, own[:3]), np.cross(axis, own[3:])])
+        by = np.linalg.lstsq(every, rotated, rcond=None)[0]
+        if np.abs(every @ by - rotated).max() > _SPANNED * np.abs(own).max():
+            return np.zeros_like(T)
+        T[k, at] = by
+    return T

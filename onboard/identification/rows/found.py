@@ -1,0 +1,38 @@
+"""What is found about an estimate by rows that its intervals do not contain."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from onboard.estimation.gates import GateReason
+from onboard.estimation.recursive.memory import FOR_EVER
+from onboard.identification.corrections import doubtful, too_large
+from onboard.identification.quantities import MOST_CONTRADICTED, Findings
+from onboard.identification.rows.checks.agreement import judged_fit
+from onboard.identification.rows.stated_errors.drawing import judged_drawing
+
+if TYPE_CHECKING:
+    from onboard.identification.rows.identifier import Identifier
+
+
+def found(of: "Identifier") -> Findings:
+    """Reasons to refuse all estimates of an identifier or to weaken them, and what is told with any."""
+    said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
+    share = (residual := of.refused[GateReason.RESIDUAL]) / max(of.rows_used + residual, 1)
+    if share > MOST_CONTRADICTED and of.suspects is None:
+        against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
+    if of.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
+        return Findings(tuple(against), ())
+    jackknife = of.block_jackknife()
+    judged: list[tuple[Sequence[str], ...]]
+    if of.suspects is None:
+        judged = [judged_fit(fit, of.correlation) for fit in of.fits(jackknife.mean)]
+    else:
+        judged = [of.suspects.judged()]
+    judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]
+    scales, errors = {} if of.suspects else of.scales(jackknife), of.fitted_errors
+    judged += [(too_large(one), doubtful(one)) for one in (errors.in_sigmas if errors else {}, scales)]
+    for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
+        texts.extend(more)
+    if of.payload and not of.suspects and not too_large(scales) and (why := of.contradiction(jackknife)):
+        against.append(why)
+    return Findings(tuple(against), tuple(doubts), tuple(told))

@@ -1,0 +1,1 @@
+"""Stated sigmas that the rows consider, draw from or fit."""

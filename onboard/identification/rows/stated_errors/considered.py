@@ -1,0 +1,172 @@
+"""Consider parameters (Schmidt): scales, zeros, drifts, biases, axes, delays of known sigma, which are not estimated.
+
+They are part of the intervals. One of a load cell changes its reading. One of a joint's sensor or of the base's IMU
+changes the regressor: its effect is linear in the estimate
+(:mod:`onboard.identification.rows.stated_errors.considered_errors`).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.dynamics.model.errors import SignalError, UnknownFrameError
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.regressor.rows import RowModel, base_motion
+from onboard.regressor.signals import Signals
+
+OfRow = Literal["scale", "delay", "drift"]
+OfJoint = Literal["joint_scale", "joint_zero", "joint_delay"]
+OfImu = Literal[
+    "gyro_scale",
+    "gyro_misalignment",
+    "gyro_delay",
+    "gyro_bias",
+    "accelerometer_scale",
+    "accelerometer_misalignment",
+    "accelerometer_delay",
+    "accelerometer_bias",
+]
+Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
+Effect = OfRow | OfJoint | OfImu | Suspected
+_OF_ROW = ("scale", "delay", "drift")
+_OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
+_STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
+_STEP_S = 1e-4  # of a delay
+
+
+class Considered(NamedTuple):
+    """An error common to all readings of one instrument, with a known sigma."""
+
+    name: str
+    row: str  # of a load cell; of a joint, its name; of the IMU, its frame; "" of a scale that is common to all rows
+    effect: Effect
+    sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
+    key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
+    axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
+
+    @property
+    def is_common(self) -> bool:
+        """Whether it is a scale of all rows."""
+        return self.effect == "scale" and not self.row
+
+    @property
+    def stated(self) -> str:
+        """Its key and value: ``load_cell scale_sigma 0.25 %``."""
+        if self.effect.endswith("delay"):
+            value = f"{1e3 * self.sigma:.3g} ms"
+        elif self.effect.endswith(("zero", "misalignment")):
+            value = f"{1e3 * self.sigma:.3g} mrad"
+        elif self.effect == "drift":
+            value = f"{self.sigma:.3g} N/s"
+        elif self.effect.endswith("bias"):
+            value = f"{self.sigma:.3g} {'rad/s' if self.effect.startswith('gyro') else 'm/s^2'}"
+        else:
+            value = f"{100.0 * self.sigma:.3g} %"
+        return f"{self.key or self.name} {value}"
+
+
+def check(considered: Sequence[Considered], model: RowModel) -> None:
+    """Checks that the model has each named row, joint or IMU.
+
+    Raises:
+        UnknownFrameError: it does not.
+    """
+    rows, joints = [row.name for row in model.rows], [joint.name for joint in model.vehicle.joints]
+    for cause in considered:
+        if cause.effect in _OF_ROW and cause.row not in rows and not cause.is_common:
+            raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
+        if cause.effect in _OF_JOINT and cause.row not in joints:
+            raise UnknownFrameError(f"considered {cause.name!r} names joint {cause.row!r}; there are {joints}")
+
+
+def of_motion(considered: Sequence[Considered]) -> bool:
+    """Whether any changes the regressor: an error of a joint's sensor or of the base's IMU."""
+    return any(cause.sigma > 0.0 and cause.effect not in _OF_ROW for cause in considered)
+
+
+def columns(
+    considered: Sequence[Considered],
+    model: RowModel,
+    signals: Signals,
+    at: NDArray[np.intp],
+    use: BoolArray,
+    parameters: int,
+    regressors: Callable[[Sequence[Signals]], FloatArray],
+) -> FloatArray | None:
+    """``d y / d c``, at the ticks ``at`` (t,), of the rows in use (t, rows); differences for joints and IMU.
+
+    Args:
+        considered: k causes.
+        model: the rows.
+        signals: all of them.
+        at: ticks.
+        use: which rows.
+        parameters: p.
+        regressors: rows at these ticks, (s, t, rows, p + 1), of each of s signals; last what is known.
+
+    Returns:
+        (r, k, p + 1) factors of the parameters, and of 1.
+
+    Raises:
+        SignalError: a delay, and no rate of the measured rows.
+    """
+    if not considered:
+        return None
+    names = [row.name for row in model.rows]
+    D = np.zeros((*use.shape, len(considered), parameters + 1))
+    misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
+    for k, cause in enumerate(considered):
+        if cause.is_common:
+            D[..., k, -1] = signals.measured[at]
+        elif cause.effect == "scale":
+            D[:, names.index(cause.row), k, -1] = signals.measured[at, names.index(cause.row)]
+        elif cause.effect == "drift":
+            D[:, names.index(cause.row), k, -1] = signals.time_s[at]
+        elif cause.effect == "delay":
+            if signals.measured_rate is None:
+                raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
+            D[:, names.index(cause.row), k, -1] = -signals.measured_rate[at, names.index(cause.row)]
+        elif cause.sigma > 0.0:
+            step = _STEP_S if cause.effect.endswith("delay") else _STEP
+            misread[k] = _misread(signals, cause, model, step), step
+    if misread:
+        before, *after = regressors([signals, *(wrong for wrong, _ in misread.values())])
+        for (k, (_, step)), wrongly in zip(misread.items(), after, strict=True):
+            D[..., k, :] = (before - wrongly) / step
+    return D[use]
+
+
+def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) -> Signals:
+    """The signals as they would be if one instrument read a little more, were turned a little, or a little late."""
+    own = step * np.array([joint.name == cause.row for joint in model.vehicle.joints])
+    q, dq, ddq = signals.q, signals.dq, signals.ddq
+    if cause.effect == "joint_zero":
+        return signals._replace(q=q + own)
+    if cause.effect == "joint_scale":
+        return signals._replace(q=q * (1.0 + own), dq=dq * (1.0 + own), ddq=ddq * (1.0 + own))
+    if cause.effect == "joint_delay":
+        return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * rate_of(signals, ddq))
+    R, p = model.vehicle.pose_in_base(cause.row)
+    w, dw, f = signals.motion
+    parts = [w @ R, dw @ R, (f + np.cross(dw, p) + np.cross(w, np.cross(w, p))) @ R]  # as the IMU reads
+    kind = cause.effect.removeprefix("gyro_").removeprefix("accelerometer_")
+    for index in (0, 1) if cause.effect.startswith("gyro") else (2,):
+        value = parts[index]
+        if kind == "delay":
+            parts[index] = value - step * (dw @ R if index == 0 else rate_of(signals, value))
+        elif kind == "misalignment":
+            parts[index] = value + step * np.cross(value, np.eye(3)[cause.axis or 0])
+        elif kind == "bias":
+            parts[index] = value + step * (np.eye(3)[cause.axis or 0] if index != 1 else np.zeros(3))
+        else:
+            parts[index] = value * (1.0 + step * (np.ones(3) if cause.axis is None else np.eye(3)[cause.axis]))
+    return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))
+
+
+def rate_of(signals: Signals, values: FloatArray) -> FloatArray:
+    """Rate of change from tick to tick, (n, columns); zero where a neighbour is missing."""
+    if len(values) < 2:
+        return np.zeros_like(values)
+    return np.nan_to_num(np.gradient(values, signals.time_s, axis=0))

@@ -1,0 +1,87 @@
+"""What considered errors do to rows, and to an estimate of them.
+
+An error of a joint's sensor or of the base's IMU changes the regressor: ``d y / d c = D [chi 1]``. At what is known of
+chi when a row comes the error would seem to change while the estimate is being learned, and its effect would be that of
+a drift. So ``sum Y' D / sigma^2`` is kept, and the effect is computed at the estimate of all rows.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.recursive.rls import SquareRootRls
+from onboard.identification.rows.stated_errors.considered import Considered, columns
+from onboard.identification.rows.stated_errors.whitening import NoisyRows
+from onboard.regressor.rows import BaseMotion, RowFold, RowModel
+from onboard.regressor.signals import Signals
+
+
+class Start(NamedTuple):
+    """Estimate of another estimator of the same vehicle, for a warm start in place of the prior."""
+
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
+
+
+class ConsideredErrors:
+    """Considered errors of a model's rows.
+
+    Args:
+        considered: k of them.
+        model: the rows.
+        fold: their base columns, and what is known last.
+        parameters: p.
+    """
+
+    def __init__(self, considered: Sequence[Considered], model: RowModel, fold: RowFold, parameters: int) -> None:
+        self._considered, self._model, self._fold, self._p = tuple(considered), model, fold, parameters
+        self._sums: FloatArray | None = None  # (k, p, p + 1)
+
+    def remember(self, start: Start | None) -> None:
+        """Keep what all rows from now on have, for :meth:`restate`.
+
+        Args:
+            start: that is gone on from.
+        """
+        self._sums = np.zeros((len(self._considered), self._p, self._p + 1))
+        if start is not None:
+            self._sums[:, :, -1] = np.linalg.solve(start.covariance, start.sensitivity).T
+
+    def factors(self, signals: Signals, at: NDArray[np.intp], use: BoolArray, attached: BoolArray) -> FloatArray | None:
+        """D of the rows in use (t, rows) at some ticks (t,), (r, k (p + 1)); None where nothing is considered.
+
+        Raises:
+            SignalError: a delay, and no rate of the measured rows.
+        """
+        asked = self._considered, self._model, signals, at, use, self._p
+        D = columns(*asked, lambda each: self.regressors(each, at, attached))
+        return None if D is None else D.reshape(len(D), -1)
+
+    def at(self, rows: NoisyRows, mean: FloatArray) -> NoisyRows:
+        """Rows with their D, (r, k (p + 1)), with ``d y / d c`` at an estimate in its place, (r, k)."""
+        if rows.C is None:
+            return rows
+        D = rows.C.reshape(len(rows.y), len(self._considered), -1)
+        if self._sums is not None:
+            weighted = (rows.Y / (rows.sigma * rows.sigma)[:, None]).T  # (p, r)
+            added = (weighted @ rows.C).reshape(self._p, *D.shape[1:])  # (p, k, p + 1)
+            self._sums += added.transpose(1, 0, 2)
+        return rows._replace(C=D @ [*mean, 1.0])
+
+    def restate(self, rls: SquareRootRls) -> None:
+        """Give the recursion what the errors do to all of its rows at its estimate."""
+        if self._sums is not None:
+            rls.consider(np.asarray((self._sums @ [*rls.solve().mean, 1.0]).T, np.float64))
+
+    def regressors(self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
+        """Rows of some ticks, (s, t, rows, p + 1), for each of s signals; last what is known."""
+        parts = zip(*((one.q, one.dq, one.ddq, *one.motion) for one in each), strict=True)
+        q, dq, ddq, *motion = (np.concatenate([one[at] for one in part]) for part in parts)  # (s t, ...) each
+        none = np.zeros((len(q), len(self._model.rows)))
+        held = np.tile(attached[at], len(each))
+        Y = self._model.regressor(q, dq, ddq, BaseMotion(*motion), held, predicted=none, fold=self._fold)
+        return np.asarray(Y, np.float64).reshape(len(each), at.size, *Y.shape[1:])

@@ -1,0 +1,203 @@
+"""Fits the considered errors of the instruments: how large each can still be, and which lie beyond their stated sigmas.
+
+Where the rows tell errors from the body, less of them is left than was stated: each is as large as it is fitted, give
+or take the sigma of the fit. The estimate of the body is that without errors, so what an interval has of them is their
+second moment ``M = P + c c'``: c and P are the mean and covariance of all that are told, beside the parameters, under
+their stated sigmas with the tails of :mod:`onboard.identification.rows.stated_errors.stated`. The noise of the rows is
+scaled by the scores of all blocks of time at this fit, where the errors no longer make them scatter (derived here).
+Delays stay as stated: their columns are of derivatives, whose noise is not that of the rows.
+
+A changed calibration shows as well: fitted alone, beside the parameters and the other errors within their sigmas, an
+error lies beyond what was stated of it. Rows are summed into blocks of time as in
+:mod:`onboard.estimation.recursive.consistency`; the scatter of the fit without each block is part of the sigma that it
+is compared with (derived here).
+
+An error whose effect the parameters reproduce is not told, and its fit would follow the noise of the regressor: the
+share of its effect that they do not reproduce must exceed what they leave over of the readings, and the noise of the
+regressor. (The scale of a free body's rotor: it multiplies all inertias.)
+
+The effect of an error is linear in the parameters, which settle within the first rows, so the rows' factors are kept,
+and the columns are computed at the last estimate. Of a long flight only the first are kept: later rows have theirs at
+the estimate of their time.
+"""
+
+import copy
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.recursive.consistency import BlockScores, NoiseScale, noise_scale
+from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.stated import FREEDOM
+
+_OPEN = 1e3  # prior sigmas: the error that is fitted
+_ROUNDS = 4  # of the noise's scale, which settles to a few per cent
+_MOST_KEPT = 1_000_000  # numbers, 8 MB: some two seconds of a body that is thrown, or five throws
+_TOLD = 1.5  # share of an error's effect that no parameter reproduces, over the share of the readings left over
+
+
+class _Rows(NamedTuple):
+    """Rows of some ticks, m in all."""
+
+    times_s: FloatArray  # (m,)
+    Y: FloatArray  # (m, p)
+    y: FloatArray  # (m,)
+    sigma: FloatArray  # (m,)
+    D: FloatArray  # (m, k (p + 1))
+    noise: FloatArray | None  # (m, s, p + 1)
+
+
+class Fitted(NamedTuple):
+    """The considered errors, k of them, after the rows."""
+
+    in_sigmas: dict[str, float]  # each that is told, by its name, over its stated sigma and that of its fit together
+    root: FloatArray  # (k, k) symmetric root of their second moments, in the units of their stated sigmas
+    noise: NoiseScale | None = None  # of the rows, beside them; None where none are fitted
+
+
+class FittedCorrections:
+    """Sums of rows with the columns of the considered errors.
+
+    Args:
+        parameters: p.
+        considered: k errors; those without a sigma are not fitted.
+        block_s: first length of a block.
+        start: (p, k) change of the prior's mean per unit of each error, where an earlier flight made it.
+    """
+
+    def __init__(
+        self, parameters: int, considered: Sequence[Considered], block_s: float, start: FloatArray | None = None
+    ) -> None:
+        self._p, self._causes = parameters, tuple(considered)
+        start = np.zeros((parameters, len(self._causes))) if start is None else start
+        self._start = np.hstack([np.eye(parameters), start])  # of parameters and errors, what the prior's mean is of
+        self._settled = BlockScores(parameters + len(self._causes), block_s)
+        self._waiting = list[_Rows]()
+        self._kept = 0  # numbers so far in factors
+
+    def add(
+        self,
+        times_s: FloatArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        D: FloatArray,
+        noise: FloatArray | None,
+        mean: FloatArray,
+    ) -> None:
+        """Takes in rows as :meth:`BlockScores.add` does.
+
+        Args:
+            times_s: (m,).
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,).
+            D: (m, k (p + 1)) factors of ``d y / d c = D [chi 1]``.
+            noise: (m, s, p) or (m, s, p + 1).
+            mean: the parameters now, (p,): those that rows have that are not kept.
+        """
+        self._waiting.append(_Rows(times_s, Y, y, sigma, D, noise))
+        self._kept += D.size
+        if self._kept > _MOST_KEPT:
+            self._settled, self._waiting = self._at(mean), []
+
+    def _at(self, mean: FloatArray) -> BlockScores:
+        """All rows with columns of the errors, those that are kept with the errors' effects at ``mean``, (p,)."""
+        blocks, p, k = copy.deepcopy(self._settled), self._p, len(self._causes)
+        for times_s, Y, y, sigma, D, noise in self._waiting:
+            wider = None
+            if noise is not None:
+                wider = np.zeros((*noise.shape[:2], p + k + 1))
+                wider[..., :p] = noise[..., :p]
+                wider[..., -1] = noise[..., p] if noise.shape[2] > p else 0.0
+            C = D.reshape(len(y), k, p + 1) @ [*mean, 1.0]
+            blocks.add(times_s, np.column_stack([Y, C]), y, sigma, wider)
+        return blocks
+
+    def fitted(self, information: FloatArray, right: FloatArray, left_over: float, mean: FloatArray) -> Fitted:
+        """The errors, fitted.
+
+        Args:
+            information: of the parameters' prior, (p, p).
+            right: its right-hand side, (p,).
+            left_over: share of the readings, in norm, that the estimate leaves over.
+            mean: the estimate, (p,).
+        """
+        blocks = self._at(mean)
+        H, g = blocks.normal, blocks.moment  # (b, s, s), (b, s)
+        stated = np.array([cause.sigma for cause in self._causes])
+        fitted = np.flatnonzero(stated > 0.0)
+        if len(H) < 2 or not fitted.size:
+            return Fitted({}, np.diag(stated))
+        p, sums = self._p, np.asarray(H.sum(axis=0), np.float64)
+        sigma, at = np.where(stated > 0.0, stated, np.finfo(np.float32).tiny), p + fitted
+        before, side = self._start.T @ information @ self._start, self._start.T @ right
+        prior = before + np.diag(np.concatenate([np.zeros(p), sigma**-2]))
+        whole, total = prior + sums, side + g.sum(axis=0)
+        left_out = np.concatenate([whole[None], whole - H])  # all blocks, then all but one
+        covariance = np.linalg.inv(left_out)
+        found = np.einsum("bij,bj->bi", covariance, np.concatenate([total[None], total - g]))[:, at]
+        variance = covariance[:, at, at]
+        own = np.maximum(1.0 / variance - (1.0 - _OPEN**-2) * stated[fitted] ** -2, np.finfo(np.float32).tiny)
+        alone = found / variance / own  # (1 + b, k): its own prior opened, by its marginal
+        scatter = (len(H) - 1) / len(H) * ((alone[1:] - alone[0]) ** 2).sum(axis=0)
+        in_sigmas = alone[0] / np.sqrt(stated[fitted] ** 2 + np.maximum(scatter, 1.0 / own[0]))
+        noise = float(mean @ blocks.noise[:p, :p] @ mean)
+        worth = left_over**2, noise
+        told = np.array([self._is_told(sums + before, sums[p + k, p + k], int(k), *worth) for k in fitted], np.bool_)
+        named = {self._causes[k].name: float(value) for k, value in zip(fitted[told], in_sigmas[told], strict=True)}
+        steady = fitted[told & np.array([not self._causes[k].effect.endswith("delay") for k in fitted])]
+        return Fitted(named, *self._second_moments(blocks, prior, side, steady, stated))
+
+    def _second_moments(
+        self,
+        blocks: BlockScores,
+        prior: FloatArray,
+        right: FloatArray,
+        of: NDArray[np.intp],
+        stated: FloatArray,
+    ) -> tuple[FloatArray, NoiseScale]:
+        """Root of the errors' second moments, (k, k), of some as fitted, and of the others as stated.
+
+        Args:
+            blocks: all rows.
+            prior: information on parameters and errors before the rows, (p + k, p + k).
+            right: its right-hand side, (p + k,).
+            of: which errors are fitted.
+            stated: their sigmas, (k,).
+        """
+        p, used = self._p, np.concatenate([np.arange(self._p), self._p + of])
+        H, g = blocks.normal[:, used[:, None], used], blocks.moment[:, used]
+        prior, right, own = prior[np.ix_(used, used)], right[used], stated[of]
+        noise, wider = NoiseScale(1.0, 1.0), np.ones(len(of))  # of the stated variances
+        for _ in range(_ROUNDS):
+            tails = np.diag(np.concatenate([np.zeros(p), own**-2 * (1.0 / wider - 1.0)]))
+            P = np.linalg.inv(prior + tails + H.sum(axis=0) / noise.variance)
+            x = P @ (right + g.sum(axis=0) / noise.variance)
+            found, c = noise_scale(H, g - H @ x, P / noise.variance), x[p:] / own
+            noise = NoiseScale(*np.maximum(1.0, found).tolist())
+            wider = np.maximum(1.0, (FREEDOM + c * c + np.diag(P)[p:] / own**2) / (FREEDOM + 1.0))
+        M = P[p:, p:] / np.outer(own, own) + np.outer(c, c)
+        values, V = np.linalg.eigh(M * (stdtrit(noise.freedom, 0.975) / ndtri(0.975)) ** 2)
+        root = np.diag(stated)
+        root[np.ix_(of, of)] = own[:, None] * (V * np.sqrt(np.maximum(values, 0.0)) @ V.T)
+        return root, noise
+
+    def _is_told(self, sums: FloatArray, power: float, k: int, left_over: float, noise: float) -> bool:
+        """Whether rows tell an error.
+
+        Args:
+            sums: information of rows and prior on parameters and errors, (p + k, p + k).
+            power: of the error's column.
+            k: which error.
+            left_over: power that the estimate leaves over, of that of the readings.
+            noise: whitened power of the regressor's noise in what the rows should read.
+        """
+        p, column = self._p, self._p + k
+        b = sums[:p, column]
+        own = float(sums[column, column] - b @ np.linalg.solve(sums[:p, :p], b))
+        return own > _TOLD**2 * max(left_over * power, 0.0 if self._causes[k].effect.endswith("delay") else noise)
