@@ -22,7 +22,7 @@ from bench.identification.recursive import estimator, ticks_of
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 
 Floats = NDArray[np.float64]

@@ -32,8 +32,7 @@ from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
 from onboard.ground.campaign.results import Answer, FlightResult
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.standing import Level, standing
 

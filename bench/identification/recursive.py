@@ -20,8 +20,7 @@ from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm, SOLVED_AT_s
 
 Floats = NDArray[np.float64]

@@ -19,9 +19,9 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.evidence.bank import Changed, Suspect
 from onboard.identification.evidence.bodies import EACH
 from onboard.identification.evidence.policy import LIKELY_SIZE, STEPS_PER_HOUR
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
 _EVERY = 10  # batches from one time at which a step may be to the next: the motion changes in no less than a second
 _TIMES = 8  # of these that are kept: the newest, and the likeliest of the others

@@ -10,7 +10,7 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.window import Hypothesis, WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import BIASES, PRIOR, WIDE, online, recorded, same_bits, ticks_of

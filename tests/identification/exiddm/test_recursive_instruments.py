@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from tests.identification.exiddm.recorded_flights import online, ticks_of
 
 

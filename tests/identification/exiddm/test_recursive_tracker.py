@@ -12,7 +12,7 @@ from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.further import FurtherPose, PosePrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.exiddm.recursion.trials import CellTrials, Trial, Trials, trials_of
 from onboard.identification.exiddm.recursion.window import Hypothesis

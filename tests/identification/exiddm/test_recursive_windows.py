@@ -10,7 +10,8 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.flight.estimate.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS, WORK
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.identification.exiddm.recursion.bounded_work import WORK
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import PRIOR, online, recorded, same_bits, ticks_of
 

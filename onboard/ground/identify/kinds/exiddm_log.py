@@ -49,8 +49,7 @@ from onboard.identification.exiddm.before_capture import (
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks, ticks_of
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight

@@ -12,11 +12,10 @@ from collections import deque
 
 import numpy as np
 
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.trials import Trial
 from onboard.identification.exiddm.recursion.window import WindowSolve
 
-BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
 _FLEXIBLE = 7  # times the work of a tick is that of one with flexible joints, measured with five
 _FLEXIBLE_WORK = 80  # as WORK, of a vehicle that has some: three quarters of a core

@@ -31,8 +31,7 @@ from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.recursion.holding import Holding
 from onboard.identification.exiddm.recursion.linearised import Linearised

@@ -17,8 +17,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.trials import Trial
 from onboard.identification.exiddm.recursion.window import Hypothesis
 
