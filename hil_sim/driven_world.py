@@ -59,12 +59,14 @@ class DrivenWorld(ArmRig):
     ) -> None:
         plant = Mission(scenario, seed).plant
         if not isinstance(plant, VehiclePlant):
-            raise ScenarioError(f"{scenario.scenario.name} has no arm that drives move; give another vehicle.toml")
+            raise ScenarioError(
+                f"{scenario.scenario.name} has no arm that drives move; give a vehicle.toml that has one"
+            )
         self._truth = plant.truth()
         built = plant.driven()
         missing = sorted(set(built.joints) ^ {drive.joint for drive in wired})
         if missing:
-            raise ScenarioError(f"{', '.join(missing)}: every joint of the URDF needs a drive, and no other")
+            raise ScenarioError(f"{', '.join(missing)}: every joint of the URDF needs one drive, and no other has one")
         self.vehicle = DrivenVehicle(built, noise_rad, seed)
         posture = dict(zip(built.joints, built.posture_rad.tolist(), strict=True))
         motors = [

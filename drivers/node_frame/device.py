@@ -122,7 +122,7 @@ class NodeFrame(SerialDevice):
             text = f"frame of kind {kind:#04x}: the node speaks another version of the format"
             self._report.event(host_ns, Severity.ERROR, "version", text)
         elif node != self.config.node:
-            text = f"frame of node {node}, not {self.config.node}: correct the configuration, a node per port"
+            text = f"frame of node {node}, not {self.config.node}: correct the configuration, one node per port"
             self._report.event(host_ns, Severity.WARNING, "other_node", text)
         elif kind == DESCRIPTOR:
             self._heard(now_ns)
@@ -134,7 +134,7 @@ class NodeFrame(SerialDevice):
     def _hold(self, host_ns: int, payload: bytes) -> None:
         if len(self._held) == MOST_HELD:
             _, dropped = self._held.popleft()
-            text = "data frames without a descriptor are dropped: the node has to send it every second"
+            text = "data frames without a descriptor are dropped: the node has to send one every second"
             self._report.event(host_ns, Severity.ERROR, "no_descriptor", text)
             if self._before_held is None:
                 self._before_held = int.from_bytes(dropped[_SEQUENCE_AT], "little") - 1

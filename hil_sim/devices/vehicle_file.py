@@ -193,7 +193,7 @@ def _add_wiring(out: Table, file: Table, devices: Table) -> None:
         if name in used:
             out["bus"][name] = _bus(name, str(bus.get("url")), syncs, lines)
     if len(syncs) > 1:
-        raise ScenarioError(f"the CAN buses {', '.join(syncs)}: a sync box drives one of them; rehearse them in turn")
+        raise ScenarioError(f"the CAN buses {', '.join(syncs)}: one sync box drives one of them; rehearse them in turn")
     if not syncs and not lines:
         return
     box: Table = {"kind": "sync_box"}

@@ -412,7 +412,7 @@ class VehicleScenario(Scenario):
         step_us = physics.step_us * (1 if self.servo else physics.integration_steps)
         if self.vibration is not None and self.vibration.highest_Hz * step_us > 2.5e5:
             raise ValueError(
-                f"vibration up to {self.vibration.highest_Hz:g} Hz needs 4 steps a cycle, and a step takes {step_us} "
+                f"vibration up to {self.vibration.highest_Hz:g} Hz needs four steps a cycle, and one takes {step_us} "
                 "us: give [physics] fewer integration_steps, or a smaller step_us"
             )
 

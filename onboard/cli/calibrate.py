@@ -84,7 +84,7 @@ def _add_imu(kinds: Any) -> None:
 
 def _add_load_cell(kinds: Any) -> None:
     one = _kind(
-        *(kinds, "load-cell", "known masses: scale, offset, or lever", "the load cell (the only)"),
+        *(kinds, "load-cell", "known masses: scale, offset, or lever", "the load cell (the only one)"),
         analyse=_load_cell, role="cell",
     )  # fmt: skip
     one.add_argument("--masses-kg", type=_numbers, required=True, metavar="M,M", help="in their order; 0 for none")
@@ -96,7 +96,7 @@ def _add_load_cell(kinds: Any) -> None:
 
 def _add_encoder(kinds: Any) -> None:
     one = _kind(
-        *(kinds, "encoder", "the stops of a joint: zero, direction, counts per turn", "the encoder (the only)"),
+        *(kinds, "encoder", "the stops of a joint: zero, direction, counts per turn", "the encoder (the only one)"),
         analyse=_encoder, role="joint",
     )  # fmt: skip
     one.add_argument("--angles-deg", type=_numbers, metavar="A,A", help="in their order (limits of the URDF, twice)")

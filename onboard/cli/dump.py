@@ -12,13 +12,13 @@ _STANDARD = "mcap"
 def add(commands: Commands) -> None:
     """Make the command known."""
     dump = commands.add_parser("dump", help="logs as tables for other programs: csv, parquet, npz, mat")
-    dump.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets a separate directory")
+    dump.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets its own directory")
     dump.add_argument(
         "--to",
         nargs=2,
         metavar=("FORMAT", "DIR"),
         required=True,
-        help="csv, parquet, npz or mat; DIR gets a file a channel; csv - writes a channel to stdout; mcap: IMUs, "
+        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout; mcap: IMUs, "
         "joint states and transforms as standard ROS 2 messages",
     )
     dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
     kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="all as recorded, no SI")
     kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
     kinds.add_argument(
-        "--aligned", type=float, metavar="HZ", help="all signals at common instants of vehicle time, in a table"
+        "--aligned", type=float, metavar="HZ", help="all signals at common instants of vehicle time, in one table"
     )
     dump.set_defaults(command=_dump, values="both")
 

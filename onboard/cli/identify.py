@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
     identify = commands.add_parser("identify", help="identify from logs with the onboard estimator")
     identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
     identify.add_argument(
-        "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: that of the logs)"
+        "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: the one that the logs carry)"
     )
     identify.add_argument(
         "--parameters", action="store_true", help="show the base parameters of the vehicle in symbols"
@@ -48,7 +48,7 @@ def add(commands: Commands) -> None:
         "--predict", type=Path, action="append", default=[], metavar="LOG", help="predict LOG's rows from the first log"
     )
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
-    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of a log")
+    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
     identify.add_argument("--budget", action="store_true", help="show what the interval of each answer is made of")
     add_json(identify)
     identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
@@ -87,7 +87,7 @@ def _identify_with(
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
     if arguments.urdf and len(arguments.logs) > 1:
-        raise ValueError("a URDF holds the result of a single log; give --urdf with that")
+        raise ValueError("a URDF holds the result of one log; give --urdf with one log")
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))

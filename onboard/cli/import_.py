@@ -15,11 +15,11 @@ def add(commands: Commands) -> None:
     """Make the command known."""
     importer = commands.add_parser(
         "import",
-        help="convert foreign recordings to logs, or propose a mapping (--guess)",
+        help="convert foreign recordings to logs, or propose a mapping for one (--guess)",
         description="Two steps: --guess FILE -o mapping.toml; look at it; then mapping.toml FILE -o logs.",
     )
     importer.add_argument(
-        "mapping", nargs="?", help="mapping TOML, or a packaged mapping: tudelft, staubli_tx40, kuka_lwr4"
+        "mapping", nargs="?", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4"
     )
     importer.add_argument("source", type=Path, nargs="?", help="a recording, or a directory of them")
     importer.add_argument(

@@ -127,7 +127,7 @@ def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     lines: dict[str, str] = {}  # first of each kind
     for name, device in devices.items():
         if device.sync_line(name) is not None and lines.setdefault(device.kind, name) != name:
-            text = f"{name!r} and {lines[device.kind]!r} are of the same kind; a vehicle has a single sync line"
+            text = f"{name!r} and {lines[device.kind]!r} are of one kind; a vehicle has one sync line"
             fail(["device", name], text)
 
 
@@ -215,9 +215,7 @@ def _impossible(vehicle: Vehicle, drawing: Drawing, link: str) -> str:
 def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
     wanted = vehicle.file.realtime
     if wanted.recording_priority and wanted.recording_priority >= wanted.acquisition_priority:
-        text = (
-            f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it a lower value, or 0"
-        )
+        text = f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it a lower one, or 0"
         fail(["realtime", "recording_priority"], text)
 
 
@@ -281,7 +279,7 @@ def _check_body(vehicle: Vehicle, fail: Fail) -> None:
     if file.vehicle.base != "planar":
         fail(["body"], f'the base is {file.vehicle.base!r}; a body without joints needs base = "planar"')
     if file.planar is not None:
-        fail(["planar"], "a run of a body without joints has its table in [body]; remove either")
+        fail(["planar"], "a run of a body without joints has its table in [body]; remove one of the two")
     for kind, many in (("recorded_thruster", True), ("recorded_pose", False)):
         own = [name for name, device in file.device.items() if device.kind == kind]
         if not own or (len(own) > 1 and not many):
@@ -304,7 +302,7 @@ def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
     if file.planar is None and file.body is None:
         fail(["vehicle", "base"], 'base = "planar" needs a section: [planar] with an arm, [body] without; add it')
     if settings.carried:
-        fail(["estimation", "carried"], "a run on a table is estimated in a batch; remove carried")
+        fail(["estimation", "carried"], "a run on a table is estimated in one batch; remove carried")
     if settings.gates.joint_rate_min_rad_s:
         where = ["estimation", "gates", "joint_rate_min_rad_s"]
         fail(where, "joint_rate_min_rad_s does not apply to method exiddm; remove it")

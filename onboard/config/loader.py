@@ -38,7 +38,7 @@ def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
         meant = f"did you mean {near[0]!r}? Others: " if near else "there are "
         others = ", ".join(one for one in known if one not in near)
         raise ConfigError(
-            f"no packaged vehicle {str(name)!r}; {meant}{others}; a vehicle of yours: the path to its file"
+            f"no packaged vehicle {str(name)!r}; {meant}{others}; one of your own is a path to a vehicle.toml"
         )
     return load(path, urdf)
 

@@ -25,7 +25,7 @@ Delay = Annotated[
 class RecordedDevice(DeviceSection):
     """A recorded channel."""
 
-    about_clock = "The recording's times."
+    about_clock = "The recording's own times."
     period_ms: Positive
 
     @property
@@ -143,7 +143,7 @@ class RecordedThruster(RecordedDevice):
     scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its force.")] = 0.05
     reads: Annotated[
         Literal["level", "on_time"],
-        Field(description="A sample is the share of the force until the next, or an on-time in s from then on."),
+        Field(description="A sample is the share of the force until the next one, or an on-time in s from then on."),
     ] = "level"
 
     @field_validator("axis")
@@ -167,11 +167,11 @@ class RecordedPose(RecordedDevice):
     records = SCALAR
     kind: Literal["recorded_pose"]
     frame: Annotated[str, Field(description="Frame of the URDF, fixed in the base, that the markers stand for.")]
-    position_noise_m: Annotated[Positive, Field(description="Standard deviation of a sample, each axis.")]
-    yaw_noise_rad: Annotated[Positive, Field(description="Standard deviation of a sample.")]
+    position_noise_m: Annotated[Positive, Field(description="Standard deviation of one sample, each axis.")]
+    yaw_noise_rad: Annotated[Positive, Field(description="Standard deviation of one sample.")]
     repeats: Annotated[
         bool,
-        Field(description="A pose that equals the previous is a pose; false: the tracker held it, and it is left out."),
+        Field(description="A pose that equals the one before is one; false: the tracker held it, and it is left out."),
     ] = False
     misalignment_sigma_rad: Annotated[
         NotNegative, Field(description="Standard deviation of the markers' yaw against that of `frame`.")

@@ -160,7 +160,7 @@ def test_what_makes_no_sense_is_refused(rng):
     window = WindowRls(2)
     with pytest.raises(RowError, match="no forgetting factor"):
         window.update(np.eye(2), np.ones(2), np.ones(2), forgetting=0.9)
-    with pytest.raises(RowError, match="from a triangle"):
+    with pytest.raises(RowError, match="one triangle"):
         window.restore(SquareRootRls(2).state())
     with pytest.raises(RowError, match=r"\(0, 1\]"):
         SquareRootRls(2).update(np.eye(2), np.ones(2), np.ones(2), forgetting=0.0)

@@ -34,28 +34,28 @@ RECORDS: list[tuple[np.dtype[np.void], str]] = [
 ]
 MEANING = {  # of keys that belong to no one driver
     "accel_scale_sigma": "Relative standard deviation of the accelerometer's scale, carried by intervals of rows.",
-    "accel_matrix": "What it reads of 1 m/s^2 along each axis, a row for each axis of the sensor.",
+    "accel_matrix": "What it reads of one m/s^2 along each axis, a row for each axis of the sensor.",
     "accel_bias_m_s2": "What it reads without any.",
-    "gyro_matrix": "What it reads of 1 rad/s about each axis, a row for each axis of the sensor.",
+    "gyro_matrix": "What it reads of one rad/s about each axis, a row for each axis of the sensor.",
     "gyro_bias_rad_s": "What it reads at rest.",
     "calibrated": "Date, log and command of its calibration; `heft calibrate` writes it.",
-    "gain": "What it reads of a unit; `heft calibrate` writes it.",
+    "gain": "What it reads of one unit; `heft calibrate` writes it.",
     "offset_N": "What it reads without load.",
     "misalignment_sigma_rad": "Standard deviation of the axes of gyro and accelerometer, carried by intervals of rows.",
     "gyro_scale_sigma": "Relative standard deviation of the gyro's scale, carried by intervals of rows.",
     "bus": "Name of its `[bus.NAME]`.",
     "frame": "Link, joint or frame of the URDF that it measures in.",
-    "accel_noise_m_s2": "Standard deviation of a sample of specific force.",
-    "gyro_noise_rad_s": "Standard deviation of a sample of angular rate.",
+    "accel_noise_m_s2": "Standard deviation of one sample of specific force.",
+    "gyro_noise_rad_s": "Standard deviation of one sample of angular rate.",
     "sample_rate_hz": "Nominal sample rate.",
     "sync_input": "Whether the sync line reaches its FSYNC pin; where it does not, its times are by arrival stamps.",
     "gyro_delay_ms": "Delay of the gyro's own filter, removed from its times.",
     "accel_delay_ms": "Delay of the accelerometer's own filter.",
-    "joint": "Joint of the URDF whose angle it measures; each moving joint by a device.",
+    "joint": "Joint of the URDF whose angle it measures; each moving joint by one device.",
     "zero_count": "What it reads at joint angle zero, counts.",
     "counts_per_revolution": "Counts in a turn of the joint, quadrature and gear included.",
-    "noise_rad": "Standard deviation of a sample, quantisation included.",
-    "gear_ratio": "Turns of the motor in a turn of the joint, where it is the motor's angle that is measured.",
+    "noise_rad": "Standard deviation of one sample, quantisation included.",
+    "gear_ratio": "Turns of the motor in one of the joint, where it is the motor's angle that is measured.",
     "eccentricity_rad": "Cyclic error once in a turn of the motor, rms, of the joint's angle.",
     "transmission_error_rad": "The same twice in a turn, as harmonic drives make it.",
     "node": "Node number.",
@@ -69,7 +69,7 @@ MEANING = {  # of keys that belong to no one driver
     "capacity_N": "A sample as large as this is saturated.",
     "scale_sigma": "Relative standard deviation of its calibration.",
     "zero_sigma_rad": "Standard deviation of the angle at its zero.",
-    "noise_N": "Standard deviation of a sample; that its filter makes neighbours alike is known by `delay_ms`.",
+    "noise_N": "Standard deviation of one sample; that its filter makes neighbours alike is known by `delay_ms`.",
     "delay_ms": "Delay of its own filter, removed from its times.",
     "delay_sigma_ms": "Standard deviation of that delay.",
     "gravity_m_s2": "Newton per kilogram of its readings, if its unit is kg.",
@@ -79,8 +79,8 @@ MEANING = {  # of keys that belong to no one driver
     "tick_hz": "Nominal rate of the node's clock.",
     "rate_hz": "Nominal rate of its data frames.",
     "channel": "Its channels in the order of its descriptor: `[[device.NAME.channel]]`, below.",
-    "noise_rad_s": "Standard deviation of a sample of the rate.",
-    "noise_m_s2": "Standard deviation of a sample of specific force.",
+    "noise_rad_s": "Standard deviation of one sample of the rate.",
+    "noise_m_s2": "Standard deviation of one sample of specific force.",
     "name": "Name in the node's descriptor.",
     "role": "Its role in the estimator.",
     "absolute": "It keeps `zero_count` over a reset of the node; otherwise its rows are refused after one.",
@@ -103,9 +103,9 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
-| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | a serial device; speed and format are given here |
-| `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | a pulse input |
-| `gpio-out:///dev/gpiochip0?line=27` | a pulse output |
+| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one serial device; speed and format are given here |
+| `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
+| `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
 
 `heft preflight VEHICLE` opens every bus, runs every device for a few seconds and reports those that differ from
@@ -114,7 +114,7 @@ the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that c
 Units are in the keys. **Bold** keys have no default. A file that does not fit is refused with its line and a remedy.
 Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU, unless
 its base is fixed (the first in the file measures the base, further ones are recorded), and, for each moving joint of
-the URDF, a device that measures it. `[estimation.phases] channel` names any SCALAR channel.
+the URDF, one device that measures it. `[estimation.phases] channel` names any SCALAR channel.
 """
 
 

@@ -3,7 +3,7 @@
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),
     "free_m_s2": (
-        "Below this nothing may hold the vehicle; roughness beyond the IMU's noise says that something does.",
+        "Below this one nothing may hold the vehicle; roughness beyond the IMU's noise says that something does.",
         "a fast arm shakes a light base by more",
     ),
     "settle_s": ("Left out after a release, before a catch and about a bump.", "hands let go slowly"),
@@ -57,7 +57,7 @@ BODY: dict[str, tuple[str, ...]] = {
         "Least and largest delay from the command to the force, which is fitted between them.",
         "poses or commands are later than this",
     ),
-    "each_delay_sigma_ms": ("Delay of a valve against the others, 1 sigma.",),
+    "each_delay_sigma_ms": ("Delay of one valve against the others, 1 sigma.",),
     "loss_sigma_ms": ("By how much longer a valve takes to open than to close, 1 sigma.",),
 }
 
@@ -95,7 +95,7 @@ CARRIER: dict[str, tuple[str, ...]] = {
     "mass_kg": ("Mass of the device itself.",),
     "centre_of_mass_m": ("Its centre of mass, base axes.",),
     "centre_of_mass_sigma_m": ("How well that is known, 1 sigma by axis.",),
-    "inertia_kg_m2": ("XX, XY, YY, XZ, YZ, ZZ about its centre of mass, base axes.",),
+    "inertia_kg_m2": ("XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, base axes.",),
     "inertia_sigma_kg_m2": ("How well these are known, 1 sigma.",),
 }
 

@@ -58,7 +58,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "base_link": _M("Link of the URDF that the base IMU moves with."),
         "payload_link": _M("Link that stands for what is grappled; its inertia in the URDF is a first guess or zero."),
         "essential": _M(
-            "Devices without which a flight has failed: heft fly ends with 1 if any of them was never heard.",
+            "Devices without which a flight has failed: heft fly ends with 1 if one of them was never heard.",
             "name what the answer cannot do without",
         ),
         "gravity_m_s2": _M(
@@ -71,7 +71,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "mass_kg": _M("Its mass.", "it was weighed: heft calibrate balance writes it"),
         "centre_of_mass_m": _M("Its centre of mass, link axes.", "it was balanced: heft calibrate balance writes it"),
         "inertia_kg_m2": _M(
-            "XX, XY, YY, XZ, YZ, ZZ about its centre of mass, link axes.",
+            "XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, link axes.",
             "it was swung: heft calibrate bifilar writes it",
         ),
         "calibrated": _M("Date, log and command of its calibration."),
@@ -81,7 +81,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "sync_period_ms": _M(
             "Nothing recorded is ever longer than this off the medium.", "the medium wears, or is slow"
         ),
-        "segment_s": _M("A log goes on in a new file after this time.", "files are to be downlinked singly"),
+        "segment_s": _M("A log goes on in a new file after this time.", "files are to be downlinked one by one"),
         "segment_mib": _M("The same, after this size.", "as above"),
         "min_free_mib": _M(
             "The oldest segments of earlier flights are deleted while less is free; 0 keeps them all.",
@@ -103,7 +103,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "The same of recording, below that of acquisition; 0: none.",
             "other programs keep the computer busy for seconds",
         ),
-        "recording_cpus": _M("The same of recording.", "acquisition has a separate core"),
+        "recording_cpus": _M("The same of recording.", "acquisition has a core of its own"),
         "lock_memory": _M(
             "Memory of acquisition and recording is never swapped out. Needs LimitMEMLOCK=infinity.",
             "the computer swaps, or memory is short",
@@ -156,7 +156,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "prior": _M("Table: what is known beforehand."),
         "masses": _M("Table: masses to report from inertia about a joint."),
         "motor": _M(
-            "Tables by name: motors coupled to several joints; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
+            "Tables by name: motors coupled to more than one joint; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
             "a wrist is coupled, and its joints' torques are measured",
         ),
         "nuisance": _M(
@@ -166,7 +166,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
         "exiddm": _M('Table of method "exiddm".'),
         "disturbance": _M('Table: what pushes a free base unknown on board, for method "exiddm".'),
-        "useful": _M("Table: how narrow an interval must be to be good; a wider interval is weak."),
+        "useful": _M("Table: how narrow an interval must be to be good; a wider one is weak."),
         "imu_prior": _M(
             "Table: sigmas of the base IMU's errors, for method exiddm; of rows, a moving base's two biases."
         ),
@@ -289,7 +289,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
         "gyro_cross_axis": _M(
-            "Share of an axis that another shows, each of six; silent: the least of the two above.",
+            "Share of one axis that another shows, each of six; silent: the least of the two above.",
             "the data sheet states it",
         ),
         "accelerometer_bias_m_s2": _M(

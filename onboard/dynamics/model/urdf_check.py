@@ -199,7 +199,7 @@ def impossible(mass_kg: float, inertia_kg_m2: FloatArray) -> str:
     if c > a + b + FLAT_KG_M2:
         return f"{told}; none can be more than the sum of the others: give its inertia about the centre of mass"
     if c > mass_kg * FARTHEST_M**2:
-        return f"{told} with {mass_kg:g} kg: that is {math.sqrt(c / mass_kg):.4g} m from its centre; correct either"
+        return f"{told} with {mass_kg:g} kg: that is {math.sqrt(c / mass_kg):.4g} m from its centre; correct one"
     return ""
 
 

@@ -221,7 +221,7 @@ def _references(drawing: Drawing) -> Iterator[Problem]:
                 yield Problem(drawing.lines[joint.element], f"{what}; {meant}")
         if hangs.setdefault(joint.child, joint.name) != joint.name:
             what = f"link {joint.child!r} hangs on joint {joint.name!r} and on {hangs[joint.child]!r}"
-            yield Problem(drawing.lines[joint.element], f"{what}; a link has a single joint before it: cut the loop")
+            yield Problem(drawing.lines[joint.element], f"{what}; a link has one joint before it: cut the loop")
 
 
 def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:

@@ -99,4 +99,4 @@ class WindowRls(SquareRootRls):
         Raises:
             RowError: always.
         """
-        raise RowError("a window cannot be restored from a triangle; add its rows again")
+        raise RowError("a window cannot be restored from one triangle; add its rows again")

@@ -210,7 +210,7 @@ class BodyModel:
             at_s = until_s
         if not kept:
             text = f"no {WINDOW_s:g} s with {SHORTEST} poses and known commands"
-            raise ConvergenceError(f"{text}: check that both are on the same clock")
+            raise ConvergenceError(f"{text}: check that both are on one clock")
         return _Windows(np.array(starts), int(np.ceil(WINDOW_s / _STEP_s)) + 1, _STEP_s, kept)
 
     def _begun(self, windows: _Windows) -> FloatArray:

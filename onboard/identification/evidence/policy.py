@@ -15,7 +15,7 @@ FARTHEST_SIZE = 3.0
 no linear model explains; the instrument is then left out as a whole, if any is."""
 ODDS = 1e-2
 """That a body, or an instrument's scale, is so wrong, against all being as stated: one flight in a hundred. A
-hypothesis is then the likelier from 4.6 nats of evidence on."""
+hypothesis is then the likelier one from 4.6 nats of evidence on."""
 ODDS_OF_PART = 2e-3
 """The same of a link, of all links of the arm, of an encoder or an IMU: nothing is used up of them, and nobody opens
 them between the balance and the flight; a part was exchanged, or drawn wrong."""

@@ -268,7 +268,7 @@ delay_ms = 0.110               # a one-byte frame at 500 kbit/s
 PULSE = NewDevice(
     f"""
 [device.pulse]
-kind = "sync_pulse"            # puts every device on the same time; docs/sync_pulse.md
+kind = "sync_pulse"            # puts every device on one time; docs/sync_pulse.md
 bus = "{GPIO}"
 sync_period_ms = 5             # pulse intervals are whole numbers of these
 """,

@@ -159,7 +159,7 @@ def _devices(wanted: Wanted) -> list[NewDevice]:
 
 def _head(wanted: Wanted) -> str:
     about = {
-        "free": "floats freely: its motion is predicted from the arm's",
+        "free": "floats freely: its own motion is predicted from the arm's",
         "prescribed": "moves as something larger does: its motion is measured",
         "fixed": "stands still, in gravity",
         "planar": "floats on an air-bearing table: x, y and yaw are free",

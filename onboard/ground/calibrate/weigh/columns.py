@@ -253,7 +253,7 @@ def _scaled(
         if (unit or usual) not in table_of:
             raise PosesError(
                 f"{table.label}: the unit {given or unit!r} of {_shown([table.names[k] for k in at])} is not known; "
-                f"give {option}, from {', '.join(table_of)}"
+                f"give {option}, one of {', '.join(table_of)}"
             )
         factors.append(table_of[unit or usual])
     if not known:

@@ -49,7 +49,7 @@ def judge(answer: Answer) -> Judged:
         findings=findings,
         standings=own,
         corrections=corrections,
-        unchecked="too few poses to predict a half from the other: twelve or more",
+        unchecked="too few poses to predict one half from the other: twelve or more",
     )
     return Judged(verdict(evidence), standings, tuple(_notes(answer)))
 

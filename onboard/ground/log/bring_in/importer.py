@@ -135,7 +135,7 @@ def _write(chosen: Mapping, files: Iterable[Path], log: Path, channels: dict[str
             "source": ", ".join(path.name for path in files),
             "sha256": ", ".join(_sha256(path) for path in files),
             "mapping": chosen.file.mapping.name,
-            "host_ns": "the recording's clock",
+            "host_ns": "the recording's own clock",
             "not_recorded": ", ".join(_absent(chosen)),
         }
         writer.add_metadata(IMPORT_METADATA, facts)

@@ -1,4 +1,4 @@
-"""Merges the logs of several recorders of the same flight into one log, ordered by time.
+"""Merges the logs of several recorders of one flight into one log, ordered by time.
 
 Channels keep their names. If several logs have a channel of one name, events and gap records are prefixed with the name
 of their log; channels of samples only with ``rename``, because their readers depend on the names. Channel names inside

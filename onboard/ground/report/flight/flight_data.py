@@ -92,7 +92,7 @@ class FlightData:
 
 
 def gather(path: Path, progress: Progress | None = None, vehicle: config.Vehicle | None = None) -> FlightData:
-    """Read ``path``, with ``vehicle``, or that of the log where None.
+    """Read ``path``, with ``vehicle``, or the one that the log carries where None.
 
     Raises:
         LogFormatError: it is no log of ours.

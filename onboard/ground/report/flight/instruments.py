@@ -34,7 +34,7 @@ def sample_times(flight: FlightData, draw: Gallery) -> str:
     return jitter_table(flight) + draw(
         jitter(flight),
         "Intervals between neighbouring samples, less their median. Arrival: when the host had them, of an IMU with a "
-        "FIFO many at once. Own clock: by the device's tick at its fitted length, for streams with their clock.",
+        "FIFO many at once. Own clock: by the device's tick at its fitted length, for streams with their own clock.",
     )
 
 

@@ -38,7 +38,7 @@ def kind_of(path: Path) -> Kind:
     if foreign.is_bag_directory(path):
         return "bag"
     if path.is_dir():
-        raise SourceError(f"{path} is a directory; give a recording of it")
+        raise SourceError(f"{path} is a directory; give one recording of it")
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if not head:
