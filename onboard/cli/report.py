@@ -20,6 +20,8 @@ def _report(arguments: argparse.Namespace) -> int:
     from onboard.ground.report import report
 
     output = arguments.output or arguments.log.with_suffix(".html")
+    if output.suffix not in (".html", ".htm"):
+        raise ValueError(f"{output}: a report is an HTML page; give -o FILE.html")
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     with progress() as bar:
         damage = report(arguments.log, output, bar, vehicle)

@@ -93,3 +93,12 @@ def test_json_is_alone_on_stdout_and_says_null_of_what_is_no_number(
     said = capsys.readouterr()
     assert json.loads(said.out)["vehicle"] == "dymaflex"
     assert "virtual manipulator" in said.err
+
+
+@pytest.mark.parametrize("name", ["flight.png", "flight.pdf", "flight"])
+def test_a_report_is_a_page_and_nothing_else(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "flight.mcap"
+    log.write_bytes(b"")
+    assert cli.main(["report", str(log), "-o", str(tmp_path / name)]) == cli.BAD_INPUT
+    assert "give -o FILE.html" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [log]
