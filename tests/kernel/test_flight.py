@@ -140,7 +140,8 @@ def test_the_mission_flies_and_the_table_comes_out(
     assert server["i2c_1"]["refused"] == 0
     for channel in ("joint_1", "load_cell", "arm_phase"):
         account = counted[channel]
-        assert account["recorded"] + account["missing"] == account["produced"] > 0, channel
+        assert account["accounted"], (channel, account)  # exactly, but for gap records that say that they are estimates
+        assert account["produced"] > 0, channel
     assert counted["pulse"]["recorded"] == counted["pulse"]["produced"] > 300
     assert counted["pulse"]["missing"] <= server["sync_line"]["edges_without_receiver"]
     flown = read(log)

@@ -1,7 +1,9 @@
 """Samples of a log on vehicle time, by the onboard timebase fed from the log.
 
 A sample is timed when its clock has heard what came up to ``_LAG_NS`` after it, as the estimator does; samples from
-before a clock's first solution wait for it, ``_PATIENCE_NS`` at most.
+before a clock's first solution by its marks wait for it, ``_PATIENCE_NS`` at most. A log whose samples were timed by
+arrival until the marks took over would step back by up to the host's latency, which on a busy computer is more than a
+period.
 """
 
 from collections.abc import Collection, Iterator
@@ -52,6 +54,7 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
     timebase = timebase_of(vehicle)
     source = Interleaved(log, vehicle.channels)
     waiting: dict[str, Rows] = {name: np.empty(0, log.channels[name]) for name in channels}
+    unmarked = set(channels)  # whose clocks have not been solved by their marks yet
     now_ns, done = source.start_ns or 0, source.start_ns is None
     while not done:
         now_ns += _STEP_NS
@@ -62,7 +65,10 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
         samples: list[Timed] = []
         for name, before in waiting.items():
             rows = np.concatenate([before, batches[name]])
-            ready = int(np.searchsorted(rows["host_ns"], until_ns))
+            if name in unmarked and timebase.trusted(name):
+                unmarked.discard(name)
+            patience_ns = 0 if done or name not in unmarked else _PATIENCE_NS
+            ready = int(np.searchsorted(rows["host_ns"], until_ns - patience_ns))
             times = timebase.time_ns(name, rows[:ready]) if ready else None
             if times is None:
                 ready = len(rows) if done else int(np.searchsorted(rows["host_ns"], until_ns - _PATIENCE_NS))
