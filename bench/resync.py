@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.identification.free_flyer import BOXES, ERRORS, PAYLOAD_SIGMA, vehicle
+from bench.identification.free_flyer import BOXES, ERRORS, IMU_PRIOR, PAYLOAD_SIGMA, vehicle
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
@@ -33,17 +33,6 @@ Floats = NDArray[np.float64]
 DURATION_S, ENCODERS_S = 20.0, 16.0
 RATE_LIMIT = 0.02
 PAYLOAD_KG = 5
-PRIOR = ImuPrior(
-    ERRORS.gyro_bias_rad_s,
-    ERRORS.gyro_drift_rad_s2,
-    ERRORS.scale,
-    ERRORS.turn_rad,
-    ERRORS.accelerometer_bias_m_s2,
-    ERRORS.accelerometer_drift_m_s3,
-    ERRORS.scale,
-    ERRORS.turn_rad,
-    ERRORS.delay_s,
-)
 
 
 class Outcome(NamedTuple):
@@ -87,9 +76,9 @@ def fly(seed: int) -> Outcome:
     recorded = Recorded(imu.time_s, imu.rate_rad_s, imu.specific_force_m_s2, sigma, own_s, angle)
     shared = (imu.time_s >= true_s[0]) & (imu.time_s <= true_s[-1])
     whole = (imu.time_s, imu.angle_rad, imu.rate_rad_s, imu.specific_force_m_s2)
-    synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), PRIOR).fit()
+    synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), IMU_PRIOR).fit()
     try:
-        found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, PRIOR)
+        found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, IMU_PRIOR)
     except (ResyncError, ConvergenceError) as error:
         return Outcome(str(error), np.nan, np.nan, np.nan, np.full(3, np.nan), _error(synchronised, body))
     off_s = found.clock.reference_s(own_s) - true_s

@@ -6,8 +6,8 @@ does not stamp data: the stamp is taken with the device's clock when a read retu
 
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from drivers.ports import SerialPort
 from drivers.records import Batch, Severity
 from drivers.reporter import Reporter
 
+Frame_co = TypeVar("Frame_co", covariant=True)
 OpenPort = Callable[[], SerialPort]
 Clock = Callable[[], int]
 Channels = Mapping[str, np.dtype[Any]]
@@ -42,6 +43,16 @@ class ReceivedBytes(NamedTuple):
     data: bytes
     host_ns: int
     fresh: bool = True
+
+
+class Decoder(Protocol[Frame_co]):
+    """Splits received bytes into frames."""
+
+    def receive(self, data: bytes) -> None:
+        """Append received bytes."""
+
+    def take(self) -> Frame_co | None:
+        """The next frame, None for need more data. Raises FrameError; the bytes were discarded, call it again."""
 
 
 class SerialLink:
@@ -275,6 +286,19 @@ class SerialDevice(ABC):
         """A valid frame arrived."""
         self._heard_ns = now_ns
         self._link.alive(now_ns)
+
+    def _frames_in(self, chunk: ReceivedBytes, decoder: Decoder[Frame_co]) -> Iterator[Frame_co]:
+        """Valid frames that the bytes read complete; invalid bytes are reported."""
+        decoder.receive(chunk.data)
+        while True:
+            try:
+                frame = decoder.take()
+            except FrameError as error:
+                self._bad_frame(chunk.host_ns, error)
+                continue
+            if frame is None:
+                return
+            yield frame
 
     def _bad_frame(self, host_ns: int, error: FrameError) -> None:
         """Report invalid bytes, one event per run of them; the first run after opening is not reported."""

@@ -46,6 +46,17 @@ ERRORS = ImuErrors(
     turn_rad=np.deg2rad(0.2),
     delay_s=1e-4,
 )
+IMU_PRIOR = ImuPrior(
+    ERRORS.gyro_bias_rad_s,
+    ERRORS.gyro_drift_rad_s2,
+    ERRORS.scale,
+    ERRORS.turn_rad,
+    ERRORS.accelerometer_bias_m_s2,
+    ERRORS.accelerometer_drift_m_s3,
+    ERRORS.scale,
+    ERRORS.turn_rad,
+    ERRORS.delay_s,
+)
 BASE_SIGMA, LINK_SIGMA = (0.003, 1e-3, 0.01), (0.01, 1e-3, 0.01)  # mass, centre of mass (m), inertia
 PAYLOAD_SIGMA = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 
@@ -123,18 +134,7 @@ def priors(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior
     for index, link in enumerate(model.links[:-1]):
         own = model.chi[10 * index : 10 * index + 10]
         covariance[link] = standard_covariance(own, *(LINK_SIGMA if index else BASE_SIGMA))
-    imu_prior = ImuPrior(
-        ERRORS.gyro_bias_rad_s,
-        ERRORS.gyro_drift_rad_s2,
-        ERRORS.scale,
-        ERRORS.turn_rad,
-        ERRORS.accelerometer_bias_m_s2,
-        ERRORS.accelerometer_drift_m_s3,
-        ERRORS.scale,
-        ERRORS.turn_rad,
-        ERRORS.delay_s,
-    )
-    return covariance, imu_prior
+    return covariance, IMU_PRIOR
 
 
 def bound(exiddm: Exiddm, model: VehicleModel, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:

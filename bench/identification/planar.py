@@ -13,7 +13,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.identification.free_flyer import BASE_SIGMA, BOXES, ERRORS, LINK_SIGMA, NORMAL, PAYLOAD_SIGMA, as_built
+from bench.identification.free_flyer import (
+    BASE_SIGMA,
+    BOXES,
+    ERRORS,
+    IMU_PRIOR,
+    LINK_SIGMA,
+    NORMAL,
+    PAYLOAD_SIGMA,
+    as_built,
+)
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard import config
@@ -22,7 +31,6 @@ from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import Answer, FlightResult
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 
@@ -48,11 +56,8 @@ def priors(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
         link: standard_covariance(model.chi[10 * k : 10 * k + 10], *(LINK_SIGMA if k else BASE_SIGMA))
         for k, link in enumerate(model.links[:-1])
     }
-    gyro = (ERRORS.gyro_bias_rad_s, ERRORS.gyro_drift_rad_s2, ERRORS.scale, ERRORS.turn_rad)
-    accelerometer = (ERRORS.accelerometer_bias_m_s2, ERRORS.accelerometer_drift_m_s3, ERRORS.scale, ERRORS.turn_rad)
     pucks = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
-    imu = ImuPrior(*gyro, *accelerometer, ERRORS.delay_s)
-    return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu)
+    return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, IMU_PRIOR)
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:

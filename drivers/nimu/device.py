@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import FrameError
 from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, PacketStream
 from drivers.nimu.timer import TURN_NS, PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
@@ -62,17 +61,9 @@ class Nimu(SerialDevice):
         self._stream.clear()
 
     def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
-        self._stream.receive(chunk.data)
         runs: list[Packets] = []
         broken: list[bool] = []
-        while True:
-            try:
-                packets = self._stream.take()
-            except FrameError as error:
-                self._bad_frame(chunk.host_ns, error)
-                continue
-            if packets is None:
-                break
+        for packets in self._frames_in(chunk, self._stream):
             runs.append(packets)
             broken += [self._broken, *[False] * (len(packets.timer) - 1)]
             self._broken = False

@@ -89,15 +89,7 @@ class NodeFrame(SerialDevice):
         self._frames.clear()
 
     def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
-        self._frames.receive(chunk.data)
-        while True:
-            try:
-                payloads = self._frames.take()
-            except FrameError as error:
-                self._bad_frame(chunk.host_ns, error)
-                continue
-            if payloads is None:
-                break
+        for payloads in self._frames_in(chunk, self._frames):
             self._broken = False
             known = self._known
             if known is not None and known.are_data(payloads):

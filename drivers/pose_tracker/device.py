@@ -47,16 +47,8 @@ class PoseTracker(SerialDevice):
         self._stream.clear()
 
     def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
-        self._stream.receive(chunk.data)
         rows: list[Rows] = []
-        while True:
-            try:
-                message = self._stream.take()
-            except FrameError as error:
-                self._bad_frame(chunk.host_ns, error)
-                continue
-            if message is None:
-                break
+        for message in self._frames_in(chunk, self._stream):
             self._broken = False
             self._heard(now_ns)
             if self._is_wanted(message):

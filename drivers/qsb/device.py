@@ -7,7 +7,7 @@ from math import tau
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, FrameError, NoAnswerError
+from drivers.errors import ConfigurationError, NoAnswerError
 from drivers.marks import MARK
 from drivers.position import Position
 from drivers.qsb import registers as reg
@@ -157,21 +157,13 @@ class Qsb(SerialDevice):
     # Streaming
 
     def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
-        self._lines.receive(chunk.data)
-        while self._link.is_open:
-            try:
-                lines = self._lines.take()
-            except FrameError as error:
-                self._bad_frame(chunk.host_ns, error)
-                continue
-            if lines is None:
-                break
+        for lines in self._frames_in(chunk, self._lines):
             if lines.kind[0] == GREETING:
                 self._greeted(chunk.host_ns)
-                continue
-            answers = self._answers(now_ns, chunk.host_ns, lines)
-            if answers < len(lines.kind):
+            elif (answers := self._answers(now_ns, chunk.host_ns, lines)) < len(lines.kind):
                 self._streamed(now_ns, chunk.host_ns, lines.since(answers))
+            if not self._link.is_open:
+                break
         self._hand_over_marks(chunk.host_ns, self._last_tick)
 
     def _greeted(self, host_ns: int) -> None:

@@ -19,6 +19,7 @@ from typing import Any, Final, Self
 
 import serial
 
+from hil_sim.buses.terminal import flush
 from hil_sim.devices.serial_wire import LineFormat
 
 _QUEUE_BYTES: Final = 65_536  # a tty's buffers, before it throws characters away
@@ -314,7 +315,7 @@ class PtySerial:
         """Characters the user sent since the last call."""
         if self._master < 0:
             return b""
-        self._flush()
+        flush(self._master, self._output)
         try:
             status, *data = os.read(self._master, _QUEUE_BYTES)
         except BlockingIOError:
@@ -333,7 +334,7 @@ class PtySerial:
         room = _QUEUE_BYTES - len(self._output)
         self._output += data[:room]
         self.overrun += max(0, len(data) - room)
-        self._flush()
+        flush(self._master, self._output)
 
     def unplug(self) -> None:
         """Pull the adapter out: who has the terminal open gets an end of file."""
@@ -365,15 +366,3 @@ class PtySerial:
         terminal = select.poll()  # a thread at a time may use one: whoever asks for the line has its own
         terminal.register(self._master, 0)
         return any(events & select.POLLHUP for _, events in terminal.poll(0))
-
-    def _flush(self) -> None:
-        if not self._output or self._master < 0:
-            return
-        try:
-            del self._output[: os.write(self._master, self._output)]
-        except BlockingIOError:
-            return
-        except OSError as error:
-            if error.errno != errno.EIO:
-                raise
-            self._output.clear()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.ports import CanFrame
+from hil_sim.buses.terminal import flush
 
 _OK: Final = b"\r"
 _NO: Final = b"\a"
@@ -101,7 +102,7 @@ class SlcanAdapter:
             else:
                 self.lost += 1
                 self._flags |= _FLAG_RECEIVE_FULL
-        self._flush()
+        flush(self._master, self._output)
 
     def close(self) -> None:
         """Take its terminal away."""
@@ -119,7 +120,7 @@ class SlcanAdapter:
             self._input = bytearray() if len(rest) > _MAX_COMMAND else rest
             for command in commands:
                 self._output += self._obey(bytes(command.strip(b"\n")))
-        self._flush()
+        flush(self._master, self._output)
 
     def _read(self) -> bytes:
         if self._master < 0:
@@ -140,18 +141,6 @@ class SlcanAdapter:
             os.close(self._slave)
             self._slave = None
         return data
-
-    def _flush(self) -> None:
-        if not self._output or self._master < 0:
-            return
-        try:
-            del self._output[: os.write(self._master, self._output)]
-        except BlockingIOError:
-            return
-        except OSError as error:
-            if error.errno != errno.EIO:
-                raise
-            self._output.clear()
 
     def _obey(self, command: bytes) -> bytes:
         name, rest = command[:1], command[1:]

@@ -11,10 +11,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState
+from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState, FittedClock
 
 
-class ArrivalClock:
+class ArrivalClock(FittedClock):
     """Fits one device's clock to the arrival times of its samples.
 
     Args:
@@ -23,7 +23,7 @@ class ArrivalClock:
         delay_ns: known lower bound of the time from the sample to its arrival.
         delay_sigma_ns: its standard deviation.
         drift_per_s: largest change of the relative rate per second.
-        silent_after_s: time without arrivals after which the clock flywheels.
+        flywheel_after_s: time without arrivals after which the clock flywheels.
     """
 
     BLOCK_S = (0.05, 1.0)  # the first blocks are short, for an early first fit
@@ -41,11 +41,11 @@ class ArrivalClock:
         delay_ns: float = 0.0,
         delay_sigma_ns: float = 0.0,
         drift_per_s: float = DRIFT_PER_S,
-        silent_after_s: float = 2.0,
+        flywheel_after_s: float = 2.0,
     ) -> None:
         self.nominal_period_ns, self.tolerance = nominal_period_ns, tolerance
         self.delay_ns, self.delay_sigma_ns, self.drift_per_s = delay_ns, delay_sigma_ns, drift_per_s
-        self.silent_after_ns = silent_after_s * 1e9
+        self.flywheel_after_ns, self.invalid_sigma_ns = flywheel_after_s * 1e9, self.INVALID_SIGMA_NS
         self.rejected = 0
         self.restart()
 
@@ -58,7 +58,7 @@ class ArrivalClock:
         self._block: tuple[float, int, int] | None = None  # lateness, tick, host_ns
         self._block_ns = 0  # when the current one began
         self._strangers = 0
-        self._tick, self._time_ns, self._period_ns = 0, 0.0, self.nominal_period_ns
+        self._tick, self._reference_ns, self._period_ns = 0, 0.0, self.nominal_period_ns
         self._scatter_ns, self._span_s = math.inf, 0.0
 
     def arrived(self, tick: int, host_ns: int) -> bool:
@@ -67,7 +67,7 @@ class ArrivalClock:
         if self.trusted and host_ns - self._due_ns(tick) < -gate_ns:
             self.restart()  # arrival before the sample: the ticks have restarted
         if not self._block_ns:
-            self._block_ns, self._tick, self._time_ns = host_ns, tick, float(host_ns)
+            self._block_ns, self._tick, self._reference_ns = host_ns, tick, float(host_ns)
         lateness = host_ns - self._due_ns(tick)
         if self._block is None or lateness < self._block[0]:
             self._block = (lateness, tick, host_ns)
@@ -90,7 +90,7 @@ class ArrivalClock:
         return self.trusted
 
     def _due_ns(self, tick: int) -> float:
-        return self._time_ns + (tick - self._tick) * self._period_ns
+        return self._reference_ns + (tick - self._tick) * self._period_ns
 
     def _fit(self) -> None:
         tick, host_ns = self._blocks[-1]
@@ -106,23 +106,9 @@ class ArrivalClock:
         self._span_s = float(np.ptp(ticks)) * self.nominal_period_ns * 1e-9
         self._period_ns = self.nominal_period_ns + slope
         self._tick = tick
-        self._time_ns = host_ns + mean_time - slope * mean_tick - self._scatter_ns
+        self._reference_ns = host_ns + mean_time - slope * mean_tick - self._scatter_ns
         if len(self._blocks) >= self.BLOCKS_TO_LOCK:
             self.state = ClockState.LOCKED
-
-    def at(self, now_ns: int) -> ClockState:
-        """The state at ``now_ns``."""
-        if self.trusted and now_ns - self._time_ns > self.silent_after_ns:
-            self.state = ClockState.FLYWHEEL
-            if self.sigma_ns(self.tick_at(now_ns)) > self.INVALID_SIGMA_NS:
-                self.restart()
-                self.state = ClockState.INVALID
-        return self.state
-
-    @property
-    def trusted(self) -> bool:
-        """Whether :meth:`time_ns` is valid."""
-        return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
 
     @property
     def period_ns(self) -> float:
@@ -133,14 +119,14 @@ class ArrivalClock:
         """Vehicle time [ns] of ``ticks`` (n,), known delay removed, int64 (n,)."""
         numbers = np.asarray(ticks)
         numbers = numbers.astype(np.int64) if numbers.dtype.kind in "ui" else numbers
-        whole = int(self._time_ns)
-        after = (numbers - self._tick) * self._period_ns + (self._time_ns - whole - self.delay_ns)
+        whole = int(self._reference_ns)
+        after = (numbers - self._tick) * self._period_ns + (self._reference_ns - whole - self.delay_ns)
         times: NDArray[np.int64] = whole + np.rint(after).astype(np.int64)
         return times
 
     def tick_at(self, time_ns: int) -> float:
         """Fractional tick at vehicle time ``time_ns``."""
-        return self._tick + (time_ns + self.delay_ns - self._time_ns) / self._period_ns
+        return self._tick + (time_ns + self.delay_ns - self._reference_ns) / self._period_ns
 
     def sigma_ns(self, tick: float) -> float:
         """1-sigma of the vehicle time of ``tick`` [ns]."""
@@ -170,7 +156,7 @@ class ArrivalClock:
         """The solution referred to ``tick``."""
         return ClockSolution(
             tick,
-            self._time_ns - self.delay_ns + (tick - self._tick) * self._period_ns,
+            self._reference_ns - self.delay_ns + (tick - self._tick) * self._period_ns,
             self._period_ns,
             self.sigma_ns(tick),
             self._sigma_rate * self.nominal_period_ns,

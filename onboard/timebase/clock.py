@@ -14,6 +14,7 @@ flywheels with a growing sigma and becomes invalid when that sigma is too large.
 """
 
 import math
+from abc import ABC, abstractmethod
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -66,7 +67,48 @@ class _View(NamedTuple):
     polygon: Polygon
 
 
-class DeviceClock:
+class FittedClock(ABC):
+    """State of a clock that is fitted to marks or arrivals: FLYWHEEL without them, INVALID once its sigma is too large.
+
+    Attributes:
+        state: as of the last mark or call of :meth:`at`.
+        flywheel_after_ns: time since the reference after which the clock flywheels.
+        invalid_sigma_ns: sigma at which a flywheeling clock becomes invalid.
+    """
+
+    state: ClockState
+    flywheel_after_ns: float
+    invalid_sigma_ns: float
+    _reference_ns: float  # vehicle time of the last mark or arrival that was used
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Restart from the nominal period."""
+
+    @abstractmethod
+    def tick_at(self, time_ns: int) -> float:
+        """Fractional tick at vehicle time ``time_ns``."""
+
+    @abstractmethod
+    def sigma_ns(self, tick: float) -> float:
+        """1-sigma of the vehicle time of ``tick`` [ns]."""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the solution is valid: LOCKED or FLYWHEEL."""
+        return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
+
+    def at(self, now_ns: int) -> ClockState:
+        """The state at ``now_ns``."""
+        if self.trusted and now_ns - self._reference_ns > self.flywheel_after_ns:
+            self.state = ClockState.FLYWHEEL
+            if self.sigma_ns(self.tick_at(now_ns)) > self.invalid_sigma_ns:
+                self.restart()
+                self.state = ClockState.INVALID
+        return self.state
+
+
+class DeviceClock(FittedClock):
     """Fits one device's clock.
 
     Args:
@@ -156,20 +198,6 @@ class DeviceClock:
         """Whether a mark disagreed and none has agreed since: either the clock or the mark is wrong."""
         return self._contradiction_ns > 0.0
 
-    def at(self, now_ns: int) -> ClockState:
-        """The state at ``now_ns``: without marks FLYWHEEL, then INVALID."""
-        if self.trusted and now_ns - self._reference_ns > self.flywheel_after_ns:
-            self.state = ClockState.FLYWHEEL
-            if self.sigma_ns(self.tick_at(now_ns)) > self.invalid_sigma_ns:
-                self.restart()
-                self.state = ClockState.INVALID
-        return self.state
-
-    @property
-    def trusted(self) -> bool:
-        """Whether :meth:`time_ns` is valid."""
-        return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
-
     @property
     def period_ns(self) -> float:
         """Length of a tick, ns."""
@@ -226,10 +254,6 @@ class DeviceClock:
     # The polygon
 
     @property
-    def _reference_ns(self) -> float:
-        return self._view.base_ns + self._moments.x
-
-    @property
     def drift_per_s(self) -> float:
         """The bound in use on the change of the relative rate per second."""
         return self._least_drift_per_s * self.LARGER[self._used]
@@ -281,6 +305,7 @@ class DeviceClock:
         view = self._view
         self._whole_tick = math.floor(view.tick)
         self._moments: Moments = moments(view.polygon)
+        self._reference_ns = view.base_ns + self._moments.x
         self._least_sigma_ns = 0.0
         if bound + 1 < len(self._views):
             self._least_sigma_ns = self.LEAST_SHARE * math.sqrt(moments(self._views[bound + 1].polygon).xx)

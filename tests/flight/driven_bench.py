@@ -1,5 +1,7 @@
 """A two-joint arm on simulated servo drives, its files, and an acquisition worker on it, in virtual time."""
 
+from contextlib import ExitStack, closing
+
 import numpy as np
 
 from hil_sim.arm_rig import BUS, START_NS, ArmRig, Motor
@@ -145,3 +147,9 @@ class Bench:
         self.rig.advance(self.rig.now_ns + 500 * MS)
         later = [axis.angle_rad(1e-9 * (self.rig.now_ns - START_NS)) for axis in self.rig.axes.values()]
         return np.abs(np.subtract(angles, later)).max() < 1e-4
+
+
+def closed_after(directory, kind):
+    """Of a fixture: makes benches of this kind in ``directory`` and closes them afterwards."""
+    with ExitStack() as stack:
+        yield lambda **said: stack.enter_context(closing(kind(directory, **said)))

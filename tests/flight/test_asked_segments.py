@@ -9,7 +9,7 @@ from onboard.channels import REQUEST, Act
 from onboard.config.segments import Library, to_bytes
 from onboard.flight.acquire.arming import REQUESTS
 from onboard.ring import RingWriter
-from tests.flight.driven_bench import MS, Bench
+from tests.flight.driven_bench import MS, Bench, closed_after
 
 MISSION = '[mission]\nuntil = "mass 1 %"\nsegments = "segments.npz"'
 POSTURE = np.array([0.0, 0.2])
@@ -55,15 +55,7 @@ class Asked(Bench):
 
 @pytest.fixture
 def asked(tmp_path):
-    made = []
-
-    def make(**said):
-        made.append(Asked(tmp_path, **said))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from closed_after(tmp_path, Asked)
 
 
 def test_segments_are_played_one_after_another_as_asked(asked):

@@ -11,20 +11,12 @@ from drivers.errors import ConfigurationError
 from hil_sim.arm_rig import BUS, START_NS
 from onboard import config
 from onboard.config.driving import joint_ranges, read_motion, resampled
-from tests.flight.driven_bench import COUNTS, MOTORS, MS, Bench, csv_of, swing, urdf, written
+from tests.flight.driven_bench import COUNTS, MOTORS, MS, Bench, closed_after, csv_of, swing, urdf, written
 
 
 @pytest.fixture
 def bench(tmp_path):
-    made = []
-
-    def make(**said):
-        made.append(Bench(tmp_path, **said))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from closed_after(tmp_path, Bench)
 
 
 def never_enables(drive):

@@ -12,20 +12,12 @@ from hil_sim.arm_rig import BUS, START_NS, ArmRig
 from hil_sim.faults import Fault
 from onboard import config
 from onboard.flight.acquire.arming import Arming
-from tests.flight.driven_bench import COUNTS, MOTORS, Bench, Kept, swing, written
+from tests.flight.driven_bench import COUNTS, MOTORS, Bench, Kept, closed_after, swing, written
 
 
 @pytest.fixture
 def bench(tmp_path):
-    made = []
-
-    def make(**said):
-        made.append(Bench(tmp_path, **said))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from closed_after(tmp_path, Bench)
 
 
 def test_the_arm_follows_the_motion(bench):

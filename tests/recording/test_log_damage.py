@@ -23,11 +23,6 @@ from tests.recording.logs import (
 )
 
 
-@pytest.fixture
-def small(tmp_path):
-    return write_small(tmp_path / "small.mcap")
-
-
 def read(path, data):
     """Rows by channel, and the log, of a file with ``data`` as its content."""
     overwrite(path, data)

@@ -19,13 +19,7 @@ from tests.recording.logs import (
     overwrite,
     reading_rows,
     same_fields,
-    write_small,
 )
-
-
-@pytest.fixture
-def small(tmp_path):
-    return write_small(tmp_path / "small.mcap")
 
 
 def numbers(gaps, channel):

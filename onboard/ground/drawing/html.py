@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 
 
 class Cell(str):
@@ -68,6 +69,16 @@ def verdicts(lines: Iterable[tuple[str, str]]) -> str:
     """``(kind, sentence)`` each: good, warn or bad."""
     items = "".join(f'<li class="{kind}">{escape(text)}</li>\n' for kind, text in lines)
     return f'<ul class="verdicts">\n{items}</ul>\n'
+
+
+def write(output: Path, text: str) -> None:
+    """Write a page, and the folders above it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(text, encoding="utf-8")
 
 
 def page(title: str, head: str, sections: Sequence[tuple[str, str]], packed: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ from rich.progress import Progress
 
 from drivers.records import Rows
 from onboard import config
-from onboard.ground.drawing import theme
+from onboard.ground.drawing import html, theme
 from onboard.ground.report.flight import figures
 from onboard.ground.report.flight.flight_data import gather
 from onboard.ground.report.flight.sections import document
@@ -32,8 +32,7 @@ def report(
     flight = gather(log, progress, vehicle)
     if progress is not None:
         progress.add_task(f"draw {output.name}", total=None)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(document(flight), encoding="utf-8")
+    html.write(output, document(flight))
     return flight.info.damage
 
 

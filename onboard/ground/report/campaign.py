@@ -69,8 +69,7 @@ def write(found: Summary, content: Content, store: Store, output: Path, levels: 
         head = f"<h1>{escape(content.name)}</h1>\n{_cards(found, content, len(failed))}"
         head += html.verdicts(_verdicts(found, len(failed)))
         text = html.page(f"campaign {content.name}", head, sections, draw.packed())
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text, encoding="utf-8")
+    html.write(output, text)
 
 
 def _cards(found: Summary, content: Content, failed: int) -> str:

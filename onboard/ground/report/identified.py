@@ -44,8 +44,7 @@ def write(found: Identification, output: Path) -> None:
         head = f"<h1>{escape(name)}: identified</h1>\n"
         head += html.verdicts((_KIND[log.verdict.level], f"{log.log.name}: {log.verdict.text}") for log in found.logs)
         text = html.page(f"{name}: identified", head, sections, draw.packed())
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text, encoding="utf-8")
+    html.write(output, text)
 
 
 def _sections(log: Identified, draw: Gallery) -> Iterator[tuple[str, str]]:

@@ -30,8 +30,7 @@ def write(found: Comparison, output: Path) -> None:
         sections = [("Flights", _flights(found)), ("Answers", _answers(found) + draw(_figure(found), _CAPTION))]
         head = "<h1>Flights side by side</h1>\n" + html.verdicts(_verdicts(found))
         text = html.page("flights side by side", head, sections, draw.packed())
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text, encoding="utf-8")
+    html.write(output, text)
 
 
 def _verdicts(found: Comparison) -> list[tuple[str, str]]:

@@ -13,6 +13,11 @@ _BLOCK = 600  # degrees of freedom; a mean over them scatters by 6 %
 _CHANCE = 1e-5  # of a block: what is exceeded more rarely counts
 
 
+def beyond_chance(squares: float, freedom: int) -> float:
+    """A chi-squared sum over its 1e-5 quantile: above 1, it counts."""
+    return squares / float(chdtri(freedom, _CHANCE))
+
+
 class InnovationMisfit:
     """Sums of squares of whitened innovations by instrument."""
 
@@ -32,8 +37,7 @@ class InnovationMisfit:
         total, seen = self._blocks.get(instrument, (0.0, 0))
         block = total + squares, seen + freedom
         if block[1] >= _BLOCK:
-            beyond = block[0] / float(chdtri(block[1], _CHANCE))
-            self._worst[instrument] = max(self._worst.get(instrument, 0.0), beyond)
+            self._worst[instrument] = max(self._worst.get(instrument, 0.0), beyond_chance(*block))
             block = 0.0, 0
         self._blocks[instrument] = block
 

@@ -4,12 +4,10 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
-
-_CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
+from onboard.identification.exiddm.misfit import beyond_chance
 
 
 class Block(NamedTuple):
@@ -42,13 +40,12 @@ def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
 
 def misfit_by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
     """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
-    found = {}
+    misfit = {}
     for instrument in dict.fromkeys(block.instrument for block in blocks):
-        own = [block for block in blocks if block.instrument == instrument]
-        of_all = sum(block.normal.squares for block in own) / max(1, sum(block.rows for block in own))
-        parts = [block.normal.squares / float(chdtri(block.rows, _CHANCE)) for block in own if block.rows]
-        found[instrument] = max([of_all, *parts])
-    return found
+        sums = [(block.normal.squares, block.rows) for block in blocks if block.instrument == instrument and block.rows]
+        mean = sum(squares for squares, _ in sums) / max(1, sum(rows for _, rows in sums))
+        misfit[instrument] = max([mean, *(beyond_chance(*of) for of in sums)])
+    return misfit
 
 
 def apart(effect: FloatArray, stretch: IndexArray) -> Callable[[FloatArray], FloatArray]:

@@ -5,15 +5,12 @@ sections on Level 5 MAT-Files.
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 import numpy as np
 
-from drivers.records import Rows
-from onboard.ground.log.export.spool import BLOCK_BYTES, Spool
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.export.spool import BLOCK_BYTES, SpooledTable
 
 _MI_INT8, _MI_UINT16, _MI_INT32, _MI_UINT32, _MI_MATRIX = 1, 4, 5, 6, 14
 _MX_CHAR = 4
@@ -36,21 +33,8 @@ _NAME_BYTES = 63
 _DESCRIPTION = b"MATLAB 5.0 MAT-file, written by heft"
 
 
-class MatTable:
-    """A MAT-file.
-
-    Args:
-        target: path of the file.
-        columns: columns of the table.
-    """
-
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
-        assert isinstance(target, Path)
-        self._path, self._spool = target, Spool(target.parent, columns)
-
-    def write(self, rows: Rows) -> None:
-        """Write rows (n,)."""
-        self._spool.write(rows)
+class MatTable(SpooledTable):
+    """A MAT-file."""
 
     def close(self) -> None:
         """Finish the file.

@@ -1,32 +1,14 @@
 """NPZ writer: one array per column, by name, and text arrays ``columns`` and ``units``."""
 
 import zipfile
-from collections.abc import Sequence
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from drivers.records import Rows
-from onboard.ground.log.export.spool import Spool
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.export.spool import SpooledTable
 
 
-class NpzTable:
-    """An NPZ file, for ``numpy.load``.
-
-    Args:
-        target: path of the file.
-        columns: columns of the table.
-    """
-
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
-        assert isinstance(target, Path)
-        self._path, self._spool = target, Spool(target.parent, columns)
-
-    def write(self, rows: Rows) -> None:
-        """Write rows (n,)."""
-        self._spool.write(rows)
+class NpzTable(SpooledTable):
+    """An NPZ file, for ``numpy.load``."""
 
     def close(self) -> None:
         """Finish the file."""

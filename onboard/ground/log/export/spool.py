@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO
+from typing import IO, BinaryIO
 
 import numpy as np
 
@@ -61,3 +61,17 @@ class Spool:
     def close(self) -> None:
         """Remove the files."""
         self._stack.close()
+
+
+class SpooledTable:
+    """A file that is written at its close, from a spool.
+
+    Args:
+        target: path of the file.
+        columns: columns of the table.
+    """
+
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+        assert isinstance(target, Path)
+        self._path, self._spool = target, Spool(target.parent, columns)
+        self.write = self._spool.write
