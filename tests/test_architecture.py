@@ -5,6 +5,7 @@ Every rule is a function of a file's path and source, so that each is shown to f
 
 import ast
 import io
+import re
 import sys
 import tokenize
 from collections import Counter
@@ -136,6 +137,7 @@ LAYERS = {  # of a package: each room may import those before it, and itself; ev
         *("serve_arm", "serve_driven"),
     ),
 }
+KEYS = re.compile(r"\[(estimation|vehicle|device)\b|\b(device|(imu_)?prior)\.[a-z]|^device\.$")
 MOST_MODULES = 15  # in a folder
 COMMANDS = "onboard/cli"  # a module a command: as many as there are
 MATHEMATICS = ("estimation", "dynamics", "regressor", "identification", "control")  # import nothing else of onboard
@@ -172,6 +174,18 @@ def strangers_use_different_dynamics(path: str, source: str) -> list[str]:
     """MuJoCo moves the simulated bodies, Pinocchio makes the regressor; neither side sees the other's."""
     theirs = {"hil_sim": "pinocchio", "onboard": "mujoco", "drivers": "mujoco"}.get(path.split("/", maxsplit=1)[0])
     return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if theirs and within(i.name, theirs)]
+
+
+def mathematics_knows_no_keys(path: str, source: str) -> list[str]:
+    """Configuration says which key of vehicle.toml states a parameter."""
+    if module_of(path).removeprefix("onboard.").split(".")[0] not in MATHEMATICS:
+        return []
+    tree = parsed(path, source)
+    documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    docs = [n.body[0] for n in ast.walk(tree) if isinstance(n, documented) and ast.get_docstring(n) is not None]
+    silent = {id(doc.value) for doc in docs if isinstance(doc, ast.Expr)}
+    texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in silent]
+    return [f"{path}:{n.lineno}: {n.value}" for n in texts if isinstance(n.value, str) and KEYS.search(n.value)]
 
 
 def campaigns_foresee_nothing(path: str, source: str) -> list[str]:
@@ -303,6 +317,7 @@ RULES: tuple[Rule, ...] = (
     simulator_knows_the_ports_only,
     flight_code_knows_no_simulator,
     strangers_use_different_dynamics,
+    mathematics_knows_no_keys,
     campaigns_foresee_nothing,
     only_the_command_line_prints,
     only_transports_and_runners_read_clocks,
@@ -403,6 +418,8 @@ BREACHES: list[tuple[Rule, str, str]] = [
         "def f():\n    from onboard.ground.before.foresee.kept import kept",
     ),
     (strangers_use_different_dynamics, "onboard/regressor/rows.py", "from mujoco import MjModel"),
+    (mathematics_knows_no_keys, "onboard/identification/exiddm/online.py", "key = f'device.{name}.scale_sigma'"),
+    (mathematics_knows_no_keys, "onboard/regressor/prior.py", "raise ValueError('state it in [estimation.prior]')"),
     (only_the_command_line_prints, "onboard/flight/supervise/runner.py", "print('tick')"),
     (only_the_command_line_prints, "hil_sim/serve.py", "def f():\n    print()"),
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ntime.monotonic_ns()"),
@@ -467,6 +484,8 @@ INNOCENT: list[tuple[Rule, str, str]] = [
         "onboard/ground/before/planning/planning.py",
         "from onboard.ground.before.foresee import foresee",
     ),
+    (mathematics_knows_no_keys, "onboard/flight/estimate/problem/exiddm_keys.py", "key = 'imu_prior.position_m'"),
+    (mathematics_knows_no_keys, "onboard/regressor/prior.py", "raise ValueError(f'no {device.name} in the prior.')"),
     (only_the_command_line_prints, "onboard/cli/looking.py", "print()"),
     (only_the_command_line_prints, "onboard/ground/report.py", "console.print()\nprint_table()"),
     (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),

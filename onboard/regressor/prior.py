@@ -44,9 +44,9 @@ def prior_root(
     vehicle, made = model.vehicle, made or {}
     for link in made:
         if link not in vehicle.links:
-            raise UnknownFrameError(f"prior.link names {link!r}; links with inertia are {', '.join(vehicle.links)}")
+            raise UnknownFrameError(f"the prior names {link!r}; links with inertia are {', '.join(vehicle.links)}")
         if link in relative:
-            raise UnknownFrameError(f"{link!r} is in prior.link and in prior.relative; take it out of one of them")
+            raise UnknownFrameError(f"link {link!r} has two sigmas, one of them relative; state one")
     root = np.diag(named_relative_sigma(model, {**dict.fromkeys(made, 0.0), **relative}, extras))
     for index, link in enumerate(vehicle.links):
         own = slice(10 * index, 10 * index + 10)
@@ -54,9 +54,9 @@ def prior_root(
             _check(link, relative[link], root[own])
             continue
         if named := sorted(set(model.names[own]) & set(extras)):
-            raise UnknownFrameError(f"{named[0]} is of {link!r}, which is in prior.link; take it out of prior.absolute")
+            raise UnknownFrameError(f"{named[0]} has an absolute sigma beside that of its link {link!r}; state one")
         if not model.chi[own.start] > 0.0:
-            raise UrdfError(f"link {link!r} has no mass in the URDF; take it out of prior.link, or give it one")
+            raise UrdfError(f"link {link!r} has no mass in the URDF for its sigma; give it one, or take the sigma out")
         root[own, own] = standard_root(model.chi[own], *made[link])
     return root
 

@@ -48,9 +48,9 @@ def test_other_columns_have_their_own_sigmas():
 @pytest.mark.parametrize(
     ("relative", "extras", "made", "said"),
     [
-        (REST, BIAS, {"arm": ARM, "ram": ARM}, "prior.link names 'ram'"),
-        (REST | {"arm": 0.1}, BIAS, {"arm": ARM}, "take it out of one of them"),
-        (REST, BIAS | {"M_arm": 0.1}, {"arm": ARM}, "take it out of prior.absolute"),
+        (REST, BIAS, {"arm": ARM, "ram": ARM}, "the prior names 'ram'"),
+        (REST | {"arm": 0.1}, BIAS, {"arm": ARM}, "two sigmas, one of them relative"),
+        (REST, BIAS | {"M_arm": 0.1}, {"arm": ARM}, "M_arm has an absolute sigma"),
         (REST, BIAS, {}, "arm"),
     ],
 )

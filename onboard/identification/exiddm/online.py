@@ -22,7 +22,6 @@ from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.exiddm.prediction.keys import Keys
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursion.bounded_work import last_work
 from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
@@ -62,11 +61,10 @@ def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
 
 
 def keys_of(predictor: ImuPredictor) -> tuple[str, ...]:
-    """The vehicle file's key of each element of the state that is constant; empty for the others."""
-    of = Keys(predictor.further, predictor.thrusters, [joint.name for joint in predictor.vehicle.joints])
+    """What states the sigma of each element of the state that is constant; empty for the others."""
     varying = {*predictor.changing.tolist(), *(k for pair in predictor.biases for k in pair)}
     varying |= {k for k, _ in predictor.wandering} | {*range(PAYLOAD.stop)}
-    return tuple("" if k in varying else of.of(name) for k, name in enumerate(predictor.names))
+    return tuple("" if k in varying else predictor.key_of(name) for k, name in enumerate(predictor.names))
 
 
 def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:

@@ -9,7 +9,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.identifier import Identifier
 
 ROWS = "scatter of the rows: noise, gears, what the model leaves"
-STATED = "[estimation.prior]: what the file states of bodies, friction and offsets"
+STATED = "prior: what is stated of bodies, friction and offsets"
 REGRESSOR = "noise_rad of the angles: how well the noise of the motion is known"
 
 

@@ -112,8 +112,7 @@ class WholeFlight:
         segments: those that are fitted.
         time_s: of all their ticks, (n,).
         further: the predictor's instruments besides the first IMU, be they left out or not.
-        thrusters: the predictor's.
-        joints: names of the vehicle's.
+        key_of: what states the sigma of a parameter, by its name; see :class:`ImuPredictor`.
         instruments: those that take part.
         devices: their numbers.
         constants: how many of the first parameters are the predictor's without the rate.
@@ -129,8 +128,7 @@ class WholeFlight:
         without: Collection[int] = (),
     ) -> None:
         self._predictor = predictor
-        self.further, self.thrusters = predictor.further, predictor.thrusters
-        self.joints = tuple(joint.name for joint in predictor.vehicle.joints)
+        self.further, self.key_of = predictor.further, predictor.key_of
         self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)

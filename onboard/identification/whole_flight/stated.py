@@ -21,8 +21,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.exiddm.prediction.further import FurtherCell
-from onboard.identification.exiddm.prediction.keys import Keys
+from onboard.identification.exiddm.prediction.further import FurtherCell, instrument_of
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
@@ -75,7 +74,7 @@ def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
     """
     own: dict[tuple[int, str], list[int]] = {}
     for place, parameter in enumerate(found.names):
-        device, correction = keys_of(flight).correction_of(parameter)
+        device, correction = instrument_of(parameter, flight.further)
         axis = correction[-2:] in ("_x", "_y", "_z")
         own.setdefault((device, correction[:-2] if axis else correction), []).append(place)
     made = []
@@ -148,7 +147,7 @@ def bound_of(flight: WholeFlight, found: FlightFit) -> FloatArray:
 
 
 def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
-    """The stated sigmas that each of the payload's ten numbers depends on, by their keys, with the effect of one sigma.
+    """The stated sigmas that each of the payload's ten numbers depends on, with the effect of one sigma.
 
     See :mod:`onboard.identification.leaning`.
 
@@ -158,15 +157,9 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     """
     D = np.zeros((10, found.fit.x.size))
     D[:, :10] = body_jacobian(found.chi)
-    of = keys_of(flight)
-    keys = [*[""] * 10, *(of.of(name) for name in found.names[10:])]
+    keys = [*[""] * 10, *(flight.key_of(name) for name in found.names[10:])]
     sigma = np.sqrt(np.diag(found.payload.covariance))
     body = found.payload.body
     size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     causes = Causes(keys, flight.sigma)
     return causes.said(causes.effects(D @ found.fit.covariance), sigma, size)
-
-
-def keys_of(flight: WholeFlight) -> Keys:
-    """The keys of the vehicle that flew."""
-    return Keys(flight.further, flight.thrusters, flight.joints)

@@ -43,7 +43,9 @@ def predictor():
     chi = {name: vehicle.chi[10 * k : 10 * k + 10] for k, name in enumerate(vehicle.links)}
     links = {name: standard_covariance(chi[name], 0.03, 2e-3, 0.01) for name in ("base", "link_2")}
     geometry = GeometryPrior(0.003, {joint.name: JointPrior(5e-4, 1e-3, 2e-4, 2e-4) for joint in vehicle.joints})
-    return ImuPredictor(vehicle, "imu_base", 0.01, 5, links, PRIOR, geometry)
+    return ImuPredictor(
+        vehicle, "imu_base", 0.01, 5, links, PRIOR, geometry, key_of=lambda name: name.partition("_inertial_")[0]
+    )
 
 
 def segments(ticks):
@@ -302,7 +304,7 @@ def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predict
     flight = WholeFlight(predictor, WIDE, segments(ticks))
     said = leans_on(flight, found)
     assert len(said) == 10
-    [told] = re.findall(r"prior\.link\.base \(([0-9.]+) %\)", said[0])
+    [told] = re.findall(r"base \(([0-9.]+) %\)", said[0])
     rows = total_of(found.blocks, len(found.names)).information
     stated = inverse_of(rows + flight.prior_information)[0, 0]
     flight.widen(np.array([k for k, name in enumerate(found.names) if name.startswith("base_inertial")]), 1.01)

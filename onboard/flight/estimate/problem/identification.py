@@ -20,6 +20,7 @@ from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
+from onboard.flight.estimate.problem.exiddm_keys import ExiddmKeys
 from onboard.flight.estimate.problem.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.readings.roles import roles_of
@@ -167,10 +168,10 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
         others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, model, tracked=bool(trackers))
-        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others)
-        known = None
-        if settings.carried:
-            known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
+        keys = ExiddmKeys(further, thrusters, [joint.name for joint in model.joints])
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others, keys.of)
+        names = tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD)
+        known = _start(vehicle, names)[:2] if settings.carried else None
         step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
         told = asked.held_at_start, asked.false_alarms_per_hour, known
         exiddm = RecursiveExiddm(predictor, payload_sigma, *told, step_ticks)
@@ -188,8 +189,7 @@ def samples_per_tick(vehicle: config.Vehicle) -> int:
     channel = roles_of(vehicle).imu.channels[0]
     samples = _samples(vehicle, channel)
     if samples < 2:
-        period_s = roles_of(vehicle).signals[channel].period_s
-        text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
+        text = f"{1e3 * roles_of(vehicle).signals[channel].period_s:g} ms between samples of {channel!r}"
         raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
     return samples
 

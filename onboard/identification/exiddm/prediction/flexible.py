@@ -173,6 +173,6 @@ def require_stiff(vehicle: VehicleModel, geometry: GeometryPrior) -> None:
         if not _SOFTEST_Hz <= swings_Hz <= _STIFFEST_Hz:
             why = "such an arm gets no answer without" if swings_Hz < _SOFTEST_Hz else "it is taken for stiff then"
             raise SignalError(
-                f"prior.joint.{name}.stiffness_N_m_rad: with nothing held the joint swings at {swings_Hz:.2g} Hz; "
-                f"answers hold from {_SOFTEST_Hz:g} to {_STIFFEST_Hz:g} Hz, so take it out: {why}"
+                f"joint {name}: by its stiffness it swings with nothing held at {swings_Hz:.2g} Hz; "
+                f"answers hold from {_SOFTEST_Hz:g} to {_STIFFEST_Hz:g} Hz, so take the stiffness out: {why}"
             )

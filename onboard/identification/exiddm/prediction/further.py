@@ -169,6 +169,14 @@ class FurtherPose(NamedTuple):
 Further = FurtherImu | FurtherCell | FurtherPose
 
 
+def instrument_of(parameter: str, further: Sequence[Further]) -> tuple[int, str]:
+    """The number of a parameter's instrument (0: none of ``further``), and the parameter's name without it."""
+    for device, one in enumerate(further, 1):
+        if parameter.endswith(f"_{one.name}"):
+            return device, parameter.removesuffix(f"_{one.name}")
+    return 0, parameter.removesuffix("_imu")
+
+
 def blocks_of(one: Further) -> dict[str, Block]:
     """Unknowns of a further instrument, its name after each of theirs."""
     if isinstance(one, FurtherPose):

@@ -9,7 +9,7 @@ Cyclic errors of an encoder behind a gear are functions of its angle (eccentrici
 would make the payload too light (errors in variables). Their functions come through the same smoothing as the joints.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -78,6 +78,7 @@ class ImuPredictor:
         name: of that IMU.
         thrusters: whose forces are known.
         disturbance: prior on what pushes the base unknown.
+        key_of: what states the sigma of a parameter, by the parameter's name; empty for nothing.
 
     Attributes:
         names: of the p parameters.
@@ -117,8 +118,10 @@ class ImuPredictor:
         name: str = "imu",
         thrusters: Sequence[Thruster] = (),
         disturbance: DisturbancePrior = UNDISTURBED,
+        key_of: Callable[[str], str] = str,
     ) -> None:
         self.vehicle, self.period_s, self.thrusters = vehicle, period_s, tuple(thrusters)
+        self.key_of = key_of
         self.further = tuple(sorted(further, key=lambda one: (FurtherImu, FurtherCell, FurtherPose).index(type(one))))
         self.instruments = (name, *(one.name for one in self.further))
         self.imu_frames = imu_frame, *(one.frame for one in self.further if isinstance(one, FurtherImu))

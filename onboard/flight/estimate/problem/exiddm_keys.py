@@ -1,9 +1,15 @@
-"""Keys of the vehicle file that state the sigma of a parameter of the free-flyer's fit."""
+"""Keys of the vehicle file that state the sigma of a parameter of the ExIDDM."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from onboard.identification.exiddm.prediction.further import OF_FRICTION, Further, FurtherCell, Thruster
+from onboard.identification.exiddm.prediction.further import (
+    OF_FRICTION,
+    Further,
+    FurtherCell,
+    Thruster,
+    instrument_of,
+)
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 
 _OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
@@ -17,7 +23,7 @@ _OF_CELLS = {
 }
 
 
-class Keys(NamedTuple):
+class ExiddmKeys(NamedTuple):
     """The keys of a vehicle's file."""
 
     further: Sequence[Further]  # instruments besides the first IMU
@@ -25,22 +31,22 @@ class Keys(NamedTuple):
     joints: Sequence[str]
 
     def of(self, parameter: str) -> str:
-        """The key of a parameter's sigma; empty for one that has none."""
+        """The key of a parameter's sigma; empty for a parameter without one."""
         link, inertial, _ = parameter.partition("_inertial_")
         if inertial:
             return f"prior.link.{link}"
-        device, correction = self.correction_of(parameter)
-        if device and isinstance(one := self.further[device - 1], FurtherCell):
-            return self._of_cell(one, correction)
+        device, correction = instrument_of(parameter, self.further)
+        if device and isinstance(cell := self.further[device - 1], FurtherCell):
+            return self._of_cell(cell, correction)
         if parameter.removeprefix("scale_") in {thruster.name for thruster in self.thrusters}:
             return f"device.{parameter.removeprefix('scale_')}.scale_sigma"
         for kind, key in _OF_JOINTS.items():
             if (joint := parameter.removeprefix(f"{kind}_")) != parameter and joint in self.joints:
                 return f"prior.joint.{joint}.{key}"
-        own = correction[:-2] if correction.endswith(("_x", "_y", "_z")) else correction
-        if own == "place":
+        field = correction[:-2] if correction.endswith(("_x", "_y", "_z")) else correction
+        if field == "place":
             return "imu_prior.position_m"
-        return f"imu_prior.{own}" if own in ImuPrior._fields else ""
+        return f"imu_prior.{field}" if field in ImuPrior._fields else ""
 
     def _of_cell(self, cell: FurtherCell, correction: str) -> str:
         """The same of a load cell or the torque of a joint, which a drive (CiA 402) sends in a channel of its own."""
@@ -51,10 +57,3 @@ class Keys(NamedTuple):
         drive = cell.name.removesuffix("_torque")
         scale = f"device.{cell.name}.scale_sigma" if drive == cell.name else f"device.{drive}.torque_scale_sigma"
         return {"bias": f"prior.absolute.bias_{cell.name}", "scale": scale}.get(correction, "")
-
-    def correction_of(self, parameter: str) -> tuple[int, str]:
-        """The instrument of a parameter by its number, and the name without it; 0 for what is no instrument's."""
-        for device, one in enumerate(self.further, 1):
-            if parameter.endswith(f"_{one.name}"):
-                return device, parameter.removesuffix(f"_{one.name}")
-        return 0, parameter.removesuffix("_imu")
