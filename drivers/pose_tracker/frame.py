@@ -37,8 +37,8 @@ class PoseTrackerConfig:
     """Configuration of a pose tracker.
 
     Attributes:
-        system: MAVLink system that sends the poses; 0: any one.
-        component: Its component; 0: any one.
+        system: MAVLink system that sends the poses; 0: any.
+        component: Its component; 0: any.
         poll_period_ms: How often the port is read; 0: the port waits.
         silence_ms: Time without a message after which the port is reopened.
 

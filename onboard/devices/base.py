@@ -191,7 +191,7 @@ class BusDevice(DeviceSection):
 
 
 class ImuDevice(DeviceSection):
-    """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of one sample.
+    """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of a sample.
 
     ``accel_scale_sigma`` and ``gyro_scale_sigma``: of its calibration, relative; ``misalignment_sigma_rad``: of the
     axes of gyro and of accelerometer; ``delay_sigma_ms``: of the samples of either. Intervals by rows carry them.

@@ -16,7 +16,7 @@ from onboard.section import Positive
 class PulseGeneratorDevice(PulseOutputDevice):
     """Drives the sync line by the published code, and sends SYNC with counter on the CAN bus ``sync_bus``."""
 
-    about_clock = "None: it records its own times of sending. Read the line back by a `sync_pulse`."
+    about_clock = "None: it records when it sent. Read the line back by a `sync_pulse`."
     driver_configs = (PulseGeneratorConfig,)
     kind: Literal["pulse_generator"]
     sync_period_ms: Positive

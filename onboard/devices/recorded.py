@@ -25,7 +25,7 @@ Delay = Annotated[
 class RecordedDevice(DeviceSection):
     """A recorded channel."""
 
-    about_clock = "The recording's own times."
+    about_clock = "The recording's times."
     period_ms: Positive
 
     @property
@@ -97,7 +97,7 @@ class RecordedRate(RecordedDevice):
 
 
 class RecordedLoadCell(RecordedDevice, LoadCellKeys):
-    """A load cell, or one axis of a six-axis one: a moment is in N m, where ``lever_m`` is not given."""
+    """A load cell, or an axis of a six-axis cell: a moment is in N m, where ``lever_m`` is not given."""
 
     about_role = "load cell"
     records = SCALAR
@@ -113,7 +113,7 @@ class RecordedLoadCell(RecordedDevice, LoadCellKeys):
 
 
 class RecordedTorque(RecordedDevice, TorqueKeys):
-    """The torque of a joint, N m (N of a sliding one), or its motor's current."""
+    """The torque of a joint, N m (N of a sliding joint), or its motor's current."""
 
     about_role = "joint torque"
     records = SCALAR
@@ -139,18 +139,18 @@ class RecordedThruster(RecordedDevice):
     kind: Literal["recorded_thruster"]
     frame: Annotated[str, Field(description="Of the URDF, fixed in the base; the force goes through its origin.")]
     axis: Annotated[Vector3, Field(description="Direction of the force on the vehicle, in the frame's axes.")]
-    force_N: Annotated[Positive, Field(description="Its force where the level is one.")]  # noqa: N815
+    force_N: Annotated[Positive, Field(description="Its force at full level.")]  # noqa: N815
     scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its force.")] = 0.05
     reads: Annotated[
         Literal["level", "on_time"],
-        Field(description="A sample is the share of the force until the next one, or an on-time in s from then on."),
+        Field(description="A sample is the share of the force until the next sample, or an on-time in s from then on."),
     ] = "level"
 
     @field_validator("axis")
     @classmethod
     def _is_a_direction(cls, axis: Vector3) -> Vector3:
         if not any(axis):
-            raise ValueError("needs a direction: one of the three is not zero")
+            raise ValueError("needs a direction: give at least one component")
         return axis
 
     def roles(self, name: str, period_s: float) -> Roles:
@@ -167,11 +167,11 @@ class RecordedPose(RecordedDevice):
     records = SCALAR
     kind: Literal["recorded_pose"]
     frame: Annotated[str, Field(description="Frame of the URDF, fixed in the base, that the markers stand for.")]
-    position_noise_m: Annotated[Positive, Field(description="Standard deviation of one sample, each axis.")]
-    yaw_noise_rad: Annotated[Positive, Field(description="Standard deviation of one sample.")]
+    position_noise_m: Annotated[Positive, Field(description="1 sigma of a sample, each axis.")]
+    yaw_noise_rad: Annotated[Positive, Field(description="1 sigma of a sample.")]
     repeats: Annotated[
         bool,
-        Field(description="A pose that equals the one before is one; false: the tracker held it, and it is left out."),
+        Field(description="An unchanged pose is a measurement; false: the tracker held the last pose, and it is left out."),
     ] = False
     misalignment_sigma_rad: Annotated[
         NotNegative, Field(description="Standard deviation of the markers' yaw against that of `frame`.")

@@ -36,7 +36,7 @@ def corrections(gain: float, offset: float) -> tuple[Correction, ...]:
 
 
 class LoadCellKeys(Section):
-    """A force along an axis, or a moment about one; it reads ``gain`` newton for each, and ``offset_N`` without load.
+    """A force along an axis, or a moment about it; it reads ``gain`` newton for each, and ``offset_N`` without load.
 
     ``measures = "moment"``: the cell's force times ``lever_m`` is the moment about ``axis`` of ``frame`` that the
     actuator exerts on everything beyond that frame. ``measures = "force"``: its force along ``axis``.

@@ -16,8 +16,9 @@ from pydantic import BaseModel
 from drivers.marks import MARK
 from drivers.records import CAN_SYNC, IMU, POSE, PULSE, SCALAR
 from onboard import config
-from onboard.devices.base import BusDevice, DeviceSection
+from onboard.devices.base import BusDevice, DeviceSection, ImuDevice, JointDevice
 from onboard.devices.can.canopen import CanopenNodeDevice
+from onboard.devices.can.canopen_object import MappedObjectDevice
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
 from onboard.devices.serial_line.node_channels import CHANNELS
@@ -34,28 +35,28 @@ RECORDS: list[tuple[np.dtype[np.void], str]] = [
 ]
 MEANING = {  # of keys that belong to no one driver
     "accel_scale_sigma": "Relative standard deviation of the accelerometer's scale, carried by intervals of rows.",
-    "accel_matrix": "What it reads of one m/s^2 along each axis, a row for each axis of the sensor.",
-    "accel_bias_m_s2": "What it reads without any.",
-    "gyro_matrix": "What it reads of one rad/s about each axis, a row for each axis of the sensor.",
-    "gyro_bias_rad_s": "What it reads at rest.",
+    "accel_matrix": "Reading per m/s^2 along each axis, a row for each axis of the sensor.",
+    "accel_bias_m_s2": "Reading at no specific force.",
+    "gyro_matrix": "Reading per rad/s about each axis, a row for each axis of the sensor.",
+    "gyro_bias_rad_s": "Reading at rest.",
     "calibrated": "Date, log and command of its calibration; `heft calibrate` writes it.",
-    "gain": "What it reads of one unit; `heft calibrate` writes it.",
-    "offset_N": "What it reads without load.",
+    "gain": "Reading per unit; `heft calibrate` writes it.",
+    "offset_N": "Reading without load.",
     "misalignment_sigma_rad": "Standard deviation of the axes of gyro and accelerometer, carried by intervals of rows.",
     "gyro_scale_sigma": "Relative standard deviation of the gyro's scale, carried by intervals of rows.",
     "bus": "Name of its `[bus.NAME]`.",
     "frame": "Link, joint or frame of the URDF that it measures in.",
-    "accel_noise_m_s2": "Standard deviation of one sample of specific force.",
-    "gyro_noise_rad_s": "Standard deviation of one sample of angular rate.",
+    "accel_noise_m_s2": "1 sigma of a sample of specific force.",
+    "gyro_noise_rad_s": "1 sigma of a sample of angular rate.",
     "sample_rate_hz": "Nominal sample rate.",
     "sync_input": "Whether the sync line reaches its FSYNC pin; where it does not, its times are by arrival stamps.",
-    "gyro_delay_ms": "Delay of the gyro's own filter, removed from its times.",
-    "accel_delay_ms": "Delay of the accelerometer's own filter.",
-    "joint": "Joint of the URDF whose angle it measures; each moving joint by one device.",
-    "zero_count": "What it reads at joint angle zero, counts.",
+    "gyro_delay_ms": "Delay of the gyro's filter, removed from its times.",
+    "accel_delay_ms": "Delay of the accelerometer's filter.",
+    "joint": "Joint of the URDF whose angle it measures; no two devices measure the same.",
+    "zero_count": "Reading at joint angle zero, counts.",
     "counts_per_revolution": "Counts in a turn of the joint, quadrature and gear included.",
-    "noise_rad": "Standard deviation of one sample, quantisation included.",
-    "gear_ratio": "Turns of the motor in one of the joint, where it is the motor's angle that is measured.",
+    "noise_rad": "1 sigma of a sample, quantisation included.",
+    "gear_ratio": "Turns of the motor per turn of the joint, where the motor's angle is measured.",
     "eccentricity_rad": "Cyclic error once in a turn of the motor, rms, of the joint's angle.",
     "transmission_error_rad": "The same twice in a turn, as harmonic drives make it.",
     "node": "Node number.",
@@ -69,8 +70,8 @@ MEANING = {  # of keys that belong to no one driver
     "capacity_N": "A sample as large as this is saturated.",
     "scale_sigma": "Relative standard deviation of its calibration.",
     "zero_sigma_rad": "Standard deviation of the angle at its zero.",
-    "noise_N": "Standard deviation of one sample; that its filter makes neighbours alike is known by `delay_ms`.",
-    "delay_ms": "Delay of its own filter, removed from its times.",
+    "noise_N": "1 sigma of a sample; that the filter makes neighbours alike is known by `delay_ms`.",
+    "delay_ms": "Delay of its filter, removed from its times.",
     "delay_sigma_ms": "Standard deviation of that delay.",
     "gravity_m_s2": "Newton per kilogram of its readings, if its unit is kg.",
     "period_ms": "Nominal period.",
@@ -79,14 +80,17 @@ MEANING = {  # of keys that belong to no one driver
     "tick_hz": "Nominal rate of the node's clock.",
     "rate_hz": "Nominal rate of its data frames.",
     "channel": "Its channels in the order of its descriptor: `[[device.NAME.channel]]`, below.",
-    "noise_rad_s": "Standard deviation of one sample of the rate.",
-    "noise_m_s2": "Standard deviation of one sample of specific force.",
+    "noise_rad_s": "1 sigma of a sample of the rate.",
+    "noise_m_s2": "1 sigma of a sample of specific force.",
     "name": "Name in the node's descriptor.",
     "role": "Its role in the estimator.",
-    "absolute": "It keeps `zero_count` over a reset of the node; otherwise its rows are refused after one.",
+    "absolute": "It keeps `zero_count` over a reset of the node; otherwise its rows are refused after a reset.",
 }
 SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, their heading, a kind that has them
     (LoadCellKeys, "A load cell", "cia404"),
+    (ImuDevice, "An IMU", "recorded_imu"),
+    (JointDevice, "A joint's encoder", "qsb"),
+    (MappedObjectDevice, "A mapped object", "canopen_object"),
     (CanopenNodeDevice, "A CANopen node", "cia404"),
 ]
 HEAD = """# Devices
@@ -171,17 +175,27 @@ def _prose(model: type[BaseModel]) -> str:
 
 
 def _keys(model: type[BaseModel], kind: str) -> str:
-    schema = model.model_json_schema()
-    lines = ["| key | | default | |", "|---|---|---|---|"]
-    elsewhere = [(group, heading) for group, heading, _ in SHARED if issubclass(model, group) and model is not group]
+    """The table of a kind's keys, less those that are the same in a table of several kinds."""
+    groups = [(group, heading, of) for group, heading, of in SHARED if issubclass(model, group) and model is not group]
+    shared = {line for group, _, of in groups for line in _all_keys(group, of)}
+    lines = [line for line in _all_keys(model, kind) if line not in shared]
+    links = [f"[{heading}](#{heading.lower().replace(' ', '-').replace(chr(39), '')})" for _, heading, _ in groups]
+    table = ["| key | | default | |", "|---|---|---|---|", *lines, ""] if lines else []
+    return "\n".join(
+        [*table, *([f"{'and those' if lines else 'Keys: those'} of {' and '.join(links)}.", ""] if links else [])]
+    )
+
+
+def _all_keys(model: type[BaseModel], kind: str) -> list[str]:
+    """Of each key of a kind a line of its table."""
+    schema, lines = model.model_json_schema(), []
     for key, field in model.model_fields.items():
-        if key == "kind" or any(key in group.model_fields for group, _ in elsewhere):
+        if key == "kind":
             continue
         name = f"**`{key}`**" if field.is_required() else f"`{key}`"
         default = "" if field.is_required() or field.default is None else f"`{_toml(field.default)}`"
         lines.append(f"| {name} | {_type(schema['properties'][key])} | {default} | {meaning(model, key)} |")
-    links = [f"[{heading}](#{heading.lower().replace(' ', '-')})" for _, heading in elsewhere]
-    return "\n".join(lines) + "\n" + (f"\nand those of {' and '.join(links)}.\n" if links else "")
+    return lines
 
 
 def meaning(model: type[BaseModel], key: str) -> str:

@@ -33,7 +33,7 @@ class ThrusterDevice(MappedObjectDevice):
     @classmethod
     def _is_a_direction(cls, axis: tuple[float, float, float]) -> tuple[float, float, float]:
         if not np.any(axis):
-            raise ValueError("needs a direction: one of the three is not zero")
+            raise ValueError("needs a direction: give at least one component")
         return axis
 
     def settings(self, name: str) -> CanopenObjectConfig:

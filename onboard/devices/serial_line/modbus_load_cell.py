@@ -27,7 +27,7 @@ class ModbusLoadCellDevice(PolledLoadCellDevice):
     values: tuple[Literal["gross", "net"], ...] = ("gross",)
     scale: Annotated[
         float | None,
-        Field(description="`unit` per count; where not given, the transmitter's own division and unit."),
+        Field(description="`unit` per count; where not given, the transmitter's division and unit."),
     ] = None
     unit: str | None = None
     sign: Literal["status", "twos_complement", "positive"] = "status"

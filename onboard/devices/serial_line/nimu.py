@@ -15,7 +15,7 @@ from onboard.timebase.specs import ChannelClock, FreeChannel
 
 
 class NimuDevice(SerialLineDevice, ImuDevice):
-    """Memsense nIMU. ``gyro_delay_ms`` and ``accel_delay_ms`` are those of its own filters.
+    """Memsense nIMU. ``gyro_delay_ms`` and ``accel_delay_ms`` are those of its filters.
 
     ``latency_ms``: measured time from the sample to the first bit of its packet; default: half a sample period, with
         that as its sigma.
@@ -65,8 +65,8 @@ class NimuDevice(SerialLineDevice, ImuDevice):
         gyro_s, accel_s = self.filter_delays_s
         return [
             Delay(name, "", delay_ns * 1e-9, sigma_ns * 1e-9, "packet: wait for the line, and on it"),
-            Delay(name, "gyro", gyro_s, 0.0, "its own filter"),
-            Delay(name, "accel", accel_s, 0.0, "its own filter"),
+            Delay(name, "gyro", gyro_s, 0.0, "its filter"),
+            Delay(name, "accel", accel_s, 0.0, "its filter"),
         ]
 
     @property

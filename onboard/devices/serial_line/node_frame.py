@@ -29,7 +29,7 @@ class NodeFrameDevice(SerialLineDevice):
     """
 
     about_role = "by channel"
-    about_clock = "The node's own, fitted to the sync edges that it stamps."
+    about_clock = "The node's ticks, fitted to the sync edges that it stamps."
     driver_configs = (NodeFrameConfig,)
     first_row_s = 0.15  # it talks unasked
     kind: Literal["node_frame"]

@@ -44,8 +44,8 @@ class PoseTrackerDevice(SerialLineDevice):
     covariance: Annotated[
         bool, Field(description="Whether it sends a covariance: a message has 132 bytes then, and 52 without.")
     ] = False
-    position_noise_m: Annotated[Positive, Field(description="Standard deviation of one pose's position, each axis.")]
-    attitude_noise_rad: Annotated[Positive, Field(description="Standard deviation of one pose's attitude, each axis.")]
+    position_noise_m: Annotated[Positive, Field(description="1 sigma of a pose's position, each axis.")]
+    attitude_noise_rad: Annotated[Positive, Field(description="1 sigma of a pose's attitude, each axis.")]
     misalignment_sigma_rad: Annotated[
         Positive, Field(description="Standard deviation of the markers' axes against those of `frame`.")
     ] = 0.02
