@@ -77,7 +77,7 @@ BENCHES: Final = (
 )
 
 
-class Outcome(NamedTuple):
+class BenchResult(NamedTuple):
     """Of one bench."""
 
     name: str
@@ -87,13 +87,13 @@ class Outcome(NamedTuple):
     cpu_s: float = 0.0
 
 
-def run(bench: Bench, quick: bool, out: Path) -> Outcome:
+def run(bench: Bench, quick: bool, out: Path) -> BenchResult:
     """Run one; what it prints goes to the terminal and into a file."""
     recordings = DATASETS / bench.recordings
     arguments = (bench.quick if quick else bench.whole).format(recordings=recordings)
     command = f"python -m bench.{bench.module} {arguments}".strip()
     if bench.recordings and not recordings.is_dir():
-        return Outcome(bench.name, command, f"not run: no {recordings}")
+        return BenchResult(bench.name, command, f"not run: no {recordings}")
     print(f"\n== {command}", flush=True)
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "HEFT_DATASETS": str(DATASETS)}
     before, began = _children_cpu_s(), time.monotonic()
@@ -110,7 +110,7 @@ def run(bench: Bench, quick: bool, out: Path) -> Outcome:
             print(line, end="", flush=True)
     code = process.returncode
     said = "ok" if code == 0 else f"{code}: failed, or missed a bar"
-    return Outcome(bench.name, command, said, time.monotonic() - began, _children_cpu_s() - before)
+    return BenchResult(bench.name, command, said, time.monotonic() - began, _children_cpu_s() - before)
 
 
 def _children_cpu_s() -> float:
@@ -135,7 +135,7 @@ def _lines(path: str) -> list[str]:
         return []
 
 
-def page(done: Outcome, about: str, printed: str, path: Path) -> None:
+def page(done: BenchResult, about: str, printed: str, path: Path) -> None:
     """Write a page of evidence: command, revision, machine, and what the bench printed, word for word."""
     revision = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False

@@ -73,7 +73,7 @@ CASES = {
 }
 
 
-class Told(NamedTuple):
+class Answers(NamedTuple):
     """Of one flight."""
 
     took_s: float  # from the capture; nan: never
@@ -109,7 +109,7 @@ def prepared(directory: Path, case: Case, rate: float) -> tuple[Path, Path]:
     return path, made / "segments.npz"
 
 
-def flown(log: Path, goal: float, asked: bool) -> Told:
+def flown(log: Path, goal: float, asked: bool) -> Answers:
     """What a log tells."""
     reader = LogReader(log)
     quantity = reader.read("quantity")
@@ -130,9 +130,9 @@ def flown(log: Path, goal: float, asked: bool) -> Told:
         )
         events = reader.read("event_estimation")
         why = [row["text"].decode() for row in events if row["code"] == b"goal_why"]
-        return Told(took_s, percent, int((requests["act"] == Act.SEGMENT).sum()), why[-1] if why else "", rate)
+        return Answers(took_s, percent, int((requests["act"] == Act.SEGMENT).sum()), why[-1] if why else "", rate)
     fine = np.convolve(half <= goal, np.ones(10), "valid") >= 10
-    return Told(float(at_s[np.argmax(fine) + 9]) if fine.any() else np.nan, percent, 0, "", rate)
+    return Answers(float(at_s[np.argmax(fine) + 9]) if fine.any() else np.nan, percent, 0, "", rate)
 
 
 class Swings(NamedTuple):

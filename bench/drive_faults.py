@@ -53,7 +53,7 @@ class Joint(NamedTuple):
     rate: float
 
 
-class Outcome(NamedTuple):
+class FaultFlight(NamedTuple):
     """One run.
 
     Attributes:
@@ -80,7 +80,7 @@ class Outcome(NamedTuple):
         return self.beyond_rad <= 0.0 and self.rest_rad_s <= REST_RAD_S
 
 
-def fly(seed: int) -> Outcome:
+def fly(seed: int) -> FaultFlight:
     """One run."""
     rng = np.random.default_rng([seed, 0xD4])
     seconds = float(rng.uniform(1.5, 3.0))
@@ -98,7 +98,7 @@ def fly(seed: int) -> Outcome:
             heard = _drive(rig, directory, host, end_ns)
             rig.advance(rig.now_ns + 2_500_000_000)
             axes = [rig.axes[joint.motor.name] for joint in joints]
-            return Outcome(
+            return FaultFlight(
                 seed,
                 tuple(f"{fault.kind}:{fault.device}" for fault in faults) + tuple(kind for kind, _, _ in host),
                 max(max(j.low - a.lowest_rad, a.highest_rad - j.high) for j, a in zip(joints, axes, strict=True)),
@@ -287,7 +287,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="seed of the first run")
     parser.add_argument("--verbose", action="store_true")
     arguments = parser.parse_args()
-    outcomes: list[Outcome] = []
+    outcomes: list[FaultFlight] = []
     for seed in range(arguments.first, arguments.first + arguments.runs):
         one = fly(seed)
         outcomes.append(one)

@@ -111,11 +111,11 @@ def counts(flights: list[Flight]) -> list[str]:
         f"{_share(sum(row['low'] <= row['truth'] <= row['high'] for row in shown), len(shown))}",
         f"faulty redundant instrument named: "
         f"{_share(sum(one.names(' '.join(one.rows[0]['events'])) for one in beside), len(beside))}",
-        _told([row for one in flights if not one.rows[0]["unseen"] for row in one.rows if row["supported"]]),
+        _reported([row for one in flights if not one.rows[0]["unseen"] for row in one.rows if row["supported"]]),
     ]
 
 
-def _told(rows: list[dict[str, Any]]) -> str:
+def _reported(rows: list[dict[str, Any]]) -> str:
     """Numbers told, and their errors beside their intervals: of exact ones 0.1 % lie beyond that of 99.9 %."""
     off = np.array([(row["value"] - row["truth"]) / (row["high"] - row["value"]) for row in rows])
     off = np.abs(off[np.isfinite(off)])

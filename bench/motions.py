@@ -27,7 +27,7 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
-from onboard.ground.before.planning.bound import TICK_HZ, FreeBound, Outcome
+from onboard.ground.before.planning.bound import TICK_HZ, FreeBound, MotionBound
 from onboard.ground.before.planning.criteria import Criterion
 from onboard.ground.before.planning.limits import Limits, LimitsFile
 from onboard.ground.before.planning.planning import PIECE_s, ticks_of
@@ -82,13 +82,13 @@ class Bench(NamedTuple):
 class Conditioned(FreeBound):
     """Knows no noise, no nuisances and no sizes: a motion counts by its regressor's condition number."""
 
-    def of(self, moved: FloatArray) -> Outcome:
+    def of(self, moved: FloatArray) -> MotionBound:
         """A covariance whose longest axis, in the quantities' scales, is the condition number."""
         W = self.whitened(moved)[:, PAYLOAD] * self.noise(moved)[0].reshape(-1, 1)
         W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
         values = np.linalg.svd(W, compute_uv=False)
         condition = values[0] / max(values[-1], 1e-12)
-        return Outcome(np.diag((condition * self.scales) ** 2), self.base(moved, self._predictor.period_s))
+        return MotionBound(np.diag((condition * self.scales) ** 2), self.base(moved, self._predictor.period_s))
 
 
 def bench_of(

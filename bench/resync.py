@@ -35,7 +35,7 @@ RATE_LIMIT = 0.02
 PAYLOAD_KG = 5
 
 
-class Outcome(NamedTuple):
+class ResyncFlight(NamedTuple):
     """One flight."""
 
     why: str  # it could not be rescued; empty where it was
@@ -57,7 +57,7 @@ def _error(found: PayloadFit, truth: free_flyer.Body) -> Floats:
     )
 
 
-def fly(seed: int) -> Outcome:
+def fly(seed: int) -> ResyncFlight:
     """One parabola, both ways."""
     rng, model, body = np.random.default_rng(seed), vehicle(), BOXES[PAYLOAD_KG]
 
@@ -80,11 +80,11 @@ def fly(seed: int) -> Outcome:
     try:
         found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, IMU_PRIOR)
     except (ResyncError, ConvergenceError) as error:
-        return Outcome(str(error), np.nan, np.nan, np.nan, np.full(3, np.nan), _error(synchronised, body))
+        return ResyncFlight(str(error), np.nan, np.nan, np.nan, np.full(3, np.nan), _error(synchronised, body))
     off_s = found.clock.reference_s(own_s) - true_s
     slope = (off_s[-1] - off_s[0]) / (true_s[-1] - true_s[0])
     middle = float(off_s[len(off_s) // 2]) / np.hypot(found.clock.sigma_offset_s, ERRORS.delay_s)
-    return Outcome("", np.abs(off_s).max(), slope, middle, _error(found.found, body), _error(synchronised, body))
+    return ResyncFlight("", np.abs(off_s).max(), slope, middle, _error(found.found, body), _error(synchronised, body))
 
 
 def main() -> None:

@@ -194,7 +194,7 @@ def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str], cut
     return out
 
 
-class Told(NamedTuple):
+class Report(NamedTuple):
     """What a flight or the ground said."""
 
     level: str
@@ -214,7 +214,7 @@ class Told(NamedTuple):
         return f"{self.level:11}{'WRONG ' if self.wrong else ''}{told}; {self.text}"
 
 
-def on_the_ground(vehicle: config.Vehicle, copy: Path, truth: dict[str, float]) -> Told:
+def on_the_ground(vehicle: config.Vehicle, copy: Path, truth: dict[str, float]) -> Report:
     """What ``heft identify`` makes of a copy."""
     (found,) = identify(vehicle, [copy]).logs
     off = {
@@ -223,10 +223,10 @@ def on_the_ground(vehicle: config.Vehicle, copy: Path, truth: dict[str, float]) 
         if one.supported and one.name in truth
     }
     worst = max(off, key=lambda one: abs(off[one]), default="")
-    return Told(found.verdict.level, worst, off.get(worst, 0.0), found.verdict.text[:170])
+    return Report(found.verdict.level, worst, off.get(worst, 0.0), found.verdict.text[:170])
 
 
-def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start_ns: int, capture_s: float) -> Told:
+def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start_ns: int, capture_s: float) -> Report:
     """What the onboard estimator makes of a copy: the worst of its supported answers, and its events."""
     worst, off, at_s, events = "", 0.0, 0.0, list[str]()
     last = np.zeros(0)
@@ -248,11 +248,11 @@ def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start
                     worst, off, at_s = name, float(away), now_s
     answers = [row for row in last if row["name"].decode() in truth]
     if not answers:
-        return Told("none", worst, off, f"nothing was ever told; {', '.join(events)}")
+        return Report("none", worst, off, f"nothing was ever told; {', '.join(events)}")
     told = next((row for row in answers if row["supported"]), answers[0])
     mass = f"m {told['value'] / truth[answers[0]['name'].decode()] - 1.0:+.2%}" if told["supported"] else "none"
     text = f"at {at_s:.1f} s; in the end {mass}: {told['why'].decode()[:110]}; {', '.join(events)}"
-    return Told(LEVELS[int(told["level"])], worst, off, text)
+    return Report(LEVELS[int(told["level"])], worst, off, text)
 
 
 def main() -> int:

@@ -45,7 +45,7 @@ class ReceivedBytes(NamedTuple):
     fresh: bool = True
 
 
-class Decoder(Protocol[Frame_co]):
+class FrameDecoder(Protocol[Frame_co]):
     """Splits received bytes into frames."""
 
     def receive(self, data: bytes) -> None:
@@ -287,7 +287,7 @@ class SerialDevice(ABC):
         self._heard_ns = now_ns
         self._link.alive(now_ns)
 
-    def _frames_in(self, chunk: ReceivedBytes, decoder: Decoder[Frame_co]) -> Iterator[Frame_co]:
+    def _frames_in(self, chunk: ReceivedBytes, decoder: FrameDecoder[Frame_co]) -> Iterator[Frame_co]:
         """Valid frames that the bytes read complete; invalid bytes are reported."""
         decoder.receive(chunk.data)
         while True:

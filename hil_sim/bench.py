@@ -22,11 +22,11 @@ from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.sensor_tables import ForceCellTable
-from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
+from hil_sim.scenario.vehicle_tables import SequenceStep, VehicleScenario
 
 KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance", "weigh")
 LATITUDE_deg = bench.LATITUDE_deg
-_STILL = Step(phase=0, action="hold", duration_s=0.1)
+_STILL = SequenceStep(phase=0, action="hold", duration_s=0.1)
 _FAR_rad = 2.5  # of a joint from its zero: its cable
 SPACING_SIGMA_m, LENGTH_SIGMA_m = 1e-4, 3e-4  # of strings that were measured with a rule
 
@@ -87,7 +87,7 @@ class Bench(Mission):
             for _ in range(poses)
         ]
         steps = [
-            Step.model_validate(
+            SequenceStep.model_validate(
                 {"phase": 1, "action": "push", "to": way, "approach_s": move_s, "hold_s": rest_s, "retreat_s": move_s}
             )
             for way in ways

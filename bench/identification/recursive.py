@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 UNSCENTED_FROM = round(SOLVED_AT_s[-1] * 500.0 / case.SAMPLES_PER_TICK)  # ticks: the windows are solved
 
 
-class Told(NamedTuple):
+class Inputs(NamedTuple):
     """What a method may take of a flight."""
 
     exiddm: Exiddm
@@ -76,12 +76,12 @@ def unscented(online: RecursiveExiddm, ticks: Ticks) -> BodyEstimate:
     return body_estimate(peer.x[3:13], peer.P[3:13, 3:13])
 
 
-def likelihood(told: Told) -> BodyEstimate:
+def likelihood(told: Inputs) -> BodyEstimate:
     """The maximum likelihood of the whole flight."""
     return told.exiddm.fit().payload
 
 
-def recursive(told: Told) -> BodyEstimate | None:
+def recursive(told: Inputs) -> BodyEstimate | None:
     """The estimator as it flies."""
     for first in range(0, len(told.ticks.time_s), BATCH_TICKS):
         told.online.update(told.ticks.part(slice(first, first + BATCH_TICKS)))
@@ -89,7 +89,7 @@ def recursive(told: Told) -> BodyEstimate | None:
     return told.online.estimate()
 
 
-def after_windows(told: Told) -> BodyEstimate:
+def after_windows(told: Inputs) -> BodyEstimate:
     """The UKF, from the windows solved at the beginning on."""
     for first in range(0, UNSCENTED_FROM, BATCH_TICKS):
         told.online.update(told.ticks.part(slice(first, first + BATCH_TICKS)))
@@ -97,7 +97,7 @@ def after_windows(told: Told) -> BodyEstimate:
     return unscented(told.online, told.ticks.part(slice(UNSCENTED_FROM - 2, None)))
 
 
-METHODS: dict[str, Callable[[Told], BodyEstimate | None]] = {
+METHODS: dict[str, Callable[[Inputs], BodyEstimate | None]] = {
     "maximum likelihood": likelihood,
     "recursive": recursive,
     "filterpy's UKF": after_windows,
@@ -117,7 +117,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     recorded, model = case.record(body, real, seed), case.vehicle()
     signals, known = recorded.signals, case.priors(model, real)
     exiddm = free_exiddm(model, "imu_base", signals, case.PAYLOAD_SIGMA, *known)
-    told = Told(exiddm, estimator(model, signals, *known, held=True), ticks_of(signals))
+    told = Inputs(exiddm, estimator(model, signals, *known, held=True), ticks_of(signals))
     try:
         found = METHODS[settings["method"]](told)
     except ConvergenceError:

@@ -33,8 +33,8 @@ class Body:
         """The body with its inertia turned about its centre of mass by ``R`` (3, 3)."""
         return Body(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
 
-    def told(self) -> dict[str, Any]:
-        """As truth."""
+    def as_truth(self) -> dict[str, Any]:
+        """For the truth of a flight."""
         return {
             "mass_kg": self.mass_kg,
             "centre_of_mass_m": self.centre_of_mass_m,

@@ -359,7 +359,7 @@ class VehiclePlant(world.Plant):
         return {
             "quantities": quantities,
             "payload_link": self._scenario.vehicle.payload_link,
-            "links": {link: body.told() for link, body in self.bodies.items()},
+            "links": {link: body.as_truth() for link, body in self.bodies.items()},
             "places_m": self.off_m,
             "drives": {name: drive._asdict() for name, drive in self.drives.items()},
             "pucks": {name: puck._asdict() for name, puck in zip(self._scenario.table.pucks, self._pucks, strict=True)},
@@ -372,7 +372,7 @@ class VehiclePlant(world.Plant):
             "gripped_s": self.events_s.get("grip"),
             "ejection_s": self.events_s.get("ejection"),
             "joint_stiffness_N_m_rad": None if self.soft is None else self.soft.stiffness_N_m_rad,
-            "parabolas": [] if self.cabin is None else [run.told() for run in self.cabin.runs],
+            "parabolas": [] if self.cabin is None else [run.as_truth() for run in self.cabin.runs],
             "asked": [{"start_s": start_s, "segment": name} for start_s, name in self.program.asked],
         }
 

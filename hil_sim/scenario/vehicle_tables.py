@@ -124,7 +124,7 @@ class EjectionTable(Table):
         return self
 
 
-class Step(Table):
+class SequenceStep(Table):
     """``[[sequence]]``: the arm keeps its posture (``hold``), or every joint swings about it (``swing``).
 
     ``sweep``: the joints named in ``rates`` go out and back ``strokes`` times, at that speed (rad/s or m/s, the sign is
@@ -182,7 +182,7 @@ class Step(Table):
         return {**table, "duration_s": round(found, 9)}
 
     @model_validator(mode="after")
-    def _ramps_fit(self) -> "Step":
+    def _ramps_fit(self) -> "SequenceStep":
         for action, named in {"strokes": self.amplitude, "push": self.to}.items():
             if (self.action == action) != bool(named):
                 key = "amplitude" if action == "strokes" else "to"
@@ -344,7 +344,7 @@ class VehicleScenario(Scenario):
     vibration: Vibration | None = None
     air: AirTable | None = None
     drag: tuple[DragTable, ...] = ()
-    sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
+    sequence: Annotated[tuple[SequenceStep, ...], Field(min_length=1)]
 
     @model_validator(mode="before")
     @classmethod

@@ -24,7 +24,6 @@ from onboard.cli.common import (
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.ground.calibrate.guide import Step
     from onboard.ground.calibrate.readings import Span
     from onboard.ground.calibrate.result import Calibration
     from onboard.ground.calibrate.supports import PartRig
@@ -199,7 +198,7 @@ def _written(
 
     note = f"{datetime.date.fromtimestamp(time.time())}, {source.name}, heft calibrate {arguments.what}"
     tables = dict.fromkeys(one.table for one in found.changes if one.table[0] in ("device", "link"))
-    found.changes += [result.Change(table, "calibrated", note) for table in tables]
+    found.changes += [result.KeyChange(table, "calibrated", note) for table in tables]
     text = vehicle_file.changed(vehicle, found.changes)
     show(result.render(found, f"{arguments.what}: {what} of {vehicle.file.vehicle.name}"))
     for line in found.notes:
@@ -283,7 +282,7 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
             arguments.mass_kg = round(world.truth()["weighed_kg"], 3)
 
 
-def _guided(steps: "list[Step]", vehicle: "config.Vehicle", log: Path) -> None:
+def _guided(steps: "list[GuideStep]", vehicle: "config.Vehicle", log: Path) -> None:
     """The steps on a terminal: each told, confirmed, then held for its time."""
     from onboard.flight import bench
 

@@ -134,7 +134,7 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
     with progress() as bar:
         task = bar.add_task(content.name, total=len(items), completed=len(items) - len(left))
 
-        def told(item: "Item", done: "Done") -> None:
+        def count(item: "Item", done: "Done") -> None:
             nonlocal wrong
             wrong += done.result is not None and done.result.nonsense
             bar.update(
@@ -148,7 +148,7 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
             said = f"dashboard: {link}" if len(links) == 1 else "the scheduler was away, and is back"
             bar.console.print(said, soft_wrap=True)
 
-        engine.run(left, content.revision, fly, where, store, engine.Watcher(dashboard, told))
+        engine.run(left, content.revision, fly, where, store, engine.Watcher(dashboard, count))
     failed = store.failures(items)
     flown = sum(store.is_done(address) for address in items)
     shell.print(

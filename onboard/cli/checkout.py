@@ -22,7 +22,7 @@ from onboard.cli.common import (
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.flight.check.checkout_checks import Outcome
+    from onboard.flight.check.checkout_checks import CheckResult
 
 _MOVE_S, _DRY_RUN_S = 20.0, 10.0
 
@@ -109,7 +109,7 @@ def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
 
     directory = Path(vehicle.file.recording.directory)
 
-    def dry_run() -> "Outcome":
+    def dry_run() -> "CheckResult":
         return _dry_run(vehicle, arguments.dry_run)
 
     bench = checkout.Bench(time.monotonic_ns, time.sleep, lambda: datetime.now(UTC), workers.run_for, dry_run)
@@ -122,11 +122,11 @@ def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     return OK if record.ready else NOT_READY
 
 
-def _dry_run(vehicle: "config.Vehicle", seconds: float) -> "Outcome":
+def _dry_run(vehicle: "config.Vehicle", seconds: float) -> "CheckResult":
     """Fly the whole app for some seconds, and look at its log."""
     from onboard.cli import messages
     from onboard.cli.common import next_log
-    from onboard.flight.check.checkout_checks import Outcome, look_at
+    from onboard.flight.check.checkout_checks import CheckResult, look_at
     from onboard.flight.supervise import runner
     from onboard.flight.supervise.runner_processes import FlightError
     from onboard.recording.reader import LogReader
@@ -136,5 +136,5 @@ def _dry_run(vehicle: "config.Vehicle", seconds: float) -> "Outcome":
         with messages.spoken(quiet=True, json_lines=False) as status_s:
             flight = runner.fly(vehicle, log, duration_s=seconds, status_s=status_s, plan=None)
     except FlightError as error:
-        return Outcome((str(error),), "")
+        return CheckResult((str(error),), "")
     return look_at(vehicle, LogReader(flight.log), flight.died)

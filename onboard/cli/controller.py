@@ -10,7 +10,7 @@ from onboard.cli.common import FAILED, OK, console, next_log, progress, show, wr
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.ground.before.control.run import Run
+    from onboard.ground.before.control.run import TrialSeries
 
 NAMES = ("learning_pd", "learning_pi", "learning_forgetting", "computed_torque")
 _FEWEST, _MOST = 1, 1000
@@ -96,7 +96,7 @@ def _identify_in_flight(arguments: argparse.Namespace, vehicle: "config.Vehicle"
 
 def _run(
     arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any], log: Path
-) -> "Run":
+) -> "TrialSeries":
     from hil_sim.driven_world import DrivenWorld, Wired
     from onboard.dynamics.model.errors import ModelError
     from onboard.flight.estimate.problem.identification import build_model
@@ -127,10 +127,10 @@ def _run(
         ):
             task = bar.add_task(f"{asked.controller}, seed {arguments.seed}", total=asked.trials + 3)
 
-            def told(flown: run.Trial) -> None:
+            def take(flown: run.Trial) -> None:
                 recorded.trial(flown)
                 bar.advance(task)
 
-            return run.run(vehicle, world, asked, told, recorded.record)
+            return run.run(vehicle, world, asked, take, recorded.record)
     except (ModelError, RuntimeError) as error:
         raise ValueError(str(error)) from error

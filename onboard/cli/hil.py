@@ -109,7 +109,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         else:
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
-    return _told(arguments, vehicle, flown, expected)
+    return _shown(arguments, vehicle, flown, expected)
 
 
 def _rehearsed(path: Path, arguments: argparse.Namespace) -> str:
@@ -129,7 +129,7 @@ def _serving(flown_as: str, segments: Path | None, arguments: argparse.Namespace
     return serve + [f"--fault={text}" for text in arguments.fault]
 
 
-def _told(
+def _shown(
     arguments: argparse.Namespace, vehicle: "config.Vehicle", flown: "Flown", expected: list[dict[str, Any]]
 ) -> int:
     """Print the result, then write it, which a full disk may refuse, and give the exit code."""

@@ -80,7 +80,7 @@ def _init(arguments: argparse.Namespace) -> int:
         notes = wanted.drawn.notes if wanted.drawn else ()
         if wanted.drawn is not None:
             notes += _of_payload(wanted.drawn, wanted.payload_link)
-    return _told(files, notes)
+    return _written(files, notes)
 
 
 def _body(arguments: argparse.Namespace) -> int:
@@ -96,10 +96,10 @@ def _body(arguments: argparse.Namespace) -> int:
     wanted = body.Body(name, tuple(body.names_of(arguments.thrusters)), arguments.force, drawn, marker)
     if arguments.marker and (drawn is None or marker not in drawn.frames):
         raise ValueError(f"the URDF has no link {marker!r}" if drawn else f"{marker!r}: give the --urdf that has it")
-    return _told(body.write(wanted, arguments.directory), drawn.notes if drawn else ())
+    return _written(body.write(wanted, arguments.directory), drawn.notes if drawn else ())
 
 
-def _told(files: "list[Path]", notes: tuple[str, ...]) -> int:
+def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
     """What was written, and what comes next."""
     for path in files:
         print(path)

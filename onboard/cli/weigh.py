@@ -122,7 +122,7 @@ def _weigh(arguments: argparse.Namespace) -> int:
             return FAILED
         answer, more = session.answer, further(session.answer)
         judged = judge_live(answer, session.sensor.frame)
-        title, extra = f"weighed: {session.sensor.frame}; log: {log}", dict(session.told()) | {"log": str(log)}
+        title, extra = f"weighed: {session.sensor.frame}; log: {log}", dict(session.summary()) | {"log": str(log)}
     show(view.render(answer, judged, more, title))
     if arguments.plot is not None:
         view.draw(answer, arguments.plot)

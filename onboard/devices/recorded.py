@@ -171,7 +171,9 @@ class RecordedPose(RecordedDevice):
     yaw_noise_rad: Annotated[Positive, Field(description="1 sigma of a sample.")]
     repeats: Annotated[
         bool,
-        Field(description="An unchanged pose is a measurement; false: the tracker held the last pose, and it is left out."),
+        Field(
+            description="An unchanged pose is a measurement; false: the tracker held the last one, and it is left out."
+        ),
     ] = False
     misalignment_sigma_rad: Annotated[
         NotNegative, Field(description="Standard deviation of the markers' yaw against that of `frame`.")

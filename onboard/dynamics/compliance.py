@@ -58,7 +58,7 @@ class Moved(NamedTuple):
     screws: FloatArray  # (n, joints, 6)
 
 
-class Told(NamedTuple):
+class StateColumns(NamedTuple):
     """Which unknown, by its place in the state, has which of the columns that the base's motion has."""
 
     of_motion: Sequence[tuple[slice | IndexArray, slice | IndexArray]]
@@ -181,7 +181,7 @@ class Compliance:
         return Bend(*np.full((3, ticks, f), np.nan))
 
     def derivatives(
-        self, base: BasePrediction, bend: Bend, springs: Springs, stated: Springs, period_s: float, told: Told
+        self, base: BasePrediction, bend: Bend, springs: Springs, stated: Springs, period_s: float, told: StateColumns
     ) -> FloatArray:
         """Of angles, rates and accelerations of the bends, and of the momentum that they turn, by all, (n, 3 f + 3, p).
 

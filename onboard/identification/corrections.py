@@ -97,7 +97,7 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     return Together(squares * mean / square, mean * mean / square)
 
 
-def told(prior: FloatArray, posterior: FloatArray) -> FloatArray:
+def expected_sigma(prior: FloatArray, posterior: FloatArray) -> FloatArray:
     """Sigma that a correction's estimate about zero should have, from its variances: this module's head."""
     return np.asarray(np.sqrt(np.maximum(prior - posterior, _LEAST_TOLD * prior)), np.float64)
 

@@ -129,9 +129,9 @@ def recover(
             writer.write(name, rows)
             tracks[name].add(rows)
             if rows.dtype == records.GAP:
-                told += _told(rows)
+                told += _recorded_gaps(rows)
             progress(reader.position, reader.size)
-        untold = [gap for name, track in tracks.items() for gap in _untold(name, track.jumps, told)]
+        untold = [gap for name, track in tracks.items() for gap in _unrecorded_gaps(name, track.jumps, told)]
         known = tracks[GAP_CHANNEL].rows if GAP_CHANNEL in tracks else 0
         for number, gap in enumerate(untold, known):
             row = records.gap(gap.host_ns, *gap[:5], counted=True).rows
@@ -159,14 +159,14 @@ def _after(mark: ChannelProgress | None) -> int:
     return 0 if mark is None else mark.sequence + 1
 
 
-def _told(rows: Rows) -> Iterator[Gap]:
+def _recorded_gaps(rows: Rows) -> Iterator[Gap]:
     for row in rows:
         first, last, duration_ns = (int(row[name]) for name in ("first_missing", "last_missing", "duration_ns"))
         channel, cause = (printable(row[name]) for name in ("channel", "cause"))
         yield Gap(channel, first, last, duration_ns, cause, int(row["host_ns"]))
 
 
-def _untold(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
+def _unrecorded_gaps(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
     """The parts of ``jumps`` that no gap in ``told`` covers."""
     named = sorted((gap.first, gap.last) for gap in told if gap.channel == channel)
     for jump in jumps:

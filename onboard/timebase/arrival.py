@@ -11,10 +11,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState, FittedClock
+from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState, FlywheelingClock
 
 
-class ArrivalClock(FittedClock):
+class ArrivalClock(FlywheelingClock):
     """Fits one device's clock to the arrival times of its samples.
 
     Args:

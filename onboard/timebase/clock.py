@@ -67,7 +67,7 @@ class _View(NamedTuple):
     polygon: Polygon
 
 
-class FittedClock(ABC):
+class FlywheelingClock(ABC):
     """State of a clock that is fitted to marks or arrivals: FLYWHEEL without them, INVALID once its sigma is too large.
 
     Attributes:
@@ -108,7 +108,7 @@ class FittedClock(ABC):
         return self.state
 
 
-class DeviceClock(FittedClock):
+class DeviceClock(FlywheelingClock):
     """Fits one device's clock.
 
     Args:

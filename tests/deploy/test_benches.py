@@ -6,7 +6,7 @@ import pytest
 
 from bench import all as benches
 from bench import mutants
-from bench.all import BENCHES, ROOT, Bench, Outcome, run
+from bench.all import BENCHES, ROOT, Bench, BenchResult, run
 
 
 def test_every_bench_is_there_under_a_name_of_its_own() -> None:
@@ -35,7 +35,7 @@ def test_what_a_bench_printed_is_kept_and_one_that_fails_is_told(tmp_path: Path)
 
 
 def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_path: Path) -> None:
-    done = Outcome("big_arms", f"python -m bench.arms {benches.DATASETS}/arm", "ok", 9.0, 7.4)
+    done = BenchResult("big_arms", f"python -m bench.arms {benches.DATASETS}/arm", "ok", 9.0, 7.4)
     benches.page(done, "a machine", f"0.58 % in {benches.DATASETS}/arm\n", tmp_path / "big_arms.md")
     text = (tmp_path / "big_arms.md").read_text(encoding="utf-8")
     assert text.startswith("# Big arms\n\nMade by `python -m bench.all --only big_arms --pages docs/evidence`")
@@ -47,7 +47,7 @@ def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_
 
 def test_one_without_its_recordings_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benches, "DATASETS", tmp_path)
-    assert run(Bench("arms", "", "", "no_arm"), True, tmp_path) == Outcome(
+    assert run(Bench("arms", "", "", "no_arm"), True, tmp_path) == BenchResult(
         "arms", "python -m bench.arms", f"not run: no {tmp_path / 'no_arm'}"
     )
     assert list(tmp_path.iterdir()) == []

@@ -123,7 +123,7 @@ def servos(
     found = []
     for name, inertia in zip(joints, inertias_kg_m2.tolist(), strict=True):
         table = tables.get(name) or tables["default"]
-        drive = told(table, drives[name])
+        drive = as_stated(table, drives[name])
         w = 2.0 * np.pi * table.bandwidth_Hz
         stiffness = table.stiffness_N_m_rad or w * w * (inertia + drive.rotor_kg_m2)
         damping = table.damping_N_m_s_rad or 2.0 * _RATIO * np.sqrt(stiffness * (inertia + drive.rotor_kg_m2))
@@ -147,7 +147,7 @@ def of_all(found: Sequence[Servo]) -> OfAll:
     return OfAll(*np.array(rows).T)
 
 
-def told(table: ServoTable, drawn: Drive) -> Drive:
+def as_stated(table: ServoTable, drawn: Drive) -> Drive:
     """A joint's drive: what the table says, and what was drawn where it says nothing."""
     own = table.coulomb_N_m, table.viscous_N_m_s_rad, table.rotor_kg_m2
     return Drive(*(mine if said is None else said for said, mine in zip(own, drawn, strict=True)))

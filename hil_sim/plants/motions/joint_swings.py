@@ -16,7 +16,7 @@ from hil_sim.plants.motions.motion import PhaseSpan, Program, minimum_jerk
 from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import Motion, Step, VehicleScenario
+from hil_sim.scenario.vehicle_tables import Motion, SequenceStep, VehicleScenario
 
 _FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
 _MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
@@ -137,7 +137,7 @@ class JointSwings(Program):
             self._recorded = _recorded(Path(scenario.motion.csv), joints)
             self.posture = self._recorded[0](self._recorded[1])
 
-    def _go(self, step: Step, start_s: float, joints: Sequence[DrawnJoint]) -> None:
+    def _go(self, step: SequenceStep, start_s: float, joints: Sequence[DrawnJoint]) -> None:
         """Knots of a step of strokes, or of a push."""
         named = step.amplitude if step.action == "strokes" else step.to
         names = [joint.name for joint in joints]
@@ -244,7 +244,7 @@ def _room(joint: DrawnJoint, posture: float) -> float:
 
 
 def _draw(
-    step: Step, start_s: float, end_s: float, room: FloatArray, speed: FloatArray, rng: np.random.Generator
+    step: SequenceStep, start_s: float, end_s: float, room: FloatArray, speed: FloatArray, rng: np.random.Generator
 ) -> Swinging:
     """Tones whose sum stays within the room and the speed of every joint."""
     shape = (len(room), step.tones)
@@ -257,7 +257,9 @@ def _draw(
     return Swinging(start_s, end_s, step.ramp_s, amplitude, rate, rng.uniform(0.0, 2.0 * np.pi, shape))
 
 
-def _sweep(step: Step, start_s: float, end_s: float, joints: Sequence[DrawnJoint], posture: FloatArray) -> Sweeping:
+def _sweep(
+    step: SequenceStep, start_s: float, end_s: float, joints: Sequence[DrawnJoint], posture: FloatArray
+) -> Sweeping:
     """Strokes of a step, within the limits and the speed of the joints."""
     names = [joint.name for joint in joints]
     if unknown := sorted(step.rates.keys() - set(names)):

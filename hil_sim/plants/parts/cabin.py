@@ -40,8 +40,8 @@ class Release(NamedTuple):
     catch_s: float
     bumps: tuple[Bump, ...]
 
-    def told(self) -> dict[str, Any]:
-        """As truth."""
+    def as_truth(self) -> dict[str, Any]:
+        """For the truth of a flight."""
         return {
             "parabola": self.parabola,
             "flown": self.flown.label,

@@ -26,7 +26,7 @@ from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.acquire.devices import OpenDevices, open_devices
-from onboard.flight.check.checkout_checks import Outcome, judge_motion, judge_tare
+from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
 from onboard.flight.check.preflight import Preflight, preflight, require_devices
 from onboard.flight.clocks import sync_line
 from onboard.flight.estimate.estimator import Estimator
@@ -57,7 +57,7 @@ class Bench(NamedTuple):
     wait: Callable[[float], object]
     wall: Callable[[], datetime]
     run: Callable[[OpenDevices, float], list[Batch]]  # open devices, for so many seconds
-    dry_run: Callable[[], Outcome]  # of the whole app
+    dry_run: Callable[[], CheckResult]  # of the whole app
 
 
 class Lengths(NamedTuple):
@@ -68,7 +68,7 @@ class Lengths(NamedTuple):
     flight_s: float
 
 
-class Step(NamedTuple):
+class CheckoutStep(NamedTuple):
     """One line of the list."""
 
     name: str
@@ -84,7 +84,7 @@ class Record(NamedTuple):
 
     vehicle: str
     vehicle_sha256: str  # of the vehicle file's text
-    steps: tuple[Step, ...]
+    steps: tuple[CheckoutStep, ...]
     signed_by: str  # empty: nobody
     at: str  # wall time of the end
 
@@ -127,13 +127,13 @@ def checkout(
 
 def _steps(
     vehicle: config.Vehicle, estimator: Estimator | None, bench: Bench, operator: Operator, lengths: Lengths
-) -> Iterator[Step]:
+) -> Iterator[CheckoutStep]:
     yield _confirmed(
         bench, operator, "power", "Computers, devices, arm drives and cameras are on, and none reports a fault."
     )
     found: list[Preflight] = []
 
-    def look() -> Outcome:
+    def look() -> CheckResult:
         looked = preflight(
             *(vehicle, bench.clock, bench.wait, bench.run, lengths.devices_s, lengths.flight_s, estimator),
             bench.wall().timestamp(),
@@ -142,7 +142,7 @@ def _steps(
         bad = [f"{check.device}: {text}" for check in looked.checks for text in check.problems]
         others = [text for text in looked.problems if text not in looked.host.problems]
         seen = ", ".join(check.device for check in looked.checks if not check.problems)
-        return Outcome((*bad, *others), f"as the file says: {seen}" if seen else "")
+        return CheckResult((*bad, *others), f"as the file says: {seen}" if seen else "")
 
     yield _checked(bench, operator, "devices", "Nothing touches the vehicle, and it is at rest.", look)
     if not found:
@@ -150,7 +150,7 @@ def _steps(
     yield _pulse(vehicle, bench, found[-1])
     host = found[-1].host
     hours = f"room for {host.free_bytes / host.bytes_per_s / 3600.0:.1f} h" if host.bytes_per_s else ""
-    yield _judged(bench, "disk", Outcome(host.problems, hours), "")
+    yield _judged(bench, "disk", CheckResult(host.problems, hours), "")
     roles, model = roles_of(vehicle), build_model(vehicle)
     for role in roles.joints:
         yield _moved(vehicle, bench, operator, lengths, roles, role, model)
@@ -178,22 +178,22 @@ def _answered(operator: Operator, name: str, text: str) -> tuple[str, str]:
     return (PASSED, answer) if outcome is None else (outcome, rest.strip())
 
 
-def _confirmed(bench: Bench, operator: Operator, name: str, text: str) -> Step:
+def _confirmed(bench: Bench, operator: Operator, name: str, text: str) -> CheckoutStep:
     outcome, said = _answered(operator, name, text)
-    return Step(name, "operator", outcome, "", said, _now(bench))
+    return CheckoutStep(name, "operator", outcome, "", said, _now(bench))
 
 
-def _judged(bench: Bench, name: str, outcome: Outcome, said: str) -> Step:
+def _judged(bench: Bench, name: str, outcome: CheckResult, said: str) -> CheckoutStep:
     told = "; ".join([*outcome.problems, *([outcome.found] if outcome.found else [])])
-    return Step(name, "check", FAILED if outcome.problems else PASSED, told, said, _now(bench))
+    return CheckoutStep(name, "check", FAILED if outcome.problems else PASSED, told, said, _now(bench))
 
 
-def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Callable[[], Outcome]) -> Step:
+def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Callable[[], CheckResult]) -> CheckoutStep:
     """A check that begins when the operator says so, and is repeated where it fails and the operator wants it."""
     while True:
         answer, said = _answered(operator, name, text)
         if answer != PASSED:
-            return Step(name, "check", answer, "", said, _now(bench))
+            return CheckoutStep(name, "check", answer, "", said, _now(bench))
         step = _judged(bench, name, check(), said)
         if step.outcome == PASSED:
             return step
@@ -206,18 +206,18 @@ def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Call
             return step._replace(said=rest.strip())
 
 
-def _pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> Step:
+def _pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> CheckoutStep:
     """Whether every recorder that can mark the sync pulse has."""
     line = sync_line(vehicle)
     if line is None or not line.coded:
         found = "the file has no coded pulse line: times come from arrival (heft checkout --without pulse)"
-        return Step("pulse", "check", LEFT_OUT, found, "none is wired", _now(bench))
+        return CheckoutStep("pulse", "check", LEFT_OUT, found, "none is wired", _now(bench))
     marks = {check.device: check.marks for check in looked.checks if check.marks is not None}
     unseen = [f"{device} marked no pulse: check the sync line to it" for device, count in marks.items() if not count]
     if not marks:
         unseen = ["no recorder was read that could mark a pulse: check power and wiring of the devices"]
     seen = ", ".join(f"{device} {count}" for device, count in marks.items() if count)
-    return _judged(bench, "pulse", Outcome(tuple(unseen), f"marked: {seen}" if seen else ""), "")
+    return _judged(bench, "pulse", CheckResult(tuple(unseen), f"marked: {seen}" if seen else ""), "")
 
 
 def _read(vehicle: config.Vehicle, bench: Bench, seconds: float) -> dict[str, list[Any]]:
@@ -250,7 +250,7 @@ def _moved(
     roles: Roles,
     role: JointRole,
     model: VehicleModel,
-) -> Step:
+) -> CheckoutStep:
     joint = model.joint(role.joint)
     axis = ", ".join(f"{part:g}" for part in joint.axis)
     sense = f"by the right hand about ({axis})" if joint.revolute else f"along ({axis})"
@@ -258,7 +258,7 @@ def _moved(
         f"After Enter, within {lengths.move_s:g} s: turn {joint.name} first {sense}, then from stop to stop and back."
     )
 
-    def check() -> Outcome:
+    def check() -> CheckResult:
         rows = _read(vehicle, bench, lengths.move_s)
         swings = {
             other.joint: float(np.ptp(values)) if (values := _values(rows, roles, other.channel)).size else 0.0
@@ -272,10 +272,10 @@ def _moved(
 
 def _tared(
     vehicle: config.Vehicle, bench: Bench, operator: Operator, roles: Roles, cell: LoadCellRole, keys: LoadCellKeys
-) -> Step:
+) -> CheckoutStep:
     text = f"Nothing touches what is beyond {keys.frame}, and it is at rest."
 
-    def check() -> Outcome:
+    def check() -> CheckResult:
         return judge_tare(_values(_read(vehicle, bench, _TARE_S), roles, cell.channel), keys)
 
     return _checked(bench, operator, f"{_TARE}{cell.name}", text, check)

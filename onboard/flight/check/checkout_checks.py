@@ -21,14 +21,14 @@ _TIMES_NOISE = 5.0
 _FEWEST = 20  # samples
 
 
-class Outcome(NamedTuple):
+class CheckResult(NamedTuple):
     """Of an automatic check."""
 
     problems: tuple[str, ...]  # with the remedy; none: passed
     found: str  # measured
 
 
-def judge_motion(joint: Joint, values: FloatArray, swings: dict[str, float], *, is_rate: bool = False) -> Outcome:
+def judge_motion(joint: Joint, values: FloatArray, swings: dict[str, float], *, is_rate: bool = False) -> CheckResult:
     """Sense and range of a joint that the operator moved, first in its positive sense and then from stop to stop.
 
     Args:
@@ -38,7 +38,7 @@ def judge_motion(joint: Joint, values: FloatArray, swings: dict[str, float], *, 
         is_rate: only the sense is judged.
     """
     if len(values) < _FEWEST:
-        return Outcome((f"{len(values)} samples only: check power and wiring of its encoder",), "")
+        return CheckResult((f"{len(values)} samples only: check power and wiring of its encoder",), "")
     unit, factor = ("deg", np.degrees(1.0)) if joint.revolute else ("mm", 1e3)
     moved = values if is_rate else values - np.median(values[: max(5, len(values) // 100)])
     threshold = 0.2 * float(np.abs(moved).max()) if is_rate else (MOVED_RAD if joint.revolute else _MOVED_m)
@@ -49,7 +49,7 @@ def judge_motion(joint: Joint, values: FloatArray, swings: dict[str, float], *, 
         found = f"read {factor * low:.1f} to {factor * high:.1f} {unit}"
     away = np.flatnonzero(np.abs(moved) > threshold)
     if not away.size or span == 0.0:
-        return Outcome((f"it moved by {factor * span:.2f} {unit} only: move it, or check its encoder",), found)
+        return CheckResult((f"it moved by {factor * span:.2f} {unit} only: move it, or check its encoder",), found)
     problems = []
     if moved[away[0]] < 0.0:
         problems.append("it read backwards: exchange the encoder's A and B, or correct the axis in the URDF")
@@ -69,13 +69,13 @@ def judge_motion(joint: Joint, values: FloatArray, swings: dict[str, float], *, 
             )
         elif covered < _COVERED:
             problems.append(f"it covered {100.0 * max(covered, 0.0):.0f} % of its range: something is in its way")
-    return Outcome(tuple(problems), found)
+    return CheckResult(tuple(problems), found)
 
 
-def judge_tare(values_n: FloatArray, keys: LoadCellKeys) -> Outcome:
+def judge_tare(values_n: FloatArray, keys: LoadCellKeys) -> CheckResult:
     """Reading of a cell without load, in N, calibration taken off."""
     if len(values_n) < _FEWEST:
-        return Outcome((f"{len(values_n)} samples only: check its power and wiring",), "")
+        return CheckResult((f"{len(values_n)} samples only: check its power and wiring",), "")
     mean, spread = float(values_n.mean()), float(values_n.std())
     found = f"{mean:.3g} N without load, scatter {spread:.2g} N"
     problems = []
@@ -85,10 +85,10 @@ def judge_tare(values_n: FloatArray, keys: LoadCellKeys) -> Outcome:
         problems.append(f"it scatters {spread / keys.noise_N:.0f} times noise_N: keep it still, or check its cable")
     elif np.ptp(values_n) == 0.0:
         problems.append("it does not change at all: check that its converter runs")
-    return Outcome(tuple(problems), found)
+    return CheckResult(tuple(problems), found)
 
 
-def look_at(vehicle: config.Vehicle, log: LogReader, died: Sequence[str] = ()) -> Outcome:
+def look_at(vehicle: config.Vehicle, log: LogReader, died: Sequence[str] = ()) -> CheckResult:
     """Whether the log of a dry run has rows of every device, and no error.
 
     Args:
@@ -115,4 +115,4 @@ def look_at(vehicle: config.Vehicle, log: LogReader, died: Sequence[str] = ()) -
     ended = [f"the {name} worker died" for name in died]
     torn = ["the log is damaged"] if log.damage else []
     found = f"{log.path.name}: {sum(counts.values())} rows of {len(counts)} channels, {missing} missing"
-    return Outcome((*ended, *torn, *silent, *dict.fromkeys(errors)), found)
+    return CheckResult((*ended, *torn, *silent, *dict.fromkeys(errors)), found)

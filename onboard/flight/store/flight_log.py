@@ -90,7 +90,7 @@ def open_recorder(
     """
     kept, progress = manifest.storage, manifest.directory / PROGRESS
 
-    def told(now: Progress) -> None:
+    def keep(now: Progress) -> None:
         try:
             write_private(progress.with_suffix(".new"), now.to_bytes())
             progress.with_suffix(".new").rename(progress)
@@ -103,7 +103,7 @@ def open_recorder(
         limits=Limits(kept.segment_span_ns, kept.segment_bytes),
         sync_interval_ns=kept.sync_period_ns - step_ns(kept),
         progress=Progress.from_bytes(progress.read_bytes()) if progress.exists() else None,
-        told=told,
+        told=keep,
     )
     space = SpaceGuard(
         manifest.log.parent,

@@ -27,7 +27,7 @@ from onboard.flight.store.harvest import Harvest, harvest
 from onboard.flight.supervise import pages, realtime, workers
 from onboard.flight.supervise.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.supervise.modes import Modes
-from onboard.flight.supervise.resume import Keeper, Plan, planned
+from onboard.flight.supervise.resume import Keeper, Start, planned
 from onboard.flight.supervise.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.supervise.runner_notify import Notifier
 from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worker
@@ -64,7 +64,7 @@ def fly(
     status_s: float | None = None,
     ready: Callable[[], None] = lambda: None,
     enough: Callable[[float], bool] = lambda _: False,
-    plan: Plan | None = None,
+    plan: Start | None = None,
     servers: "Servers | None" = None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, ``enough``, SIGINT or SIGTERM; then stop in order.
@@ -85,7 +85,7 @@ def fly(
         return _flight(vehicle, log, its, duration_s, _Listeners(progress, ready, enough, status_s, plan))
 
 
-def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Plan:
+def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Start:
     """The flight that lost its power and is to be gone on with, or a new one; see :func:`planned`."""
     under_way = {one.log for one in manifest.waiting() if not directories.is_free(one.directory)}
     return planned(vehicle, new_log, time.time_ns(), under_way, fresh=fresh)
@@ -147,7 +147,7 @@ class _Listeners(NamedTuple):
     ready: Callable[[], None]
     enough: Callable[[float], bool]
     status_s: float | None
-    plan: Plan | None = None
+    plan: Start | None = None
 
 
 class Servers:
@@ -330,7 +330,7 @@ def _still_ending(
     notifier.feed(time.monotonic(), answering=True)
 
 
-def _say_plan(plan: Plan | None, tell: Callable[[Severity, str, str, str], None]) -> None:
+def _say_plan(plan: Start | None, tell: Callable[[Severity, str, str, str], None]) -> None:
     if plan is None:
         return
     if plan.before is not None:

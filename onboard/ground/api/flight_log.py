@@ -148,17 +148,17 @@ class FlightLog:
         rows = rows[begun]
         for field in ("value", "sigma", "low", "high"):
             rows[field][rows["supported"] == 0] = np.nan
-        return self._told("estimates", rows)
+        return self._table("estimates", rows)
 
     @property
     def events(self) -> ChannelTable:
         """Events of all workers by time: severity, code, source, text."""
-        return self._told("events", self._together(EVENT))
+        return self._table("events", self._together(EVENT))
 
     @property
     def gaps(self) -> ChannelTable:
         """Gap records: channel, first and last sequence number, cause."""
-        return self._told("gaps", self._together(GAP))
+        return self._table("gaps", self._together(GAP))
 
     def resample(self, rate_hz: float, channels: Sequence[str] | None = None) -> ChannelTable:
         """Every signal at common instants of vehicle time, known filter delays removed.
@@ -210,7 +210,7 @@ class FlightLog:
         rows = np.concatenate([np.empty(0, dtype), *(self.tables.log.read(name) for name in names)])
         return rows[np.argsort(rows["host_ns"], kind="stable")]
 
-    def _told(self, name: str, rows: Rows) -> ChannelTable:
+    def _table(self, name: str, rows: Rows) -> ChannelTable:
         at_ns = rows["vehicle_ns" if "vehicle_ns" in (rows.dtype.names or ()) else "host_ns"]
         shown = [column for column in columns(rows.dtype, {}, rows) if column.name not in _BOOKKEEPING]
         return ChannelTable.of(name, shown, with_times(rows, at_ns), self.tables.times)

@@ -16,7 +16,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, require_within, still
-from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 from onboard.section import Positive, Section, Vector3
 
 UNLOADED = 0.02  # of the largest reading: between two orientations the body is lifted off the cell
@@ -158,17 +158,17 @@ def _result(vehicle: config.Vehicle, found: Balance, scale_sigma: float, sigma_N
     table = ("link", link)
     told = ", ".join(f"{one:.2g}" for one in centre_sigma)
     result.changes.append(
-        Change(table, "centre_of_mass_m", rounded(found.centre_of_mass_m, float(centre_sigma.min())), told)
+        KeyChange(table, "centre_of_mass_m", rounded(found.centre_of_mass_m, float(centre_sigma.min())), told)
     )
     prior, known = ("estimation", "prior", "link", link), vehicle.file.estimation.prior.link.get(link)
     if known is not None and known.mass_relative * drawn.mass_kg < mass_sigma:
         result.notes.append("the file knows the mass better than this: it stays; a scale weighs better than a balance")
     else:
         result.changes.append(
-            Change(table, "mass_kg", rounded(np.array(found.mass_kg), mass_sigma), f"{mass_sigma:.2g}")
+            KeyChange(table, "mass_kg", rounded(np.array(found.mass_kg), mass_sigma), f"{mass_sigma:.2g}")
         )
         if known is not None:
-            result.changes.append(Change(prior, "mass_relative", two_digits(mass_sigma / found.mass_kg)))
+            result.changes.append(KeyChange(prior, "mass_relative", two_digits(mass_sigma / found.mass_kg)))
     if known is not None:
-        result.changes.append(Change(prior, "centre_m", two_digits(float(np.sqrt(np.mean(centre_sigma**2))))))
+        result.changes.append(KeyChange(prior, "centre_m", two_digits(float(np.sqrt(np.mean(centre_sigma**2))))))
     return result

@@ -23,7 +23,7 @@ from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import Readings, Span, still
-from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 
 SHORTEST_s = 12.0
 RATE_hz = 50.0
@@ -80,7 +80,7 @@ def calibrate_bifilar(
     order = [0, 3, 1, 4, 5, 2]  # of xx yy zz xy xz yz
     six = elements(tensor)
     sigma = np.sqrt(np.diag(covariance)[order] + (common * six) ** 2)
-    result = Calibration(notes=[_told(one) for one in hangs])
+    result = Calibration(notes=[_described(one) for one in hangs])
     shared = ", ".join(f"{name} {100 * part:.2g} %" for name, part in causes.items())
     result.notes.append(f"common to all: {shared}")
     result.notes.append(
@@ -116,15 +116,15 @@ def _into(
     )
     table = ("link", link)
     told = ", ".join(f"{one:.2g}" for one in sigma)
-    result.changes.append(Change(table, "mass_kg", suspension.mass_kg, f"{suspension.mass_sigma_kg:.2g}"))
-    result.changes.append(Change(table, "inertia_kg_m2", rounded(six, float(sigma.min())), told))
+    result.changes.append(KeyChange(table, "mass_kg", suspension.mass_kg, f"{suspension.mass_sigma_kg:.2g}"))
+    result.changes.append(KeyChange(table, "inertia_kg_m2", rounded(six, float(sigma.min())), told))
     half_trace = 0.5 * float(six[0] + six[2] + six[5])
     relative = float(np.sqrt(np.mean(sigma**2))) / half_trace
     if link in vehicle.file.estimation.prior.link:
         prior = ("estimation", "prior", "link", link)
         mass = max(suspension.mass_sigma_kg / suspension.mass_kg, 1e-6)
-        result.changes.append(Change(prior, "mass_relative", two_digits(mass)))
-        result.changes.append(Change(prior, "inertia_relative", two_digits(relative)))
+        result.changes.append(KeyChange(prior, "mass_relative", two_digits(mass)))
+        result.changes.append(KeyChange(prior, "inertia_relative", two_digits(relative)))
 
 
 def _swings(read: Readings, at: Sequence[Span]) -> list[Span]:
@@ -187,7 +187,7 @@ def _free(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     return t[part], rate[part]
 
 
-def _told(one: Hang) -> str:
+def _described(one: Hang) -> str:
     axis, found = ", ".join(f"{part:.3f}" for part in one.axis), one.swing
     return (
         f"{one.span} about ({axis}): {found.inertia_kg_m2:.5f} +- {found.sigma_kg_m2:.2g} kg m^2 "

@@ -10,7 +10,7 @@ from onboard.devices.base import JointDevice
 from onboard.estimation.calibration.linear import encoder
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.readings import Readings, Span, steps
-from onboard.ground.calibrate.result import Calibration, Change, Found, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, two_digits
 
 AGREES = 3.0  # sigmas of the counts per turn
 LARGEST = 0.2
@@ -72,7 +72,7 @@ def calibrate_encoder(
         ]
     )
     table = ("device", device)
-    result.changes.append(Change(table, "zero_count", round(float(weight)), f"{zero_sigma:.2g}"))
+    result.changes.append(KeyChange(table, "zero_count", round(float(weight)), f"{zero_sigma:.2g}"))
     if turned:
         result.notes.append("it counts against the joint: gain is negative")
     if agrees:
@@ -80,9 +80,9 @@ def calibrate_encoder(
             f"its counts per turn agree with the file within {AGREES:g} sigmas ({100.0 * gain_sigma:.2g} %): kept"
         )
         if kept != section.gain:
-            result.changes.append(Change(table, "gain", kept))
+            result.changes.append(KeyChange(table, "gain", kept))
     else:
         result.notes.append(f"its counts per turn are {100.0 * (abs(gain) - 1.0):+.3g} % off those of the file")
-        result.changes.append(Change(table, "gain", float(f"{gain:.7g}"), f"{gain_sigma:.2g}"))
-        result.changes.append(Change(table, "scale_sigma", two_digits(gain_sigma)))
+        result.changes.append(KeyChange(table, "gain", float(f"{gain:.7g}"), f"{gain_sigma:.2g}"))
+        result.changes.append(KeyChange(table, "scale_sigma", two_digits(gain_sigma)))
     return result

@@ -21,7 +21,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, still
-from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 _UPRIGHT = 0.97  # cosine: within 14 deg of a face
@@ -99,7 +99,7 @@ def calibrate_imu(
         spread = value * allan.relative_sigma
         unit = "rad/s" if part is GYRO else "m/s^2"
         result.found.append(Found(key, value, spread, unit, getattr(section, key)))
-        result.changes.append(Change(("device", device), key, two_digits(value), f"{spread:.2g} by Allan deviation"))
+        result.changes.append(KeyChange(("device", device), key, two_digits(value), f"{spread:.2g} by Allan deviation"))
     return result, allan
 
 
@@ -211,23 +211,23 @@ def _turns(read: Readings, positions: list[_Position], turn_rad: float) -> tuple
     return angle, axis, integral
 
 
-def _changes(device: str, accel: TriadCalibration, gyro: TriadCalibration, rest: RestBias) -> list[Change]:
+def _changes(device: str, accel: TriadCalibration, gyro: TriadCalibration, rest: RestBias) -> list[KeyChange]:
     table = ("device", device)
     scale = [float(np.sqrt(np.mean(np.diag(one.matrix_sigma) ** 2))) for one in (accel, gyro)]
     angle = [float(one.matrix_sigma[~np.eye(3, dtype=bool)].mean()) for one in (accel, gyro)]
     told = [f"{a:.2g} of scales, {b:.2g} of angles" for a, b in zip(scale, angle, strict=True)]
     bias, bias_gyro = float(accel.bias_sigma.mean()), float(rest.sigma_rad_s.mean())
     return [
-        Change(table, "accel_matrix", rounded(accel.matrix, min(scale[0], angle[0])), told[0]),
-        Change(table, "accel_bias_m_s2", rounded(accel.bias, bias), f"{bias:.2g}"),
-        Change(table, "accel_scale_sigma", two_digits(scale[0])),
-        Change(table, "gyro_matrix", rounded(gyro.matrix, min(scale[1], angle[1])), told[1]),
-        Change(table, "gyro_bias_rad_s", rounded(rest.bias_rad_s, bias_gyro), f"{bias_gyro:.2g}"),
-        Change(table, "gyro_scale_sigma", two_digits(scale[1])),
+        KeyChange(table, "accel_matrix", rounded(accel.matrix, min(scale[0], angle[0])), told[0]),
+        KeyChange(table, "accel_bias_m_s2", rounded(accel.bias, bias), f"{bias:.2g}"),
+        KeyChange(table, "accel_scale_sigma", two_digits(scale[0])),
+        KeyChange(table, "gyro_matrix", rounded(gyro.matrix, min(scale[1], angle[1])), told[1]),
+        KeyChange(table, "gyro_bias_rad_s", rounded(rest.bias_rad_s, bias_gyro), f"{bias_gyro:.2g}"),
+        KeyChange(table, "gyro_scale_sigma", two_digits(scale[1])),
     ]
 
 
-def _prior(vehicle: config.Vehicle, device: str, accel: TriadCalibration, gyro: TriadCalibration) -> list[Change]:
+def _prior(vehicle: config.Vehicle, device: str, accel: TriadCalibration, gyro: TriadCalibration) -> list[KeyChange]:
     """The sigmas of [estimation.imu_prior], where the base is predicted with this IMU."""
     if vehicle.file.estimation.method != "exiddm" or roles_of(vehicle).imu.channels[0] != device:
         return []
@@ -235,7 +235,7 @@ def _prior(vehicle: config.Vehicle, device: str, accel: TriadCalibration, gyro: 
     for name, one in (("gyro", gyro), ("accelerometer", accel)):
         scale = float(np.sqrt(np.mean(np.diag(one.matrix_sigma) ** 2)))
         angle = float(np.sqrt(np.mean(one.matrix_sigma[~np.eye(3, dtype=bool)] ** 2)))
-        changes.append(Change(table, f"{name}_scale", two_digits(scale)))
-        changes.append(Change(table, f"{name}_misalignment_rad", two_digits(angle)))
-        changes.append(Change(table, f"{name}_cross_axis", two_digits(angle)))
+        changes.append(KeyChange(table, f"{name}_scale", two_digits(scale)))
+        changes.append(KeyChange(table, f"{name}_misalignment_rad", two_digits(angle)))
+        changes.append(KeyChange(table, f"{name}_cross_axis", two_digits(angle)))
     return changes

@@ -12,7 +12,7 @@ from onboard.estimation.calibration.linear import line
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, require_within, steps
-from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 
 GAIN = 0.25  # a scale further off is a wrong unit or mass
 
@@ -86,11 +86,11 @@ def calibrate_load_cell(
             )
         gain_sigma = found.slope * common
         result.found.append(Found("gain", found.slope, gain_sigma, "N/N", section.gain))
-        result.changes.append(Change(table, "gain", rounded(np.array(found.slope), gain_sigma), f"{gain_sigma:.2g}"))
-        result.changes.append(Change(table, "scale_sigma", two_digits(common)))
+        result.changes.append(KeyChange(table, "gain", rounded(np.array(found.slope), gain_sigma), f"{gain_sigma:.2g}"))
+        result.changes.append(KeyChange(table, "scale_sigma", two_digits(common)))
     result.found.append(Found("offset", found.offset, found.offset_sigma, "N", section.offset_N))
     value = rounded(np.array(found.offset), found.offset_sigma)
-    result.changes.append(Change(table, "offset_N", value, f"{found.offset_sigma:.2g}"))
+    result.changes.append(KeyChange(table, "offset_N", value, f"{found.offset_sigma:.2g}"))
     return result
 
 
@@ -115,10 +115,10 @@ def _lever(
         )
     result.found.append(Found("lever", lever, sigma, "m", section.lever_m))
     result.changes += [
-        Change(table, "lever_m", rounded(np.array(lever), sigma), f"{sigma:.2g}"),
-        Change(table, "lever_sigma_m", two_digits(sigma)),
-        Change(table, "scale_sigma", 0.0, "in lever_sigma_m"),
-        Change(table, "gain", 1.0, "in lever_m"),
+        KeyChange(table, "lever_m", rounded(np.array(lever), sigma), f"{sigma:.2g}"),
+        KeyChange(table, "lever_sigma_m", two_digits(sigma)),
+        KeyChange(table, "scale_sigma", 0.0, "in lever_sigma_m"),
+        KeyChange(table, "gain", 1.0, "in lever_m"),
     ]
 
 

@@ -21,7 +21,7 @@ class Found(NamedTuple):
     before: float | None = None  # in the vehicle file
 
 
-class Change(NamedTuple):
+class KeyChange(NamedTuple):
     """One key of the vehicle file."""
 
     table: tuple[str, ...]
@@ -41,7 +41,7 @@ class Calibration:
     """
 
     found: list[Found] = field(default_factory=list)
-    changes: list[Change] = field(default_factory=list)
+    changes: list[KeyChange] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: FloatArray, sigmas: FloatArray, unit: str, before: FloatArray) -> None:

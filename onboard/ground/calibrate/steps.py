@@ -30,7 +30,7 @@ def angles_deg(a: argparse.Namespace, vehicle: config.Vehicle, device: str) -> t
     return (math.degrees(joint.low), math.degrees(joint.high)) * 2
 
 
-def steps(a: argparse.Namespace, vehicle: config.Vehicle, device: str) -> list[guide.Step]:
+def steps(a: argparse.Namespace, vehicle: config.Vehicle, device: str) -> list[guide.GuideStep]:
     """What the operator does: ``a.what`` is the kind of calibration, its options are those of the command."""
     match a.what:
         case "imu":

@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import BY_CHANCE
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.ground.calibrate.result import Calibration, Change, Found, rounded, two_digits
+from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
 
 _SQUARE = 0.5  # sine of the angle between an edge and up, at the least
@@ -105,13 +105,13 @@ def balance_part(vehicle: config.Vehicle, link: str, held: PartRig) -> Calibrati
     _mass(result, held, link, float(drawn.mass_kg), known, table)
     result.add(f"centre of mass of {link}", centre, sigma, "m", drawn.centre_of_mass_m)
     told = ", ".join(f"{one:.2g}" for one in sigma)
-    result.changes.append(Change(("link", link), "centre_of_mass_m", rounded(centre, float(sigma.min())), told))
+    result.changes.append(KeyChange(("link", link), "centre_of_mass_m", rounded(centre, float(sigma.min())), told))
     if known is None or table is None:
         result.notes.append(
             f"no key of {vehicle.label} takes the sigma of {link}'s centre: state [estimation.prior.link]"
         )
         return result
-    result.changes.append(Change(table, "centre_m", two_digits(float(sigma.max()))))
+    result.changes.append(KeyChange(table, "centre_m", two_digits(float(sigma.max()))))
     if untold := ["xyz"[k] for k in range(3) if sigma[k] > _TOLD * known.centre_m]:
         result.notes.append(
             f"{', '.join(untold)} of the centre was not measured: it is the drawing's, and centre_m stays as wide; "
@@ -242,6 +242,6 @@ def _mass(
     if known is not None and known.mass_relative * drawn_kg < sigma:
         result.notes.append("the file knows the mass better than these scales: it stays")
         return
-    result.changes.append(Change(("link", link), "mass_kg", rounded(np.array(mass), sigma), f"{sigma:.2g}"))
+    result.changes.append(KeyChange(("link", link), "mass_kg", rounded(np.array(mass), sigma), f"{sigma:.2g}"))
     if table is not None:
-        result.changes.append(Change(table, "mass_relative", two_digits(sigma / mass)))
+        result.changes.append(KeyChange(table, "mass_relative", two_digits(sigma / mass)))

@@ -15,12 +15,12 @@ from tomlkit.items import Comment, Item
 
 from onboard import config
 from onboard.flight.estimate.problem.identification import build_online
-from onboard.ground.calibrate.result import Change
+from onboard.ground.calibrate.result import KeyChange
 
 _OURS = re.compile(r"(; )?\+- [^;]* \(1 sigma\)$")  # of an earlier calibration
 
 
-def changed(vehicle: config.Vehicle, changes: Iterable[Change]) -> str:
+def changed(vehicle: config.Vehicle, changes: Iterable[KeyChange]) -> str:
     """The text of the vehicle file with some keys changed or added.
 
     Raises:
@@ -84,7 +84,7 @@ def replace(vehicle: config.Vehicle, text: str) -> None:
         raise
 
 
-def _put(document: MutableMapping[str, Any], change: Change) -> None:
+def _put(document: MutableMapping[str, Any], change: KeyChange) -> None:
     table = document
     for part in change.table:
         if part not in table:

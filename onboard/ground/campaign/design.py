@@ -14,7 +14,7 @@ import numpy as np
 
 from onboard import config
 from onboard.config.text import MOST_BYTES_URDF
-from onboard.ground.campaign.plan_file import Factor, Plan, RandomFaults
+from onboard.ground.campaign.plan_file import CampaignPlan, Factor, RandomFaults
 from onboard.recording.format.segments import flights
 
 Tables = dict[str, Any]
@@ -78,7 +78,7 @@ class Item:
         return asdict(self)
 
 
-def items(plan: Plan) -> list[Item]:
+def items(plan: CampaignPlan) -> list[Item]:
     """Every flight of a plan, in order.
 
     Raises:
@@ -90,7 +90,7 @@ def items(plan: Plan) -> list[Item]:
     return found
 
 
-def _items(plan: Plan) -> Iterator[Item]:
+def _items(plan: CampaignPlan) -> Iterator[Item]:
     file = plan.file
     seeds = range(file.campaign.first_seed, file.campaign.first_seed + file.campaign.seeds)
     begun = _Begun(plan)
@@ -131,7 +131,7 @@ def _rng(name: str, seed: int) -> np.random.Generator:
 class _Begun:
     """Makes items; reads each file that the plan names once."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: CampaignPlan) -> None:
         self._plan = plan
         self._vehicles: dict[str, tuple[str, dict[str, str]]] = {}
         self._over, self._over_files = self._scenario_file()
@@ -238,7 +238,7 @@ def _shown(value: Any) -> str | float:
     return json.dumps(value) if isinstance(value, bool | list | tuple) else float(value)
 
 
-def _drawn_faults(wanted: RandomFaults, mission: str, seed: int, plan: Plan) -> Iterator[str]:
+def _drawn_faults(wanted: RandomFaults, mission: str, seed: int, plan: CampaignPlan) -> Iterator[str]:
     """A seed's faults, as ``heft hil --fault`` has them."""
     if mission not in wanted.kinds:
         raise config.ConfigError(

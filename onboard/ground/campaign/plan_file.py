@@ -58,7 +58,7 @@ class Flight(Section):
         return self
 
 
-class Level(Section):
+class FactorLevel(Section):
     """``[factor.NAME.level.LEVEL]``: what a level sets. ``weight``: how often it is drawn, relative to the others."""
 
     weight: Positive = 1.0
@@ -82,7 +82,7 @@ class Factor(Section):
     range: tuple[Real, Real] | None = None
     steps: Annotated[int, Field(ge=2, le=1000)] | None = None
     scale: Literal["linear", "log"] = "linear"
-    level: dict[str, Level] = Field(default_factory=dict)
+    level: dict[str, FactorLevel] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -179,7 +179,7 @@ class PlanFile(Section):
             raise ValueError(f"a plan of {kind} has no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
 
 
-class Plan:
+class CampaignPlan:
     """A plan that was read.
 
     Args:
@@ -196,7 +196,7 @@ class Plan:
         return self.path.parent / name
 
 
-def read(path: Path, **over: int | None) -> Plan:
+def read(path: Path, **over: int | None) -> CampaignPlan:
     """Read and check a plan.
 
     Args:
@@ -211,4 +211,4 @@ def read(path: Path, **over: int | None) -> Plan:
     given = {key: value for key, value in over.items() if value is not None}
     if given and isinstance(tree.get("campaign"), dict):
         tree["campaign"] |= given
-    return Plan(config.validated(PlanFile, tree, config.Origin(str(path), text)), path, text)
+    return CampaignPlan(config.validated(PlanFile, tree, config.Origin(str(path), text)), path, text)

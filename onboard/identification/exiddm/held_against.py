@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.corrections import Together, together, told
+from onboard.identification.corrections import Together, expected_sigma, together
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.imu_prediction import DRIFT_MEMORY_s, ImuPredictor
 
 
-class Told(NamedTuple):
+class Corrections(NamedTuple):
     """Corrections of what is in use, in two measures."""
 
     known: IndexArray  # places in the state of those with a stated sigma, of which each is held
@@ -36,16 +36,16 @@ class HeldAgainst:
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
         self._predictor, self._fusion, self._weighed = predictor, fusion, weighed
         self._of: tuple[Weighed, list[int]] | None = None
-        self._told: Told | None = None
+        self._told: Corrections | None = None
 
-    def of(self, weighed: Weighed) -> Told:
+    def of(self, weighed: Weighed) -> Corrections:
         """The corrections if the likeliest hypothesis is true, but of what it says is wrong."""
         left_out, of = self._fusion.left_out, self._of
         if self._told is None or of is None or of[0] is not weighed or of[1] != left_out:
             self._of, self._told = (weighed, [*left_out]), self._hold(weighed)
         return self._told
 
-    def _hold(self, weighed: Weighed) -> Told:
+    def _hold(self, weighed: Weighed) -> Corrections:
         (state, covariance), suspect = weighed.known(weighed.likeliest), weighed.likeliest.suspect
         predictor, stated = self._predictor, stated_after(self._predictor, self._fusion.running_s)
         known = np.isfinite(stated) & (stated > 0.0)
@@ -60,8 +60,8 @@ class HeldAgainst:
         in_all = together(state[at] / sigma, P / np.outer(sigma, sigma))
         known[self._weighed] = steady[self._weighed] = False
         every, each = np.flatnonzero(known), np.flatnonzero(steady)
-        in_told = state[each] / told(stated[each] ** 2, covariance[each, each])
-        return Told(every, state[every] / stated[every], each, in_told, in_all)
+        in_told = state[each] / expected_sigma(stated[each] ** 2, covariance[each, each])
+        return Corrections(every, state[every] / stated[every], each, in_told, in_all)
 
 
 def stated_after(predictor: ImuPredictor, time_s: float) -> FloatArray:

@@ -39,7 +39,7 @@ class Innovation(NamedTuple):
     steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
     ticks: int
 
-    def told(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """``W``, ``e`` and ``steps`` of so many lines."""
         return self.W[:lines], self.e[:lines], self.steps[:lines]
 

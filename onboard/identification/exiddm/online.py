@@ -19,7 +19,7 @@ from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import CapturedBody
-from onboard.identification.exiddm.held_against import HeldAgainst, Told
+from onboard.identification.exiddm.held_against import Corrections, HeldAgainst
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
@@ -127,7 +127,7 @@ class ExiddmIdentifier:
         for last in [*(np.flatnonzero(np.diff(attached)) + 1), n]:
             held = bool(attached[first]) if n else self._attached
             if n and self._attached is not None and held != self._attached:
-                self.exiddm.told(bool(held), float(signals.time_s[first]))
+                self.exiddm.announce(bool(held), float(signals.time_s[first]))
             self._attached = held
             self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
@@ -274,12 +274,12 @@ class ExiddmIdentifier:
         assert self.exiddm.state is not None
         return self.exiddm.rivals.weighed(self.exiddm.state, self.exiddm.covariance)
 
-    def _by_the_data(self, found: Told) -> dict[str, float]:
+    def _by_the_data(self, found: Corrections) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
         names = self.exiddm.predictor.names
         return dict(zip((names[k] for k in found.steady.tolist()), found.in_told.tolist(), strict=True))
 
-    def _of_trackers(self, found: Told) -> list[str]:
+    def _of_trackers(self, found: Corrections) -> list[str]:
         """What the data say against a tracker that is used, before it is enough to do without it."""
         ends = tuple(f"_{one.name}" for one in self.further if isinstance(one, FurtherPose))
         if not ends:

@@ -29,7 +29,7 @@ TOLD = "of what the motion tells"
 UNCHECKED = "nothing checks the stated inertia of {}: set a known mass on for a while, shake others while it runs fast"
 
 
-class Told(NamedTuple):
+class PivotQuantities(NamedTuple):
     """The quantities of a fit."""
 
     mean: FloatArray  # (q,)
@@ -105,14 +105,14 @@ class PivotRun(TableRun):
         found[:3] *= self._model.mass_kg / mass_kg
         return found
 
-    def answers(self) -> Told | None:
+    def answers(self) -> PivotQuantities | None:
         """The quantities; None before there is a fit."""
         if self.found is None:
             return None
         body, P = self._model.body(self.found.fit.x), self.found.fit.covariance[:, : self.found.globals]
         along = self._weights @ P[:BODY]
         covariance = self.found.wider * along[:, :BODY] @ self._weights.T
-        return Told(self._weights @ body, covariance, along, self.found.noise.freedom)
+        return PivotQuantities(self._weights @ body, covariance, along, self.found.noise.freedom)
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """State and quantities; unsupported before there is a fit."""

@@ -16,7 +16,7 @@ import numpy as np
 from onboard.dynamics.joint_errors import PER_JOINT
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.corrections import told
+from onboard.identification.corrections import expected_sigma
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.table.air_bearing import TableExiddm
 
@@ -37,7 +37,9 @@ class JointCorrections(NamedTuple):
     @property
     def in_told_sigmas(self) -> dict[str, float]:
         """By name, in sigmas of what the data tell: :mod:`onboard.identification.corrections`."""
-        return dict(zip(self.names, (self.values / told(self.stated**2, self.sigma**2)).tolist(), strict=True))
+        return dict(
+            zip(self.names, (self.values / expected_sigma(self.stated**2, self.sigma**2)).tolist(), strict=True)
+        )
 
 
 def with_joints(exiddm: TableExiddm, found: PayloadFit) -> tuple[PayloadFit, JointCorrections]:

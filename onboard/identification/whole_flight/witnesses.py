@@ -14,7 +14,7 @@ import numpy as np
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.identification.corrections import contradicted, told, too_large
+from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.quantities import Findings
 from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
@@ -102,7 +102,7 @@ def without_each(
 def _by_the_data(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
     """Errors of joints and links in sigmas of what the flight tells of each; instruments are tested kind by kind."""
     at = flight.of_bodies
-    sigmas = found.fit.x[at] / told(flight.sigma[at] ** 2, np.diag(found.fit.covariance)[at])
+    sigmas = found.fit.x[at] / expected_sigma(flight.sigma[at] ** 2, np.diag(found.fit.covariance)[at])
     return {found.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
 
 

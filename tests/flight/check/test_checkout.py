@@ -17,7 +17,7 @@ from onboard.cli import main
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.model.vehicle import Joint
 from onboard.flight.check.checkout import Bench, Lengths, Record, _pulse, checkout, render, write
-from onboard.flight.check.checkout_checks import Outcome, judge_motion, judge_tare
+from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
 from onboard.flight.check.preflight import _run_in_turn
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
@@ -44,7 +44,7 @@ class Script:
         self.told.append(text)
 
 
-def walk(directory, operator, dry_run=lambda: Outcome((), "as in flight")):
+def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
     with MixedWorld(directory) as world:
         flying = vehicle(directory, world.urls)
 

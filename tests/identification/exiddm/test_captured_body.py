@@ -24,7 +24,7 @@ def flown(case, *, told_s=None):
     while at < len(case.ticks.time_s):
         ticks = case.ticks.part(slice(at, at + BATCH))
         if told_s is not None and told_s <= ticks.time_s[-1]:
-            exiddm.told(True, told_s)
+            exiddm.announce(True, told_s)
             told_s = None
         exiddm.update(ticks)
         body.take(ticks)

@@ -7,7 +7,7 @@ import pytest
 
 from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
-from onboard.identification.corrections import contradicted, told
+from onboard.identification.corrections import contradicted, expected_sigma
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
@@ -48,7 +48,7 @@ def test_a_correction_that_the_data_hardly_tell_of_is_held_against_what_they_tel
     variance = 1.0 / (stated**-2 + measured**-2)
     moved = variance * wrong / measured**2
     assert moved < 1.8 * stated
-    sigmas = moved / told(np.array([stated**2]), np.array([variance]))[0]
+    sigmas = moved / expected_sigma(np.array([stated**2]), np.array([variance]))[0]
     assert sigmas == pytest.approx(wrong / np.hypot(stated, measured))
     assert contradicted({"scale_joint_2": -sigmas, "zero": 4.9}) == (
         "the motion contradicts what is stated of scale_joint_2 by 7 sigmas: it has changed, or is not so",

@@ -106,14 +106,14 @@ def test_told_is_as_good_as_found(mission):
     recursive, ticks = online(mission, held=False), ticks_of(mission)
     at = int(np.searchsorted(ticks.time_s, CAPTURE_s + 0.02))
     recursive.update(ticks.part(slice(0, at)))
-    recursive.told(True, float(ticks.time_s[at]))
-    recursive.told(False, float(ticks.time_s[at]))
-    recursive.told(True, float(ticks.time_s[at]))
+    recursive.announce(True, float(ticks.time_s[at]))
+    recursive.announce(False, float(ticks.time_s[at]))
+    recursive.announce(True, float(ticks.time_s[at]))
     recursive.update(ticks.part(slice(at, at + 400)))
     assert [change.kind for change in recursive.changes] == ["capture", "ejection", "capture"]
     assert all(np.isnan(change.score) for change in recursive.changes)
     assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
-    recursive.told(True, 0.0)
+    recursive.announce(True, 0.0)
     assert len(recursive.changes) == 3
 
 
@@ -121,20 +121,20 @@ def test_a_release_that_is_told_and_was_none_is_rejected(mission):
     ticks, recursive = ticks_of(mission), online(mission, held=False)
     held = [int(np.searchsorted(ticks.time_s, time_s)) for time_s in (CAPTURE_s + 0.02, 5.5, RELEASE_s - 0.1)]
     recursive.update(ticks.part(slice(0, held[0])))
-    recursive.told(True, float(ticks.time_s[held[0]]))
+    recursive.announce(True, float(ticks.time_s[held[0]]))
     recursive.update(ticks.part(slice(held[0], held[1])))
     before = recursive.estimate()
-    recursive.told(False, float(ticks.time_s[held[1]]))
+    recursive.announce(False, float(ticks.time_s[held[1]]))
     recursive.update(ticks.part(slice(held[1], held[2])))
     recursive.finish()
     assert [change.kind for change in recursive.changes] == ["capture", "ejection", "release_contradicted"]
     assert recursive.estimate().body.mass_kg == pytest.approx(before.body.mass_kg, rel=0.02)
     released = online(mission, held=False)
     released.update(ticks.part(slice(0, held[0])))
-    released.told(True, float(ticks.time_s[held[0]]))
+    released.announce(True, float(ticks.time_s[held[0]]))
     end = int(np.searchsorted(ticks.time_s, RELEASE_s + 0.02))
     released.update(ticks.part(slice(held[0], end)))
-    released.told(False, float(ticks.time_s[end]))
+    released.announce(False, float(ticks.time_s[end]))
     released.update(ticks.part(slice(end, len(ticks.time_s))))
     assert [change.kind for change in released.changes] == ["capture", "ejection"]
     assert released.held is False
@@ -148,7 +148,7 @@ def test_a_capture_that_is_told_and_was_none_is_rejected_when_the_payload_comes(
     free_flyer.fly_with_capture(flight, capture, 12.0)
     signals = recorded(flight.history, rng)
     ticks, recursive = ticks_of(signals), online(signals, held=False)
-    recursive.told(True, float(ticks.time_s[0]))
+    recursive.announce(True, float(ticks.time_s[0]))
     recursive.update(ticks)
     assert [change.kind for change in recursive.changes] == ["capture", "capture_contradicted", "change", "capture"]
     assert recursive.changes[1].time_s < 5.0
@@ -187,7 +187,7 @@ def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
     told, found = (online(signals, held=False, imu_prior=PRIOR, links=LINKS) for _ in range(2))
     caught = int(np.searchsorted(ticks.time_s, 4.0))
     told.update(ticks.part(slice(0, caught)))
-    told.told(True, 4.0)
+    told.announce(True, 4.0)
     told.update(ticks.part(slice(caught, None)))
     found.update(ticks)
     for recursive in (told, found):
@@ -210,7 +210,7 @@ def test_what_it_told_of_a_wrong_drawing_is_in_the_first_answer(rng, monkeypatch
     monkeypatch.setattr(Weighed, "names", property(lambda self: ("base",)))
     told, found = (online(signals, held=False, imu_prior=PRIOR, links=LINKS) for _ in range(2))
     told.update(ticks.part(slice(0, caught)))
-    told.told(True, 4.0)
+    told.announce(True, 4.0)
     told.update(ticks.part(slice(caught, None)))
     told.finish()
     for first in range(0, len(ticks.time_s), 10):

@@ -117,7 +117,7 @@ def test_a_release_that_is_announced_while_a_window_is_solved_comes_after_it(hel
     recursive = online(held)
     recursive.update(ticks.part(slice(0, 99)))
     recursive.update(ticks.part(slice(99, 100)))
-    recursive.told(False, 1.0)
+    recursive.announce(False, 1.0)
     assert recursive.changes == []
     recursive.finish()
     assert [change.kind for change in recursive.changes] == ["ejection"]
@@ -132,7 +132,7 @@ def test_a_payload_whose_release_is_announced_is_no_answer_while_the_release_wai
     recursive.take(ticks.part(slice(250, 402)))  # the last window is due
     assert recursive.solving
     assert recursive.holds
-    recursive.told(False, float(ticks.time_s[402]))
+    recursive.announce(False, float(ticks.time_s[402]))
     assert recursive.solving
     assert recursive.changes == []
     assert not recursive.holds

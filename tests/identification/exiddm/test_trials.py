@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.recursion.trials import CellTrials, Trial, Trials
+from onboard.identification.exiddm.recursion.trials import CellTrials, WindowFits, WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
 HYPOTHESES = (Hypothesis.SAME,)
@@ -29,9 +29,9 @@ def solved(strained: float) -> Solved:
 def test_the_least_strained_fit_is_chosen_and_clear_if_it_is_by_far(
     strains: tuple[float | None, ...], instrument: int, clear: bool
 ) -> None:
-    trials = Trials([7, 4], HYPOTHESES)
+    trials = WindowFits([7, 4], HYPOTHESES)
     for doubted, strained in zip((7, 4), strains, strict=True):
-        assert trials.next() == Trial(HYPOTHESES, without=(doubted,))
+        assert trials.next() == WindowProblem(HYPOTHESES, without=(doubted,))
         trials.take(None if strained is None else solved(strained))
     assert trials.next() is None
     choice = trials.choice
@@ -45,7 +45,7 @@ def test_the_least_strained_fit_is_chosen_and_clear_if_it_is_by_far(
 
 
 def test_none_is_chosen_where_none_explains_the_window() -> None:
-    trials = Trials([0], HYPOTHESES)
+    trials = WindowFits([0], HYPOTHESES)
     trials.take(None)
     assert trials.choice is None
 
@@ -76,12 +76,12 @@ def test_an_accused_cell_is_wrong_unless_a_changed_payload_is_far_more_likely(
 ) -> None:
     nothing = (Hypothesis.NOTHING,)
     trials = CellTrials(2, nothing, window, last=window == 3)
-    assert trials.next() == Trial(nothing, without=(2,))
+    assert trials.next() == WindowProblem(nothing, without=(2,))
     trials.take(of_payload(Hypothesis.NOTHING, 200.0, 0.0))
-    assert trials.next() == Trial((Hypothesis.NEW,))
+    assert trials.next() == WindowProblem((Hypothesis.NEW,))
     trials.take(of_payload(Hypothesis.NEW, 300.0, mass_kg))
     if freed is not None:
-        assert trials.next() == Trial(nothing, freed=2)
+        assert trials.next() == WindowProblem(nothing, freed=2)
         trials.take(None if np.isnan(freed) else of_payload(Hypothesis.NOTHING, freed, 0.0))
     assert trials.next() is None
     choice, changed = trials.choice, trials.changed
@@ -92,7 +92,7 @@ def test_an_accused_cell_is_wrong_unless_a_changed_payload_is_far_more_likely(
 def test_of_a_held_payload_the_change_is_a_release_and_of_a_new_one_there_is_none() -> None:
     trials = CellTrials(2, HYPOTHESES, 0, last=False)
     trials.take(solved(0.0))
-    assert trials.next() == Trial((Hypothesis.NOTHING,))
+    assert trials.next() == WindowProblem((Hypothesis.NOTHING,))
     trials.take(None)
     assert trials.choice is not None
     assert (trials.choice.instrument, trials.choice.clear) == (2, True)

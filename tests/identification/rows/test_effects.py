@@ -9,7 +9,7 @@ from onboard import config
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.gates import GateReason, reasons
 from onboard.flight.estimate.problem.identification import build_identifier
-from onboard.ground.before.foresee.plan import Plan, plan_of
+from onboard.ground.before.foresee.plan import MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import Wanted, make
 from onboard.identification.rows.identifier import Identifier
@@ -19,14 +19,14 @@ HZ = 50.0
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[config.Vehicle, Plan]:
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[config.Vehicle, MotionPlan]:
     directory = tmp_path_factory.mktemp("it")
     make(Wanted("it", "prescribed", ("shoulder", "elbow"), load_cell="cia404"), directory / "it")
     vehicle = config.load(directory / "it" / "vehicle.toml").with_row_rate(HZ)
     return vehicle, plan_of(vehicle, default_plan(scenario_of(str(directory / "it" / "vehicle.toml")), 1.0 / HZ))
 
 
-def fed(vehicle: config.Vehicle, plan: Plan, bias: np.ndarray) -> Identifier:
+def fed(vehicle: config.Vehicle, plan: MotionPlan, bias: np.ndarray) -> Identifier:
     """An identifier after a flight without noise, its accelerometer off by a bias."""
     identifier, model = build_identifier(vehicle)
     chi = identifier.model.chi.copy()
@@ -41,7 +41,7 @@ def fed(vehicle: config.Vehicle, plan: Plan, bias: np.ndarray) -> Identifier:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_bias_does_what_its_column_says(axis: int, flown: tuple[config.Vehicle, Plan]) -> None:
+def test_a_bias_does_what_its_column_says(axis: int, flown: tuple[config.Vehicle, MotionPlan]) -> None:
     whole = fed(*flown, np.zeros(3))
     off = fed(*flown, BIAS_m_s2 * np.eye(3)[axis])
     told = whole.estimate().supported & ["payload" in name for name in whole.base.names]

@@ -23,7 +23,7 @@ _OF_CELLS = {
 }
 
 
-class ExiddmKeys(NamedTuple):
+class SigmaKeys(NamedTuple):
     """The keys of a vehicle's file."""
 
     further: Sequence[Further]  # instruments besides the first IMU

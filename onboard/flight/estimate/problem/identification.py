@@ -20,7 +20,7 @@ from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
-from onboard.flight.estimate.problem.exiddm_keys import ExiddmKeys
+from onboard.flight.estimate.problem.exiddm_keys import SigmaKeys
 from onboard.flight.estimate.problem.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.readings.roles import roles_of
@@ -168,7 +168,7 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
         others = roles.imu.channels[0], thrusters, disturbance_prior(vehicle, model, tracked=bool(trackers))
-        keys = ExiddmKeys(further, thrusters, [joint.name for joint in model.joints])
+        keys = SigmaKeys(further, thrusters, [joint.name for joint in model.joints])
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, *others, keys.of)
         names = tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD)
         known = _start(vehicle, names)[:2] if settings.carried else None

@@ -79,7 +79,7 @@ class Trial(NamedTuple):
 
 
 @dataclass
-class Run:
+class TrialSeries:
     """A run."""
 
     vehicle: str
@@ -191,7 +191,7 @@ def run(
     asked: Asked,
     told: Callable[[Trial], None] = lambda _: None,
     record: Callable[[Sequence[Batch]], None] = lambda _: None,
-) -> Run:
+) -> TrialSeries:
     """Fly all trials.
 
     Args:
@@ -213,7 +213,7 @@ def run(
     if asked.adopted is not None and VehicleModel(asked.adopted, model.spec).joints != model.joints:
         raise ValueError("the URDF that was identified has other joints than the vehicle's; give that of this vehicle")
     guessed = Drives(_LEAST_INERTIA * effort, _FRICTION * effort, _FRICTION * effort)
-    made = Run(
+    made = TrialSeries(
         vehicle.file.vehicle.name, asked.controller, names, asked.model_error, asked.noise_rad, asked.factor, guessed
     )
     with Trials(
@@ -245,7 +245,7 @@ def _together(flown: Flown) -> tuple[FloatArray, FloatArray]:
 class _Pilot:
     """Flies a trial and keeps it."""
 
-    def __init__(self, made: Run, trials: Trials, told: Callable[[Trial], None]) -> None:
+    def __init__(self, made: TrialSeries, trials: Trials, told: Callable[[Trial], None]) -> None:
         self.made, self.trials, self._told = made, trials, told
 
     def fly(self, stage: Stage, law: Law, space: JointSpace, reference: Reference) -> bool:

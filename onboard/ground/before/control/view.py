@@ -1,4 +1,4 @@
-"""Table and figure of a :class:`onboard.ground.before.control.run.Run`."""
+"""Table and figure of a :class:`onboard.ground.before.control.run.TrialSeries`."""
 
 from pathlib import Path
 
@@ -9,14 +9,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from onboard.ground.before.control.run import COMPUTED, Run, Stage, Trial
+from onboard.ground.before.control.run import COMPUTED, Stage, Trial, TrialSeries
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
 
 _GROWS = 1.005  # of the error in a trial, from which on it is said
 _SHORT = {Stage.BEFORE: "payload unknown", Stage.AFTER: "payload identified"}
 
 
-def render(made: Run) -> RenderableType:
+def render(made: TrialSeries) -> RenderableType:
     """The trials as a table, and what is to be said of them."""
     wrong = f", model {100.0 * made.model_error:+.0f} %" if made.model_error else ""
     noisy = f", encoder noise {1e3 * made.noise_rad:g} mrad" if made.noise_rad else ""
@@ -27,7 +27,7 @@ def render(made: Run) -> RenderableType:
         table.add_column(heading, justify="right", no_wrap=True)
     for trial in made.trials:
         table.add_row(f"{trial.number} {trial.stage}", *_numbers(trial))
-    lines = [_drives(made), *map(Text, told(made))]
+    lines = [_drives(made), *map(Text, findings_of(made))]
     if made.stopped:
         lines.append(Text(f"! stopped: {made.stopped}", style="yellow"))
     return Group(table, *lines)
@@ -42,13 +42,13 @@ def _numbers(trial: Trial) -> tuple[str, str, str, str]:
     return one, two, three, four
 
 
-def _drives(made: Run) -> Text:
+def _drives(made: TrialSeries) -> Text:
     parts = zip(made.joints, *made.drives, strict=True)
     each = "; ".join(f"{name} {rotor:.3g}, {viscous:.3g}, {coulomb:.3g}" for name, rotor, viscous, coulomb in parts)
     return Text(f"drives, identified before the capture (kg m², N m s/rad, N m): {each}")
 
 
-def told(made: Run) -> list[str]:
+def findings_of(made: TrialSeries) -> list[str]:
     """What the trials say, in sentences."""
     lines = []
     if made.gain is not None:
@@ -73,7 +73,7 @@ def told(made: Run) -> list[str]:
     return lines
 
 
-def draw(made: Run, path: Path) -> None:
+def draw(made: TrialSeries, path: Path) -> None:
     """Convergence as SVG or PNG by the ending: the tip's and the joints' rms error a trial."""
     with figures():
         drawn, (tip, joints) = subplots(1, 2, 3.0)

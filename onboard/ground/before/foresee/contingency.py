@@ -20,7 +20,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.kept import kept
-from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, Plan
+from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, MotionPlan
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.identification.standing import Level
 
@@ -73,7 +73,7 @@ def _sigma(one: Expected) -> float | None:
     return one.sigma if np.isfinite(one.sigma) and one.why != UNDETERMINED else None
 
 
-def foresee_without(vehicle: config.Vehicle, plan: Plan, lost: Sequence[str]) -> Contingency:
+def foresee_without(vehicle: config.Vehicle, plan: MotionPlan, lost: Sequence[str]) -> Contingency:
     """What a planned motion determines with everything, and without what is lost.
 
     Args:
@@ -100,7 +100,7 @@ def foresee_without(vehicle: config.Vehicle, plan: Plan, lost: Sequence[str]) ->
     return Contingency(tuple(lost), tuple(words), whole, left, why)
 
 
-def _without(vehicle: config.Vehicle, plan: Plan, name: str) -> tuple[config.Vehicle, Plan, str]:
+def _without(vehicle: config.Vehicle, plan: MotionPlan, name: str) -> tuple[config.Vehicle, MotionPlan, str]:
     """Vehicle and motion without one thing, and what that means in words."""
     roles, devices = roles_of(vehicle), vehicle.file.device
     joints = [joint.name for joint in build_model(vehicle).joints]
@@ -124,7 +124,7 @@ def _without(vehicle: config.Vehicle, plan: Plan, name: str) -> tuple[config.Veh
     raise ValueError(f"--without {name}: name one of {known}")
 
 
-def _parked(plan: Plan, joint: int) -> Plan:
+def _parked(plan: MotionPlan, joint: int) -> MotionPlan:
     q, dq, ddq = (np.array(part) for part in (plan.q, plan.dq, plan.ddq))
     q[:, joint], dq[:, joint], ddq[:, joint] = q[0, joint], 0.0, 0.0
     return plan._replace(q=q, dq=dq, ddq=ddq)

@@ -5,7 +5,7 @@ import numpy as np
 from onboard import config
 from onboard.ground.before.foresee.free import foresee_free
 from onboard.ground.before.foresee.pivot import foresee_pivot
-from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
+from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
 from onboard.ground.before.foresee.planar import foresee_planar
 from onboard.ground.before.foresee.rows import foresee_rows
 from onboard.identification.standing import LEVELS
@@ -13,7 +13,7 @@ from onboard.identification.standing import LEVELS
 _MOST_TICKS = 100_000  # of all motions of the base
 
 
-def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
+def foresee(vehicle: config.Vehicle, plan: MotionPlan, *, coarse: bool = False) -> Foreseen:
     """What a vehicle can determine with a planned motion.
 
     Args:

@@ -40,7 +40,7 @@ def render(found: Foreseen, motion: str) -> RenderableType:
         given = f"± {_short(factor * half)}" if isfinite(half) and one.why != UNDETERMINED else "—"
         shown = share if one.level is Level.GOOD else ""
         table.add_row(f"{one.name}, {unit}", _short(factor * value), given, shown, str(one.level))
-    lines = [_told(found.parameters, Level.GOOD, "determined"), _told(found.parameters, Level.WEAK, "weak")]
+    lines = [_listed(found.parameters, Level.GOOD, "determined"), _listed(found.parameters, Level.WEAK, "weak")]
     whole = [one for one in found.quantities if one.level is not Level.GOOD]
     by_reason: dict[str, list[str]] = {}
     for one in whole:
@@ -50,7 +50,7 @@ def render(found: Foreseen, motion: str) -> RenderableType:
     return Group(Text(title), *([table] if found.quantities else []), *(Text(line) for line in lines if line))
 
 
-def _told(parameters: tuple[Expected, ...], level: Level, word: str) -> str:
+def _listed(parameters: tuple[Expected, ...], level: Level, word: str) -> str:
     """``determined (3 of 5, SI): ZZ_arm 0.25 ± 0.002, ...``; of the weak ones the names alone."""
     mine = [one for one in parameters if one.level is level]
     if not mine:

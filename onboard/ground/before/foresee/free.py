@@ -24,7 +24,7 @@ from onboard.flight.estimate.problem.identification import build_exiddm, channel
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
 from onboard.flight.estimate.readings.torques import TorqueLines
-from onboard.ground.before.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
+from onboard.ground.before.foresee.plan import Foreseen, JointNoise, MotionPlan, axes_words, body_values, expected
 from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
 from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
@@ -35,7 +35,7 @@ _ANY_RATE_rad_s = 10.0  # sigma of the base's rate where nothing is known
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
 
 
-def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+def foresee_free(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     """Expected intervals of the payload of a vehicle with ``method = "exiddm"`` and a free base.
 
     Args:
@@ -75,7 +75,7 @@ class Flown(NamedTuple):
     rate: FloatArray  # (n, 3) of the gyro
 
 
-def fly(vehicle: config.Vehicle, plan: Plan, batch: int = _BATCH_TICKS) -> Flown | None:
+def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) -> Flown | None:
     """Covariance of the filter along a planned motion; None where no payload is held in it.
 
     Args:
@@ -117,7 +117,7 @@ def body_covariance(payload: RigidBody, covariance: FloatArray) -> FloatArray:
 
 def _fly(
     predictor: ImuPredictor,
-    plan: Plan,
+    plan: MotionPlan,
     noise: "Noise",
     used: BoolArray,
     part: slice,

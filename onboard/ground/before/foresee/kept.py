@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import onboard
 from onboard import config
 from onboard.dynamics.model.inertia import RigidBody
-from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
+from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
 from onboard.identification.standing import Level
 
 _MOST_BYTES, _MOST_FILES = 1 << 20, 64
@@ -61,7 +61,7 @@ class _Found(BaseModel):
     words: list[Said]
 
 
-def kept(vehicle: config.Vehicle, plan: Plan, make: Callable[[], Foreseen]) -> Foreseen:
+def kept(vehicle: config.Vehicle, plan: MotionPlan, make: Callable[[], Foreseen]) -> Foreseen:
     """The result of an earlier call with the same vehicle, motion and code; made, and kept, where there is none.
 
     Args:
@@ -96,7 +96,7 @@ def _own(about: os.stat_result) -> bool:
     return about.st_uid == os.geteuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _name(vehicle: config.Vehicle, plan: Plan) -> str:
+def _name(vehicle: config.Vehicle, plan: MotionPlan) -> str:
     """SHA-256 of all that the result depends on."""
     said = hashlib.sha256()
     for part in (np.__version__, scipy.__version__, pinocchio.__version__, *_code()):

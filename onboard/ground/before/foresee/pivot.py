@@ -6,11 +6,11 @@ from onboard import config
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.identification import build_pivot, samples_per_tick
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.before.foresee.plan import Foreseen, Plan, expected
+from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, expected
 from onboard.identification.exiddm.prediction.ticks import Ticks
 
 
-def foresee_pivot(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+def foresee_pivot(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     """Expected intervals of a body on a pivot that is as drawn, upright at the start.
 
     Args:

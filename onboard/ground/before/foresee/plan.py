@@ -29,7 +29,7 @@ _IN_KERNEL, _APART_S = 5, 0.05  # ticks in its width at least, time between two 
 _FEW_ANGLE = 0.03  # of the largest rms rate: about such an axis a link hardly turns
 
 
-class Plan(NamedTuple):
+class MotionPlan(NamedTuple):
     """A motion on even ticks, the joints in the order of the model."""
 
     time_s: FloatArray  # (n,)
@@ -44,7 +44,7 @@ class Plan(NamedTuple):
     payload: RigidBody | None  # assumed, in its link's frame
     drag: tuple[float, float] = (0.0, 0.0)  # of each puck: N s/m, N
 
-    def part(self, ticks: slice) -> "Plan":
+    def part(self, ticks: slice) -> "MotionPlan":
         """Some of the ticks; the base's start is that of all."""
         bases = tuple(BaseMotion(*(signal[ticks] for signal in base)) for base in self.bases)
         kept = {name: getattr(self, name)[ticks] for name in ("time_s", "q", "dq", "ddq", "phase", "held")}
@@ -55,7 +55,7 @@ class Plan(NamedTuple):
         apart_s = min(vehicle.file.estimation.smoothing_ms * 1e-3 / _IN_KERNEL, _APART_S)
         return slice(None, None, max(1, int(apart_s / float(self.time_s[1] - self.time_s[0]))))
 
-    def by_base(self) -> "tuple[Plan, ...]":
+    def by_base(self) -> "tuple[MotionPlan, ...]":
         """The plan with each of its base's motions alone; itself where it has none or one."""
         return tuple(self._replace(bases=(base,)) for base in self.bases) or (self,)
 
@@ -67,7 +67,7 @@ class Plan(NamedTuple):
         return np.isin(self.phase, phases.identify)
 
 
-def plan_of(vehicle: config.Vehicle, planned: Any) -> Plan:
+def plan_of(vehicle: config.Vehicle, planned: Any) -> MotionPlan:
     """A plan in the terms of a vehicle's model.
 
     Args:
@@ -87,7 +87,7 @@ def plan_of(vehicle: config.Vehicle, planned: Any) -> Plan:
     if planned.payload is not None:
         shape = RigidBody(planned.payload.mass_kg, planned.payload.centre_of_mass_m, planned.payload.inertia_kg_m2)
         payload = _payload(model, shape, drawn_shape=planned.drawn_shape)
-    return Plan(
+    return MotionPlan(
         planned.time_s,
         planned.q[:, order],
         planned.dq[:, order],
@@ -237,7 +237,7 @@ def _payload(model: VehicleModel, shape: RigidBody, *, drawn_shape: bool) -> Rig
     return RigidBody(shape.mass_kg, centre_m, inertia * shape.mass_kg / float(drawn[0]))
 
 
-def axes_words(model: VehicleModel, plan: Plan, base_rate: FloatArray, used: BoolArray) -> tuple[str, ...]:
+def axes_words(model: VehicleModel, plan: MotionPlan, base_rate: FloatArray, used: BoolArray) -> tuple[str, ...]:
     """About which axes of its link the payload hardly turns, in words.
 
     Args:

@@ -9,7 +9,7 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, Plan, axes_words, body_values
+from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, MotionPlan, axes_words, body_values
 from onboard.ground.identify.kinds.identified import standings
 from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
 from onboard.ground.identify.kinds.planar_log import table_prior, underway
@@ -19,7 +19,7 @@ from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.joints import bound
 
 
-def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     """Expected intervals of ``heft identify`` after a run on the table.
 
     Args:

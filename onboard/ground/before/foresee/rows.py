@@ -34,7 +34,7 @@ from onboard.ground.before.foresee.plan import (
     Expected,
     Foreseen,
     JointNoise,
-    Plan,
+    MotionPlan,
     axes_words,
     body_values,
     expected,
@@ -50,7 +50,7 @@ _MOST_TICKS = 20_000  # whose rows are made at a time: 0.2 GB
 _FINE = 20  # steps in a kernel's width, of which coarse ticks stand for as many as fit
 
 
-def foresee_rows(vehicle: config.Vehicle, plans: Sequence[Plan], *, coarse: bool = False) -> list[Foreseen]:
+def foresee_rows(vehicle: config.Vehicle, plans: Sequence[MotionPlan], *, coarse: bool = False) -> list[Foreseen]:
     """Expected intervals of base parameters and quantities of a vehicle whose method is rows.
 
     Args:
@@ -73,7 +73,7 @@ def foresee_rows(vehicle: config.Vehicle, plans: Sequence[Plan], *, coarse: bool
 
 def _foresee(
     vehicle: config.Vehicle,
-    plan: Plan,
+    plan: MotionPlan,
     few: slice,
     identifier: Identifier,
     model: VehicleModel,
@@ -110,7 +110,7 @@ def _foresee(
     return Foreseen(tuple(quantities), tuple(parameters), plan.payload, float(used.sum() * noise.period_s), words)
 
 
-def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion:
+def _base_motion(model: VehicleModel, plan: MotionPlan, chi: FloatArray) -> BaseMotion:
     """What the base does: as planned, nothing, or what the joints make of a free one."""
     if plan.bases:
         return plan.bases[0]
@@ -158,7 +158,7 @@ class StatedNoise:
             fine_s = width_s / _FINE
             self._inflation = correlation_inflation(width_s, fine_s, kernel) * float(np.sqrt(fine_s / period_s))
 
-    def signals(self, plan: Plan, motion: BaseMotion, chi: FloatArray) -> Signals:
+    def signals(self, plan: MotionPlan, motion: BaseMotion, chi: FloatArray) -> Signals:
         """Smoothed signals of a motion, with the sigmas of what the instruments would add to them, and without that."""
         row_model, n = self._identifier.model, len(plan.time_s)
         names = [joint.name for joint in row_model.vehicle.joints]
@@ -190,7 +190,7 @@ def _imu_noise(vehicle: config.Vehicle) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def _of_rows(
-    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, friction: FloatArray | None
+    vehicle: config.Vehicle, identifier: Identifier, plan: MotionPlan, friction: FloatArray | None
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Sigma of each row before inflation, and which rows are refused, (n, rows) each."""
     settings, cells = vehicle.file.estimation, {cell.name: cell for cell in roles_of(vehicle).cells}

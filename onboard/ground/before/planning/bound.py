@@ -20,7 +20,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.free import Noise, body_covariance, fly
-from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
+from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.quantities import BODY
 from onboard.regressor.rows import BaseMotion, standing
@@ -29,7 +29,7 @@ _ANY_RATE_rad_s = 0.1  # of the base: standard deviation before anything is know
 TICK_HZ = 5.0  # of the search; what is promised is of the estimator's own ticks
 
 
-class Outcome(NamedTuple):
+class MotionBound(NamedTuple):
     """Of a motion."""
 
     covariance: FloatArray  # (k, k) of the quantities
@@ -52,7 +52,7 @@ class Bound(ABC):
         """The base's motion at other ticks of the motion."""
 
     @abstractmethod
-    def of(self, moved: FloatArray) -> Outcome:
+    def of(self, moved: FloatArray) -> MotionBound:
         """For angle, rate and acceleration at the motion's ticks, (3, n, joints)."""
 
     @abstractmethod
@@ -74,7 +74,7 @@ class FreeBound(Bound):
         still: vehicle and payload have no momentum when it begins.
     """
 
-    def __init__(self, vehicle: config.Vehicle, plan: Plan, first: int, *, still: bool = False) -> None:
+    def __init__(self, vehicle: config.Vehicle, plan: MotionPlan, first: int, *, still: bool = False) -> None:
         before = fly(vehicle, plan.part(slice(0, first)))
         if before is None or plan.payload is None:
             raise config.ConfigError("nothing is held before the planned motion; let [capture] come earlier")
@@ -93,11 +93,11 @@ class FreeBound(Bound):
         self.prior_sigma[RATE] = _ANY_RATE_rad_s
         self.prior_sigma[PAYLOAD] = before.identifier.exiddm.payload_sigma
 
-    def of(self, moved: FloatArray) -> Outcome:
+    def of(self, moved: FloatArray) -> MotionBound:
         """See the base class."""
         flat = self.whitened(moved)
         information = self._prior + flat.T @ flat
-        return Outcome(self._body(information), self.base(moved, self._predictor.period_s))
+        return MotionBound(self._body(information), self.base(moved, self._predictor.period_s))
 
     def along(self, moved: FloatArray) -> tuple[IndexArray, FloatArray]:
         """See the base class."""
@@ -143,7 +143,7 @@ class RowsBound(Bound):
         ticks: of the motion.
     """
 
-    def __init__(self, vehicle: config.Vehicle, plan: Plan, ticks: slice) -> None:
+    def __init__(self, vehicle: config.Vehicle, plan: MotionPlan, ticks: slice) -> None:
         plan = plan.by_base()[0]  # one of many likely motions of a prescribed base: eight take eight times as long
         self._vehicle, self._plan, self._ticks, self._model = vehicle, plan, ticks, build_model(vehicle)
         self._chi = self._model.chi.copy()
@@ -157,10 +157,10 @@ class RowsBound(Bound):
             [of_payload[body[one.name]] if one.name in body else max(abs(one.value), one.sigma) for one in found]
         )
 
-    def of(self, moved: FloatArray) -> Outcome:
+    def of(self, moved: FloatArray) -> MotionBound:
         """See the base class."""
         sigma = self._sigma(moved, self._ticks.stop)
-        return Outcome(np.diag(sigma**2), self.base(moved, 1.0 / TICK_HZ))
+        return MotionBound(np.diag(sigma**2), self.base(moved, 1.0 / TICK_HZ))
 
     def along(self, moved: FloatArray) -> tuple[IndexArray, FloatArray]:
         """See the base class."""

@@ -9,7 +9,7 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
-from onboard.ground.before.foresee.plan import Foreseen, Plan, plan_of
+from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, Bound, FreeBound, RowsBound
 from onboard.ground.before.planning.criteria import Criterion, weakest
 from onboard.ground.before.planning.limits import Limits, LimitsFile
@@ -119,13 +119,13 @@ def told_by(bound: Bound, moved: FloatArray) -> BoolArray:
     return np.asarray(np.sqrt(moving) < _TOLD * np.sqrt(still), np.bool_)
 
 
-def ticks_of(plan: Plan, start_s: float, end_s: float) -> slice:
+def ticks_of(plan: MotionPlan, start_s: float, end_s: float) -> slice:
     """Ticks of a plan between two of its times."""
     first, last = np.searchsorted(plan.time_s, [start_s - 1e-9, end_s - 1e-9])
     return slice(int(first), int(last))
 
 
-def _with(plan: Plan, splines: Splines, coefficients: FloatArray, wanted: Wanted) -> Plan:
+def _with(plan: MotionPlan, splines: Splines, coefficients: FloatArray, wanted: Wanted) -> MotionPlan:
     """A plan with the motion in its place."""
     ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
     moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), coefficients)

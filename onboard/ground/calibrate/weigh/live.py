@@ -236,7 +236,7 @@ class Session:
         after = f"done, {self.done}" if self.done else f"turn the wrist to the next pose; most tells {_next(more)}"
         self.tell(f"pose {n} taken: {told}; {after}")
 
-    def told(self) -> Mapping[str, object]:
+    def summary(self) -> Mapping[str, object]:
         """For programs: the poses, and why it ended."""
         return {"rotations": self.R, "wrenches": self.wrench, "ended": self.done, "orientation": self.sensor.told_by}
 

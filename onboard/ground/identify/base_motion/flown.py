@@ -84,7 +84,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
     ticks.q[~known] = np.nan  # a run ends where the gyro has a gap
     period_s = 1.0 / settings.row_rate_hz
     if settings.method == EXIDDM and model.spec.base is BaseKind.FREE:
-        changes, held = _told(log), settings.exiddm.held_at_start or settings.carried is not None
+        changes, held = _recorded_changes(log), settings.exiddm.held_at_start or settings.carried is not None
     else:
         changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])
     runs = runs_of(ticks, changes, held, period_s)
@@ -100,7 +100,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
     return Flown(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
 
 
-def _told(log: LogReader) -> list[Change]:
+def _recorded_changes(log: LogReader) -> list[Change]:
     """Changes of the payload that the onboard estimator reported."""
     found = (
         [] if _EVENTS not in log.channels else [change_of(row) for _, rows in log.batches([_EVENTS]) for row in rows]

@@ -29,11 +29,11 @@ from onboard.ground.identify.kinds.likelihood_log import (
     SHORTEST_S,
     Fitted,
     Kept,
-    Run,
+    TickRun,
     half_too_short,
+    identified_of,
     no_answer,
     runs_of,
-    told,
 )
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.replay.feed import feed
@@ -158,7 +158,7 @@ class _Flight:
         if fit.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
         made = best._replace(found=fit)
-        said = told(kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names))
+        said = identified_of(kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names))
         return said.with_before(self._before(made))
 
     def _before(self, made: Tested) -> BeforeCapture | None:
@@ -190,12 +190,12 @@ class _Flight:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
         """
         names = self._online.exiddm.predictor.instruments
-        told = {at for at, name in enumerate(names) if name in known.left_out}
+        excluded = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < HARDLY}
         exiddm = self._online.exiddm
 
         def without(*more: int) -> WholeFlight:
-            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, {*told, *hardly, *more})
+            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, {*excluded, *hardly, *more})
 
         flight = without()
         start = flight.start(known.constants)
@@ -205,20 +205,22 @@ class _Flight:
             start = made.found.fit.x
         except (EstimationError, ModelError) as error:
             failure = error
-        if (made is None or not made.passes) and len(flight.devices) > 1 and not told:
+        if (made is None or not made.passes) and len(flight.devices) > 1 and not excluded:
             fits = without_each(without, flight.devices, start, phase_at)
             passing = [(device, found) for device, found in fits if found.passes]
             if len(passing) == 1:
-                told, made = {passing[0][0]}, passing[0][1]
+                excluded, made = {passing[0][0]}, passing[0][1]
             elif passing and made is not None:
                 either = " or ".join(names[device] for device, _ in passing)
                 made = made.plus(against=[f"{either} contradicts the others"])
         if made is None:
             assert failure is not None
             raise failure
-        doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(told)]
+        doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
         doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
-        several = [f"{' and '.join(names[at] for at in sorted(told))} contradict the others"] if len(told) > 1 else []
+        several = (
+            [f"{' and '.join(names[at] for at in sorted(excluded))} contradict the others"] if len(excluded) > 1 else []
+        )
         return made.plus(several, doubts), made.passes
 
     def _shares(self) -> dict[int, float]:
@@ -244,19 +246,19 @@ class _Flight:
         chosen = [*self._some(runs, longest), *self._some(runs, 0)]
         return [Segment(self._ticks.part(run.ticks), run.payload > 0) for run in sorted(chosen, key=_begin)]
 
-    def _without_pauses(self, runs: Sequence[Run], payload: int) -> list[Run]:
+    def _without_pauses(self, runs: Sequence[TickRun], payload: int) -> list[TickRun]:
         """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
         longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
         begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
         stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > LONGEST_S)])
         return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
 
-    def _some(self, runs: Sequence[Run], payload: int) -> list[Run]:
+    def _some(self, runs: Sequence[TickRun], payload: int) -> list[TickRun]:
         left, found = round(LONGEST_S / self._period_s), []
         for run in runs:
             ticks = slice(run.ticks.start, min(run.ticks.stop, run.ticks.start + left))
             if run.payload == payload and ticks.stop > ticks.start:
-                found.append(Run(ticks, payload))
+                found.append(TickRun(ticks, payload))
                 left -= ticks.stop - ticks.start
         return found
 
@@ -294,7 +296,7 @@ class _Flight:
         for first, last in pairwise(edges):
             held = bool(self._attached[first]) if last > first else before
             if before is not None and held != before:
-                exiddm.told(bool(held), float(self._ticks.time_s[first]))
+                exiddm.announce(bool(held), float(self._ticks.time_s[first]))
             before = held
             for at in range(first, last, BATCH_TICKS):
                 exiddm.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
@@ -337,9 +339,9 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted
     )
 
 
-def _begin(run: Run) -> int:
+def _begin(run: TickRun) -> int:
     return int(run.ticks.start)
 
 
-def _end(run: Run) -> int:
+def _end(run: TickRun) -> int:
     return int(run.ticks.stop) - 1

@@ -115,7 +115,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
     against = Findings(contradicted(joints.in_told_sigmas), ())
     fit = Fitted(*numbers, used, corrected.misfit, wider, corrections, halves, unchecked, left, judged, against)
-    return told(kept, fit)
+    return identified_of(kept, fit)
 
 
 def half_too_short(error: Exception) -> str:
@@ -131,7 +131,7 @@ def no_answer(kept: Kept, used: int, failure: str = "") -> Identified:
     return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence))
 
 
-def told(kept: Kept, found: Fitted) -> Identified:
+def identified_of(kept: Kept, found: Fitted) -> Identified:
     """Estimates and verdict of a fit."""
     log, names, judged = kept.log, _names(kept), found.judged
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
@@ -201,14 +201,14 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
     return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
 
 
-class Run(NamedTuple):
+class TickRun(NamedTuple):
     """Ticks in succession, joints known at each of them."""
 
     ticks: slice
     payload: int  # which one is held: numbered; 0: nothing
 
 
-def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float) -> list[Run]:
+def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float) -> list[TickRun]:
     """Runs of ticks with one payload or nothing held; times in which that is not known are left out.
 
     Args:
@@ -228,13 +228,13 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
             begin_s = change.time_s + (CONTACT_s if noticed else 0.0)
             if change.kind == "capture_contradicted":
                 which[which == number] = unknown
-            told = {"capture": count, "ejection": 0, "instrument": unknown}
-            told |= {"capture_contradicted": 0, "release_contradicted": before}
-            before, number = number, told.get(change.kind, number)
+            numbers = {"capture": count, "ejection": 0, "instrument": unknown}
+            numbers |= {"capture_contradicted": 0, "release_contradicted": before}
+            before, number = number, numbers.get(change.kind, number)
     which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
     joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]
-    return [Run(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
+    return [TickRun(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
 
 
 def body_answers(
@@ -254,8 +254,8 @@ def body_answers(
     half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
     fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
     return tuple(
-        Answer(*told)
-        for told in zip(
+        Answer(*fields)
+        for fields in zip(
             names,
             BODY_UNITS,
             *(x.tolist() for x in (values, sigma, values - half, values + half, fine, bound)),

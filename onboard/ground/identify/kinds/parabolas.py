@@ -48,7 +48,7 @@ class Span(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Run:
+class ParabolaRun:
     """A release by hand with what follows, or a parabola without one."""
 
     parabola: int  # its number, from 0
@@ -88,7 +88,7 @@ def stages(ticks: Ticks, period_s: float, settings: Parabola) -> list[Stage]:
     return found
 
 
-def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[Run]:
+def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[ParabolaRun]:
     """Runs of a log, and parabolas without one, in the order of their times.
 
     Args:
@@ -98,7 +98,7 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[Run]:
     """
     at = np.array(stages(ticks, period_s, settings))
     joints = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
-    found: list[Run] = []
+    found: list[ParabolaRun] = []
     fall = [one for one in _spans(at != Stage.SECURED) if (one.stop - one.start) * period_s >= _SHORTEST_LOW_S]
     for number, low in enumerate(fall):
         flying = (at == Stage.FREE) | (at == Stage.MOTION)
@@ -112,7 +112,7 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[Run]:
         runs = [_run(number, group, ticks, at, joints, period_s, settings) for group in groups]
         fitted = [run for run in runs if not run.reason]
         if not runs:
-            runs = [Run(number, (), reason="it was never let go: strapped down, or held all the time")]
+            runs = [ParabolaRun(number, (), reason="it was never let go: strapped down, or held all the time")]
         elif not fitted:
             runs = [max(runs, key=lambda run: run.catch_s - run.release_s)]
         found += fitted or runs
@@ -127,7 +127,7 @@ def _run(
     joints: BoolArray,
     period_s: float,
     settings: Parabola,
-) -> Run:
+) -> ParabolaRun:
     time_s, margin = ticks.time_s, round(settings.settle_s / period_s)
     release_s, catch_s = float(time_s[parts[0].start]), float(time_s[parts[-1].stop - 1])
     bumps = tuple(float(0.5 * (time_s[a.stop - 1] + time_s[b.start])) for a, b in pairwise(parts))
@@ -140,7 +140,7 @@ def _run(
         reason = f"free for {catch_s - release_s:.1f} s only"
     elif not motions:
         reason = "the arm did not move while the vehicle was free"
-    return Run(number, tuple(whole), release_s, catch_s, bumps, motions, reason)
+    return ParabolaRun(number, tuple(whole), release_s, catch_s, bumps, motions, reason)
 
 
 def _low(force: FloatArray, period_s: float, limit: float) -> BoolArray:

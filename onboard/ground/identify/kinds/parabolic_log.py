@@ -20,8 +20,8 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
 from onboard.ground.identify.kinds.identified import Answer, Identified, RunAnswer
-from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, no_answer, told
-from onboard.ground.identify.kinds.parabolas import Run, cut
+from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, identified_of, no_answer
+from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.ticks import Ticks
@@ -43,7 +43,7 @@ _CONTRADICTS = 1e-6  # chance of a run's payload, beside that of all
 class _Flown:
     """A run that can be fitted."""
 
-    run: Run
+    run: ParabolaRun
     flight: WholeFlight
     said: Identified | None = None  # by itself
     start: FloatArray | None = None  # (p,) its own fit
@@ -82,7 +82,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     return found.with_runs(tuple(_said(kit, run, by_run.get(id(run)), names, begin_s) for run in runs))
 
 
-def _flight(kit: _Kit, run: Run) -> WholeFlight:
+def _flight(kit: _Kit, run: ParabolaRun) -> WholeFlight:
     exiddm = kit.online.exiddm
     segments = [Segment(kit.kept.ticks.part(part), held=True) for part in run.parts]
     return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments)
@@ -101,7 +101,7 @@ def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
         except (EstimationError, ModelError):
             continue  # it may still count for something beside the others
         one.start = found.fit.x
-        one.said = told(kit.kept, fitted_of(made, kit.kept.period_s, kit.online.row_names))
+        one.said = identified_of(kit.kept, fitted_of(made, kit.kept.period_s, kit.online.row_names))
         one.refused = "; ".join(_against(made))
         if not one.refused and not known:
             constants, known = found.fit.x[: len(constants)].copy(), True
@@ -147,7 +147,7 @@ def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str
     doubts = [] if len(agreeing) > 1 else ["it is a single run"]
     if test.chance < _CONTRADICTS:
         doubts.append("the runs contradict each other, and nothing tells which is wrong")
-    return told(kit.kept, _fitted(found, tuple(doubts))), pool.names
+    return identified_of(kit.kept, _fitted(found, tuple(doubts))), pool.names
 
 
 def _pooled(flown: Sequence[_Flown], best: _Flown) -> tuple[Pool, Pooled]:
@@ -188,7 +188,7 @@ def _fitted(found: Pooled, doubts: tuple[str, ...]) -> Fitted:
     )
 
 
-def _said(kit: _Kit, run: Run, flown: _Flown | None, names: tuple[str, ...], begin_s: float) -> RunAnswer:
+def _said(kit: _Kit, run: ParabolaRun, flown: _Flown | None, names: tuple[str, ...], begin_s: float) -> RunAnswer:
     """What becomes of a run."""
     cut_of = {key: _since(value, begin_s) for key, value in run.as_json().items()} | {"log_start_s": begin_s}
     if flown is None or flown.refused:

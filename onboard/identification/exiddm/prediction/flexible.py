@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.compliance import Bend, Compliance, Moved, Springs, Told
+from onboard.dynamics.compliance import Bend, Compliance, Moved, Springs, StateColumns
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -30,7 +30,7 @@ class BendAlong(NamedTuple):
     bend: Bend
     by_all: FloatArray  # (n, 3 f + 3, p), and of the momentum that they turn
     base: BasePrediction
-    told: Told
+    told: StateColumns
 
     def added(self, by_motion: FloatArray) -> FloatArray:
         """What a derivative by the columns of the base's motion, (n, m, columns), adds to that by all, (n, m, p)."""
@@ -157,7 +157,7 @@ class FlexibleJoints:
             size: of the state.
         """
         layout = self._layout
-        told = Told(of_motion, layout.estimated("stiffness"), layout.estimated("damping"), self.bends, size)
+        told = StateColumns(of_motion, layout.estimated("stiffness"), layout.estimated("damping"), self.bends, size)
         by_all = self.compliance.derivatives(base, bend, self.springs(x), self._stated, period_s, told)
         return BendAlong(bend, by_all, base, told)
 

@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.exiddm.recursion.trials import Trial
+from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import WindowSolve
 
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
@@ -44,7 +44,7 @@ class BoundedWork(ABC):
         self._cost, self._work = (_FLEXIBLE, _FLEXIBLE_WORK) if flexible else (1, WORK)
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
-        self._asked: tuple[Ticks, Trial] | None = None  # to be solved next
+        self._asked: tuple[Ticks, WindowProblem] | None = None  # to be solved next
         self._solve: WindowSolve | None = None  # under way
 
     @property
@@ -74,7 +74,7 @@ class BoundedWork(ABC):
         """Go over a gap between the ticks that are pending and a later one."""
 
     @abstractmethod
-    def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
+    def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         """The solve of a window that was asked for."""
 
     @abstractmethod
@@ -125,7 +125,7 @@ class BoundedWork(ABC):
         self._due += max(self._work * min(len(ticks.time_s), self._call_ticks), steps)
         self._do(max(self._due - steps, 0), solves=False)
 
-    def told(self, held: bool, time_s: float) -> None:
+    def announce(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
 
         It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.recursion.claims`).

@@ -38,7 +38,7 @@ from onboard.identification.exiddm.recursion.linearised import Linearised
 from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, bridged, initially
 from onboard.identification.exiddm.recursion.stepped import Stepped
-from onboard.identification.exiddm.recursion.trials import CellTrials, Choice, Trial, Trials, trials_of
+from onboard.identification.exiddm.recursion.trials import CellTrials, Exclusion, WindowFits, WindowProblem, trials_of
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve
 from onboard.identification.exiddm.suspects import Rivals
 
@@ -112,7 +112,7 @@ class RecursiveExiddm(Holding):
         """
         return not self._awaits and (not self._hypotheses or self.ticks_used * self._period_s > SOLVED_AT_s[1])
 
-    def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
+    def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
         imu = next(k for k in self.fusion.imus if k not in trial.without)
         prior, start = self._innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
@@ -135,7 +135,7 @@ class RecursiveExiddm(Holding):
         self.unexplained.begin(change=self._suspected is not None)
         self._start: FloatArray | None = None
         self._window, self._pending = self._none, self._none if begun is None else begun
-        self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
+        self._trials: WindowFits | CellTrials | None = None  # fits that tell which instrument is wrong
         self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
@@ -171,13 +171,13 @@ class RecursiveExiddm(Holding):
         self._trials = None if self._accused is None else self._trials_now(self._accused.instrument)
         self._ask()
 
-    def _trials_now(self, accused: int | None) -> Trials | CellTrials:
+    def _trials_now(self, accused: int | None) -> WindowFits | CellTrials:
         window = self._solves or int(accused is None and self.unexplained.count > 0)  # no contact takes so long
         return trials_of(self.fusion, self._hypotheses, accused, window, len(_WINDOWS_s))
 
     def _ask(self) -> None:
         """Ask for the window with all instruments, or for the next trial."""
-        self._asked = self._window, (self._trials and self._trials.next()) or Trial(self._hypotheses)
+        self._asked = self._window, (self._trials and self._trials.next()) or WindowProblem(self._hypotheses)
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
@@ -208,7 +208,7 @@ class RecursiveExiddm(Holding):
             self._trials = self._trials_now(None)
         self._ask() if self._trials.next() is not None else self._judge(self._trials.choice)
 
-    def _judge(self, choice: Choice | None) -> None:
+    def _judge(self, choice: Exclusion | None) -> None:
         """Leave out the instrument without which the window is explained, if that is one, or one much better."""
         accused = self._accused
         if choice is None and accused is not None:
@@ -221,7 +221,7 @@ class RecursiveExiddm(Holding):
             self._accused, self.undecided = None, self.undecided or choice.doubt(self.fusion.names)
             self._do_without(choice, accused)
 
-    def _do_without(self, choice: Choice, accused: Accusation | None) -> None:
+    def _do_without(self, choice: Exclusion, accused: Accusation | None) -> None:
         """Go on from the window without an instrument; anew, if what was known before may come from it.
 
         That of an accused one is from before it was, but a tracker tells of all the time that it was used.
@@ -318,12 +318,12 @@ class RecursiveExiddm(Holding):
             self.lines.add(innovation.of_reference[there[:, own.start]].ravel(), there[:, own.start])
         if not suspect:
             innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
-            W, e, _ = innovation.told(used)
+            W, e, _ = innovation.first(used)
             state, covariance = state + W.T @ e, covariance - W.T @ W
             self.ticks_used += int(there[:, own.start].sum())
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
-        self.rivals.steps.step(innovation.told(used), predicted.transition)
+        self.rivals.steps.step(innovation.first(used), predicted.transition)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

@@ -18,7 +18,7 @@ from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.exiddm.recursion.trials import Trial
+from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
@@ -62,9 +62,9 @@ class Before(NamedTuple):
     known: Known
 
     @property
-    def asked(self) -> tuple[Ticks, Trial]:
+    def asked(self) -> tuple[Ticks, WindowProblem]:
         """How they are to be solved: whether what was found later was held already is not known."""
-        return self.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
+        return self.ticks, WindowProblem((Hypothesis.SAME, Hypothesis.NOTHING))
 
     def if_held(
         self, known: Known, now: Known, predictor: ImuPredictor, seen: Ticks, imu: int

@@ -21,7 +21,7 @@ from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.prediction.further import fade
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.trials import Trial
+from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
@@ -100,9 +100,9 @@ class Stepped:
         return self._parts[0]
 
     @property
-    def asked(self) -> tuple[Ticks, Trial]:
+    def asked(self) -> tuple[Ticks, WindowProblem]:
         """How they are to be solved again."""
-        return self.ticks, Trial((Hypothesis.NEW if self.held else Hypothesis.NOTHING,))
+        return self.ticks, WindowProblem((Hypothesis.NEW if self.held else Hypothesis.NOTHING,))
 
     def after(self, solved: Solved) -> "Stepped | None":
         """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""

@@ -24,7 +24,7 @@ _CLEARLY = 20.0  # squares by which a fit must be less strained than any other: 
 _DECIDES = 2  # windows before this one are too short to tell a payload from errors of a cell
 
 
-class Trial(NamedTuple):
+class WindowProblem(NamedTuple):
     """How a window is to be solved."""
 
     hypotheses: tuple[Hypothesis, ...]
@@ -33,7 +33,7 @@ class Trial(NamedTuple):
     anew: bool = False  # with nothing known of before: it may come from what is left out
 
 
-class Choice(NamedTuple):
+class Exclusion(NamedTuple):
     """What the trials of a window came to."""
 
     instrument: int
@@ -57,7 +57,7 @@ def without_memory(hypotheses: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]
     return tuple(dict.fromkeys(Hypothesis.NEW if one is Hypothesis.SAME else one for one in hypotheses))
 
 
-class Trials:
+class WindowFits:
     """The fits of one window.
 
     Args:
@@ -74,13 +74,13 @@ class Trials:
         self._left, self._hypotheses, self._trackers = list(doubted), hypotheses, trackers
         self._found: list[tuple[int, Solved]] = []
 
-    def next(self) -> Trial | None:
+    def next(self) -> WindowProblem | None:
         """The next fit to be made, without an instrument; None: none is left."""
         if not self._left:
             return None
         if self._left[0] in self._trackers:
-            return Trial(without_memory(self._hypotheses), without=(self._left[0],), anew=True)
-        return Trial(self._hypotheses, without=(self._left[0],))
+            return WindowProblem(without_memory(self._hypotheses), without=(self._left[0],), anew=True)
+        return WindowProblem(self._hypotheses, without=(self._left[0],))
 
     def take(self, found: Solved | None) -> None:
         """The window without that instrument; None if it is not explained."""
@@ -89,13 +89,13 @@ class Trials:
             self._found.append((instrument, found))
 
     @property
-    def choice(self) -> Choice | None:
+    def choice(self) -> Exclusion | None:
         """The instrument without which the fit is the least strained; None if the window is explained without none."""
         if not self._found:
             return None
         (best, found), *rest = sorted(self._found, key=lambda one: one[1].strained)
         clear = not rest or rest[0][1].strained - found.strained > _CLEARLY
-        return Choice(best, found, clear, tuple(instrument for instrument, _ in rest))
+        return Exclusion(best, found, clear, tuple(instrument for instrument, _ in rest))
 
 
 class _Outcome(Enum):
@@ -126,10 +126,10 @@ class CellTrials:
         self._without: Solved | None = None
         self._changed: Solved | None = None
         other = tuple(_CHANGED[one] for one in hypotheses if one in _CHANGED)
-        self._left = [Trial(hypotheses, without=(cell,)), *([Trial(other)] if other else [])]
+        self._left = [WindowProblem(hypotheses, without=(cell,)), *([WindowProblem(other)] if other else [])]
         self._outcome = _Outcome.NEITHER
 
-    def next(self) -> Trial | None:
+    def next(self) -> WindowProblem | None:
         """The next fit to be made; None: none is left."""
         return self._left[0] if self._left else None
 
@@ -149,14 +149,14 @@ class CellTrials:
         elif found is not None and (found.hypothesis is Hypothesis.NOTHING or found.state[PAYLOAD][0] > 0.0):
             self._changed, self._outcome = found, _Outcome.LONGER
             if self._decides:
-                self._left.append(Trial(self._hypotheses, freed=self._cell))
+                self._left.append(WindowProblem(self._hypotheses, freed=self._cell))
 
     @property
-    def choice(self) -> Choice | None:
+    def choice(self) -> Exclusion | None:
         """The cell, not clear where a longer window is needed; None if it is not left out."""
         if self._without is None or self._outcome is _Outcome.CHANGED:
             return None
-        return Choice(self._cell, self._without, self._outcome is _Outcome.WRONG, ())
+        return Exclusion(self._cell, self._without, self._outcome is _Outcome.WRONG, ())
 
     @property
     def changed(self) -> Solved | None:
@@ -166,7 +166,7 @@ class CellTrials:
 
 def trials_of(
     fusion: Fusion, hypotheses: tuple[Hypothesis, ...], accused: int | None, window: int, windows: int
-) -> Trials | CellTrials:
+) -> WindowFits | CellTrials:
     """The trials of a window.
 
     Args:
@@ -179,4 +179,4 @@ def trials_of(
     if accused is not None and accused not in (*fusion.imus, *fusion.trackers):
         return CellTrials(accused, hypotheses, window, last=window + 1 == windows)
     doubted = fusion.doubted(longer=window > 0) if accused is None else fusion.rivals(accused)
-    return Trials(doubted, hypotheses if window else unchanged(hypotheses), fusion.trackers)
+    return WindowFits(doubted, hypotheses if window else unchanged(hypotheses), fusion.trackers)

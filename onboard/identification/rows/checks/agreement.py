@@ -50,7 +50,7 @@ _ABSORBED = 0.01  # of a step's information, left by the parameters: one where a
 _MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 
-class Step(NamedTuple):
+class GainStep(NamedTuple):
     """The likeliest step of an instrument's gain."""
 
     time_s: float
@@ -79,7 +79,7 @@ class InstrumentFit(NamedTuple):
     # of what the known bodies alone leave over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
     still: float  # part of what is left over that was read while, by the encoders, nothing moved
-    step: Step | None  # None where there is not enough to be cut
+    step: GainStep | None  # None where there is not enough to be cut
 
 
 def instrument_fits(
@@ -172,7 +172,7 @@ def _part(times_s: FloatArray, of_rows: FloatArray, noise: FloatArray, v: FloatA
 
 def _step(
     parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, every: FloatArray, recorded_s: float
-) -> Step | None:
+) -> GainStep | None:
     """The likeliest step of an instrument's gain; None where its blocks are too few to be cut.
 
     Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
@@ -244,7 +244,7 @@ def _step(
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
     expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
     since_s = float(times_s[after[k]] - times_s[0])
-    return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size, since_s, between)
+    return GainStep(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size, since_s, between)
 
 
 def _squares(H: FloatArray, c: FloatArray) -> FloatArray:

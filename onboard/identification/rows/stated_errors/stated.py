@@ -153,7 +153,7 @@ class StatedSigmas:
         as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
         parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, ~self._common
         for _ in range(_PASSES):
-            A, r = self._told(*self._equations(parts, X, correlation), X, many.width)
+            A, r = self._information(*self._equations(parts, X, correlation), X, many.width)
             many = self._settled(A, r, many.width, free)
             X = self._centre + self._L @ many.errors
         one = self._settled(A, r, as_it_is.width, self._common) if self._common.any() else as_it_is
@@ -201,7 +201,7 @@ class StatedSigmas:
             scores[np.searchsorted(times_s, part.times_s)] -= (part.equations @ v) @ J / loud[part.instrument]
         return H, scores
 
-    def _told(
+    def _information(
         self, H: FloatArray, scores: FloatArray, X: FloatArray, width: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Information on the errors, in stated sigmas, and its right-hand side for errors about zero."""

@@ -172,7 +172,7 @@ def test_table_and_json_have_every_trial(learned, tmp_path):
     told = made.as_json()
     assert len(json.loads(json.dumps(told, allow_nan=False))["trials"]) == 7
     assert told["tip_error_before_over_after"] == made.gain
-    assert "times smaller than without" in " ".join(view.told(made))
+    assert "times smaller than without" in " ".join(view.findings_of(made))
     view.draw(made, tmp_path / "learned.svg")
     assert (tmp_path / "learned.svg").read_text().count("computed torque") == 2
 
@@ -201,7 +201,7 @@ def test_gains_that_are_too_large_are_stopped_with_the_reason(directory):
     assert made.predicted[:, 1].max() > 1.0
     assert len(made.of(Stage.LEARNING)) < 8
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
-    assert "error would grow" in " ".join(view.told(made))
+    assert "error would grow" in " ".join(view.findings_of(made))
 
 
 def test_a_drive_that_faults_ends_the_trials(directory):

@@ -11,7 +11,7 @@ from onboard import config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.ground.before.foresee import kept as module
 from onboard.ground.before.foresee.kept import kept
-from onboard.ground.before.foresee.plan import Expected, Foreseen, Plan
+from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
 from onboard.identification.standing import Level
 from onboard.regressor.rows import BaseMotion
 
@@ -25,7 +25,7 @@ def _plan(**changed):
     base = BaseMotion(*np.ones((3, 10, 3)))
     held = np.ones(10, np.bool_)
     motion = numbers[:, None], numbers[:, None], numbers[:, None], np.zeros(10, np.intp), held
-    return Plan(numbers, *motion, (base,), np.zeros(3), np.zeros(3), _PAYLOAD)._replace(**changed)
+    return MotionPlan(numbers, *motion, (base,), np.zeros(3), np.zeros(3), _PAYLOAD)._replace(**changed)
 
 
 class _Bound:

@@ -12,7 +12,7 @@ from hil_sim.scenario.tables import Scenario
 from onboard import config
 from onboard.ground.before.foresee import rows
 from onboard.ground.before.foresee.foresee import foresee
-from onboard.ground.before.foresee.plan import Plan, plan_of
+from onboard.ground.before.foresee.plan import MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import Wanted, make
 
@@ -20,7 +20,7 @@ HZ = 20.0
 STILL = "[base_motion]\nrate_rad_s = 0.0\nacceleration_m_s2 = 0.0\n"
 
 
-def plan(directory: Path, base: str, over: str = "") -> tuple[config.Vehicle, Plan]:
+def plan(directory: Path, base: str, over: str = "") -> tuple[config.Vehicle, MotionPlan]:
     directory.mkdir(exist_ok=True)
     make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), directory / "it")  # type: ignore[arg-type]
     (directory / "over.toml").write_text(over)

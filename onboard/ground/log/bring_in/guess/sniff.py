@@ -125,14 +125,14 @@ def _between(body: Sequence[str]) -> tuple[str, str]:
     """What stands between cells, and in numbers: the way by which most of the text is rows of as many numbers."""
     last = body[len(body) // 3 :]
 
-    def told(way: tuple[str, str]) -> tuple[float, int]:
+    def regularity(way: tuple[str, str]) -> tuple[float, int]:
         rows = [_cells(line, way[0]) for line in last]
         width, alike = Counter(map(len, rows)).most_common(1)[0]
         good = sum(_is_number(cell, way[1]) for row in rows for cell in row) / max(1, sum(map(len, rows)))
         return round(good * alike / len(rows), 2) * (1.0 if width > 1 else 0.5), width
 
-    best = max(_WAYS, key=lambda way: (told(way), -_WAYS.index(way)))
-    return best if told(best)[1] > 1 else (",", ".")
+    best = max(_WAYS, key=lambda way: (regularity(way), -_WAYS.index(way)))
+    return best if regularity(best)[1] > 1 else (",", ".")
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
