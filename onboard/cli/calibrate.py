@@ -24,6 +24,7 @@ from onboard.cli.common import (
 
 if TYPE_CHECKING:
     from onboard import config
+    from onboard.ground.calibrate.guide import GuideStep
     from onboard.ground.calibrate.readings import Span
     from onboard.ground.calibrate.result import Calibration
     from onboard.ground.calibrate.supports import PartRig

@@ -3,10 +3,13 @@
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+Done = subprocess.CompletedProcess[str]
+Run = Callable[..., Done]
 ROOT = Path(__file__).resolve().parents[2]
 
 PYTHON = """#!/bin/sh
@@ -19,7 +22,7 @@ esac
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path: Path) -> Run:
     """Runs the gates of a checkout that is installed already; its kernel tier ends with the code given."""
     checkout = tmp_path / "a checkout"
     for folder in (".ci", "deploy"):
@@ -38,7 +41,7 @@ def run(tmp_path):
     ).stdout
     (checkout / ".venv/heft-test").write_text(key)
 
-    def run_it(*arguments, kernel=0, fails="nothing"):
+    def run_it(*arguments: str, kernel: int = 0, fails: str = "nothing") -> Done:
         return subprocess.run(
             ["bash", str(checkout / ".ci/run"), *arguments],
             env={**os.environ, "KERNEL": str(kernel), "FAILS": fails},
@@ -51,18 +54,18 @@ def run(tmp_path):
     return run_it
 
 
-def gates(done):
+def gates(done: Done) -> list[str]:
     return [line[3:] for line in done.stdout.splitlines() if line.startswith("== ")]
 
 
-def test_all_gates_run_and_the_tests_have_the_last_word(run):
+def test_all_gates_run_and_the_tests_have_the_last_word(run: Run) -> None:
     done = run()
     assert done.returncode == 0, done.stdout + done.stderr
     assert gates(done) == ["ruff check", "ruff format", "mypy --strict", "tests", "other processors", "kernel tier"]
     assert done.stdout.endswith("cannot: none\nfailed gates: none\n-m not realtime: 1 passed\n-m realtime: 1 passed\n")
 
 
-def test_arguments_go_to_one_run_of_all_tests(run):
+def test_arguments_go_to_one_run_of_all_tests(run: Run) -> None:
     done = run("-k", "some of them")
     assert done.returncode == 0, done.stdout + done.stderr
     assert gates(done)[3:] == ["tests", "other processors", "kernel tier"]
@@ -80,21 +83,21 @@ def test_arguments_go_to_one_run_of_all_tests(run):
         ("pytest -q", "other processors"),
     ],
 )
-def test_one_failure_fails_the_run_and_the_rest_is_run_all_the_same(run, fails, gate):
+def test_one_failure_fails_the_run_and_the_rest_is_run_all_the_same(run: Run, fails: str, gate: str) -> None:
     done = run(fails=fails)
     assert done.returncode == 1
     assert f"\nfailed gates: {gate}\n" in done.stdout
     assert "kernel tier: " in done.stdout
 
 
-def test_a_machine_that_cannot_run_the_kernel_tier_is_told_of_and_fails_nothing(run):
+def test_a_machine_that_cannot_run_the_kernel_tier_is_told_of_and_fails_nothing(run: Run) -> None:
     done = run(kernel=69)
     assert done.returncode == 0
     assert "\nnot run, for this machine cannot: kernel tier\nfailed gates: none\n" in done.stdout
 
 
 @pytest.mark.parametrize("code", [1, 70, 75, 124])
-def test_any_other_end_of_the_kernel_tier_fails(run, code):
+def test_any_other_end_of_the_kernel_tier_fails(run: Run, code: int) -> None:
     done = run(kernel=code)
     assert done.returncode == 1
     assert "cannot: none\nfailed gates: kernel tier\n" in done.stdout

@@ -47,7 +47,7 @@ class Result(NamedTuple):
         return next(row for row in self.table["masses"] if row["quantity"] == quantity)
 
     def events(self, code: str) -> list[str]:
-        rows = [row for _, rows in self.log.batches() if "severity" in rows.dtype.names for row in rows]
+        rows = [row for _, rows in self.log.batches() if "severity" in (rows.dtype.names or ()) for row in rows]
         return [f"{r['source'].decode()}: {r['text'].decode()}" for r in rows if r["code"].decode() == code]
 
 
