@@ -203,13 +203,15 @@ class CanopenBus:
         return self._handed_over()
 
     def _read_past_a_sync(self) -> None:
-        """Read on to the next SYNC: a node that is stopped between a SYNC and its answer loses a sample unseen."""
-        before = self._sync.tick
-        for _ in range(RESTS):
+        """Read on to the next SYNC: a node that is stopped between a SYNC and its answer loses a sample unseen.
+
+        It may be some periods late.
+        """
+        before, silent, rests = self._sync.tick, 0, 0
+        while self._sync.tick == before and silent <= SILENT_RESTS and rests < RESTS:
             frames = self._receive(2e-9 * self._period_ns)
+            silent, rests = 0 if frames else silent + 1, rests + 1
             self._dispatch(frames)
-            if not frames or self._sync.tick != before:
-                return
 
     def _stop_drives(self, now_ns: int) -> None:
         """Quick stop, and its frames read until the drives have left the enabled state."""

@@ -268,6 +268,27 @@ def test_stop_mutes_the_bus_and_takes_what_is_left():
     assert batch.rows["sync_counter"].tolist() == [7, 8]
 
 
+def test_no_node_is_stopped_before_a_sync_that_is_late(bench):
+    """A producer on a busy computer: three reads find nothing, and the node would have been stopped on the fourth."""
+    bench.start()
+    bench.run(200)
+    port, receive = bench.port, bench.port.receive
+    late = iter([False, False, False, True])
+    sent_at_sync = []
+
+    def receive_late(timeout_s):
+        if timeout_s > 0.0 and next(late, False):
+            sent_at_sync.append(len(port.sent))
+            port.put(bench.clock(), 0x080, [bench.number % 240 + 1])
+        return receive(timeout_s)
+
+    port.receive = receive_late
+    before = len(port.sent)
+    bench.device.stop(bench.clock())
+    assert sent_at_sync == [before]
+    assert len(port.sent) > before
+
+
 def test_a_bus_that_cannot_be_muted_still_hands_over_what_it_has():
     port = FakeCan()
     bus = CanopenBus(port, [], SyncConfig("can_sync", 5.0))
