@@ -42,7 +42,7 @@ from onboard.flight.acquire.acquisition import Acquisition
 from onboard.flight.acquire.devices import open_devices
 from onboard.flight.acquire.expected import expected
 from onboard.flight.acquire.publisher import Publisher
-from onboard.flight.simulated import RECORDING_NS, VirtualClock, step_ns
+from onboard.flight.simulated import RECORDING_NS, VirtualClock, step_of
 from onboard.flight.store import rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
@@ -196,7 +196,7 @@ def _fly_drivers(vehicle: config.Vehicle, world: hil.World, urls: Mapping[str, s
         for bus in flying.buses:
             acquisition.expect(expected(flying, bus), world.start_ns)
         acquisition.start(clock.now_ns)
-        pause_ns, step = step_ns(device.period_ns for device in acquisition.devices), 0
+        pause_ns, step = step_of(acquisition.devices), 0
         while clock.now_ns < world.end_ns:
             step, clock.now_ns = step + 1, min(clock.now_ns + pause_ns, world.end_ns)
             world.advance(clock.now_ns)

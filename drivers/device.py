@@ -50,6 +50,15 @@ class Rests(Protocol):
         """
 
 
+@runtime_checkable
+class Hurried(Protocol):
+    """A device that holds one sample only, and loses it where the next one comes first."""
+
+    @property
+    def within_ns(self) -> int:
+        """Longest time between two pumps that loses none, ns."""
+
+
 class SelfTestResult(Protocol):
     """Result of a built-in self test."""
 

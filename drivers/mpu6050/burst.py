@@ -9,8 +9,8 @@ bound is recorded, because a number too high cannot be corrected later; one too 
 Known limit: a sample made in the 70 us between START and INT_STATUS may be flagged before its data are shown.
 """
 
+from drivers.i2c.bus import RegisterBus
 from drivers.mpu6050 import registers as reg
-from drivers.mpu6050.bus import RegisterBus
 from drivers.mpu6050.decode import PACKET_BYTES, decode_packets
 from drivers.mpu6050.registers import Chip, Mpu6050Config
 from drivers.mpu6050.stream import SampleStream

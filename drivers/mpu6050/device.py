@@ -4,9 +4,9 @@ from collections.abc import Callable
 from enum import Enum, auto
 
 from drivers.errors import ConfigurationError, DriverError, NoAnswerError, WrongDeviceError
+from drivers.i2c.bus import RegisterBus, explain
 from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.burst import Burst
-from drivers.mpu6050.bus import RegisterBus, explain
 from drivers.mpu6050.fifo import Fifo
 from drivers.mpu6050.noise import most_repeats
 from drivers.mpu6050.registers import CHIPS, INCOMPATIBLE, Chip, Mpu6050Config, configuration

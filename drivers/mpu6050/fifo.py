@@ -2,8 +2,8 @@
 
 import errno
 
+from drivers.i2c.bus import NOT_ACKNOWLEDGED, RegisterBus, explain
 from drivers.mpu6050 import registers as reg
-from drivers.mpu6050.bus import NOT_ACKNOWLEDGED, RegisterBus, explain
 from drivers.mpu6050.decode import PACKET_BYTES, decode_packets, first_misaligned
 from drivers.mpu6050.registers import Mpu6050Config
 from drivers.mpu6050.sample_clock import Onset

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import FrameError, SelfTestError
+from drivers.i2c.bus import RegisterBus
 from drivers.mpu6050 import registers as reg
-from drivers.mpu6050.bus import RegisterBus
 from drivers.mpu6050.decode import PACKET_BYTES
 
 LIMIT = 0.14  # PS 6.1, 6.2

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 _QUESTIONS = (
     ("base", "What is the base? free, prescribed, fixed, planar", "free"),
     ("joints", "Joints of the arm: how many, or their names with commas", "2"),
-    ("imu", "IMU on the base? mpu6050, nimu, none", "mpu6050"),
-    ("encoder", "What measures the joints? cia406, cia402, qsb", "cia406"),
-    ("load_cell", "Load cell? cia404, modbus_load_cell, dsc_load_cell, none", "none"),
+    ("imu", "IMU on the base?", "mpu6050"),
+    ("encoder", "What measures the joints?", "cia406"),
+    ("load_cell", "Load cell?", "none"),
 )
 
 
@@ -41,11 +41,9 @@ def add(commands: Commands) -> None:
         metavar="N|NAME,NAME",
         help="how many, or their names from the base outwards (2); of --urdf, those measured: others are fixed",
     )
-    init.add_argument("--imu", choices=("mpu6050", "nimu", "recorded", "none"), help="on the base (mpu6050)")
-    init.add_argument("--encoder", choices=("cia406", "cia402", "qsb", "recorded"), help="of every joint (cia406)")
-    init.add_argument(
-        "--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "recorded", "none"), help="(none)"
-    )
+    init.add_argument("--imu", metavar="KIND", help="on the base (mpu6050); recorded, or none; ? for a list")
+    init.add_argument("--encoder", metavar="KIND", help="of every joint (cia406); recorded, ...; ? for a list")
+    init.add_argument("--load-cell", metavar="KIND", help="(none); recorded, ...; ? for a list")
     init.add_argument(
         "--gains", metavar="G,G,...", help="N m in an A of each joint, where currents of its motor were recorded"
     )
@@ -125,9 +123,13 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
 
 
 def _ask(arguments: argparse.Namespace) -> None:
+    from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS
+
+    known = {"imu": IMUS, "encoder": ENCODERS, "load_cell": LOAD_CELLS}
     for option, question, usual in _QUESTIONS:
         if getattr(arguments, option) is None and not (option == "joints" and arguments.urdf):
-            setattr(arguments, option, input(f"{question} [{usual}] ").strip() or usual)
+            choices = f" {', '.join(known[option])}" if option in known else ""
+            setattr(arguments, option, input(f"{question}{choices} [{usual}] ").strip() or usual)
 
 
 def _wanted(arguments: argparse.Namespace) -> "Wanted":
@@ -139,7 +141,7 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
     imu = arguments.imu or ("none" if arguments.base == "fixed" else usual)
     for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
         if said not in known:
-            raise ValueError(f"{said!r} is none of {', '.join(known)}")
+            raise ValueError(f"{said!r} is none of {', '.join(known)}" if said != "?" else f"one of {', '.join(known)}")
     joints = arguments.joints or "2"
     names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
     drawn = None

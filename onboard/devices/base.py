@@ -141,6 +141,11 @@ class BusDevice(DeviceSection):
     rate_tolerance: ClassVar[float] = 0.1  # of nominal_hz, before a preflight finds fault
     first_row_s: ClassVar[float] = 3.0  # from the start of a flight: a first row that is later has others before it
     marks_at_rest: ClassVar[bool] = True  # no sync pulse in its stream means that the line does not reach it
+    new_keys: ClassVar[str] = (
+        ""  # its own keys in a file that heft init makes, {number}: of its joint or node; else none
+    )
+    new_bus: ClassVar[str] = ""  # its bus there; a serial line of its own if empty,
+    new_baud: ClassVar[int] = 115_200  # of this speed
     bus: str
 
     @classmethod
@@ -248,6 +253,10 @@ class JointDevice(BusDevice):
     """
 
     about_role = "joint angle"
+    new_keys = """counts_per_revolution = 500000 # of the joint: quadrature and gear included
+zero_count = 0                 # what it reads at joint angle zero
+noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
+"""
     keeps_zero: ClassVar[bool] = True  # over a reset of the device
     joint: str
     counts_per_revolution: int
@@ -282,6 +291,9 @@ class LoadCellDevice(BusDevice, LoadCellKeys):
     """
 
     about_role = "load cell"
+    new_delay: ClassVar[str] = """delay_ms = 0.5                 # yours: of its filter, against the joints'
+delay_sigma_ms = 0.05
+"""
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""

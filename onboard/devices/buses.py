@@ -34,6 +34,7 @@ class I2cDevice(BusDevice):
     bus_type = "I2C"
     urls = transports.I2C_URLS
     shares_bus = True
+    new_bus = "i2c_1"
     address: int
 
     @classmethod
@@ -51,7 +52,7 @@ class I2cDevice(BusDevice):
             if times[address] > 1:
                 yield (
                     ["device", name],
-                    f"{name!r} shares its I2C address; set AD0 of one and give it the other address",
+                    f"{name!r} shares its I2C address; give one the other address (AD0), or another bus",
                 )
 
     def driver(self, name: str, port: I2cPort) -> Device:

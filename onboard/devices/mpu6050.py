@@ -36,6 +36,15 @@ class Mpu6050Device(I2cDevice, ImuDevice):
         "where it is not, say `sync_input = false`: then the fit is to arrival stamps, good to about a sample."
     )
     records = IMU
+    new_keys = """address = 0x68
+sample_rate_hz = 1000
+accel_range_g = 4
+gyro_range_deg_s = 250
+filter_code = 2                # DLPF_CFG: 94/98 Hz
+poll_period_ms = 10
+accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
+gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
+"""
     driver_configs = (Mpu6050Config,)
     kind: Literal["mpu6050"]
     kelvin_per_count: ClassVar[float] = 1.0 / 340.0  # register map, registers 65 and 66

@@ -165,7 +165,7 @@ def run_simulated(vehicle: config.Vehicle, world: World, log: Path, watcher: Wat
     clock, looked_ns = simulated.VirtualClock(world.start_ns), 0
     with BenchRun(vehicle, log, clock) as run:
         readers = run.readers(watcher.channels)
-        pause_ns = simulated.step_ns((device.period_ns for device in run.acquisition.devices), LONGEST_STEP_NS)
+        pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
         while clock.now_ns < world.end_ns and not watcher.done:
             clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
             world.advance(clock.now_ns)
@@ -188,7 +188,7 @@ def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress:
     """
     clock = simulated.VirtualClock(world.start_ns)
     with BenchRun(vehicle, log, clock) as run:
-        pause_ns = simulated.step_ns((device.period_ns for device in run.acquisition.devices), LONGEST_STEP_NS)
+        pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
         while clock.now_ns < world.end_ns:
             clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
             world.advance(clock.now_ns)

@@ -5,6 +5,7 @@ import gc
 from collections.abc import Callable, Iterable, Iterator
 from math import ceil, gcd
 
+from drivers.device import Device, Hurried
 from onboard.flight.acquire.acquisition import Acquisition
 from onboard.flight.estimate.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
@@ -49,6 +50,13 @@ def step_ns(periods_ns: Iterable[int], longest_ns: int = STEP_NS) -> int:
     return common // ceil(common / longest_ns)
 
 
+def step_of(devices: Iterable[Device], longest_ns: int = STEP_NS) -> int:
+    """``step_ns`` of devices; not longer than one that holds a single sample may wait."""
+    known = list(devices)
+    hurried = [device.within_ns for device in known if isinstance(device, Hurried)]
+    return step_ns((device.period_ns for device in known), min([longest_ns, *hurried]))
+
+
 def fly(
     clock: VirtualClock,
     end_ns: int,
@@ -73,7 +81,7 @@ def fly(
     """
     acquisition.start(clock.now_ns)
     recorder.step(clock.now_ns)  # the log begins now
-    pause_ns = step_ns(device.period_ns for device in acquisition.devices)
+    pause_ns = step_of(acquisition.devices)
     estimation_steps, recording_steps = (
         max(1, round(period / pause_ns)) for period in (estimation.period_ns, RECORDING_NS)
     )

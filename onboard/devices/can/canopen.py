@@ -91,6 +91,7 @@ class CanopenNodeDevice(CanDevice):
     ``life_time_factor`` requests without an answer.
     """
 
+    new_bus = "can_0"
     is_profile: ClassVar[bool] = True  # it sets its node up, so that there is one of them on a node
     about_clock = "The number of the SYNC that it answers."
     driver_configs: ClassVar[tuple[type, ...]] = (GuardConfig,)

@@ -30,6 +30,7 @@ class Cia402Device(CanopenNodeDevice, DrivenDevice):
     """
 
     driver_configs = (Cia402Config, GuardConfig)
+    new_keys = "node = {number}\n" + DrivenDevice.new_keys
     kind: Literal["cia402"]
     counts_per_revolution: Annotated[int, Field(gt=0)]
     velocity: Annotated[bool, Field(description="Record 606Ch too, as `NAME_velocity`.")] = False

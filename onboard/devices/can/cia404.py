@@ -12,6 +12,7 @@ class Cia404Device(CanopenNodeDevice, LoadCellDevice):
     """Load cell node (CiA 404), sampled on SYNC. ``tare``: zero it when it is first set up, unloaded."""
 
     driver_configs = (Cia404Config, GuardConfig)
+    new_keys = "node = {number}\n"
     kind: Literal["cia404"]
     tare: bool = Cia404Config.tare
 

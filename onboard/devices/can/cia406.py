@@ -14,6 +14,7 @@ class Cia406Device(CanopenNodeDevice, JointDevice):
     """Encoder node (CiA 406), sampled on SYNC."""
 
     driver_configs = (Cia406Config, GuardConfig)
+    new_keys = "node = {number}\n" + JointDevice.new_keys
     kind: Literal["cia406"]
     counts_per_revolution: Annotated[int, Field(gt=0)]
 

@@ -16,6 +16,7 @@ class DscLoadCellDevice(PolledLoadCellDevice):
 
     about_clock = "As a `modbus_load_cell`."
     driver_configs = (DscLoadCellConfig,)
+    new_keys = "sample_period_ms = 20\n"
     kind: Literal["dsc_load_cell"]
     station: int = DscLoadCellConfig.station
     command: str = DscLoadCellConfig.command

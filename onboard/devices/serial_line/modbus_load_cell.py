@@ -22,6 +22,7 @@ class ModbusLoadCellDevice(PolledLoadCellDevice):
     """
 
     driver_configs = (ModbusLoadCellConfig,)
+    new_keys = 'unit = "N"\nscale = 0.001                  # N in a count\nsample_period_ms = 10\n'
     kind: Literal["modbus_load_cell"]
     address: Annotated[int, Field(ge=1, le=247)] = ModbusLoadCellConfig.address
     values: tuple[Literal["gross", "net"], ...] = ("gross",)

@@ -24,6 +24,10 @@ class NimuDevice(SerialLineDevice, ImuDevice):
     about_clock = "Its packet timer, fitted to arrival: it has no sync input. Its times include the delay of the line."
     records = IMU
     driver_configs = (NimuConfig,)
+    new_keys = """sample_rate_hz = 150
+accel_noise_m_s2 = 0.02        # one sample: from its certificate
+gyro_noise_rad_s = 2e-3
+"""
     first_row_s = 0.3  # it talks unasked, a quarter of a second after its power came
     kind: Literal["nimu"]
     kelvin_per_count: ClassVar[float] = 1.8165e-2  # of the gyro temperature words

@@ -29,6 +29,7 @@ class QsbDevice(SerialLineDevice, JointDevice):
         " `zero_count` after that, joint at zero. After a reset in flight its rows are refused."
     )
     keeps_zero = False
+    new_baud = 230_400
     marks_at_rest = False
     driver_configs = (QsbConfig,)
     kind: Literal["qsb"]

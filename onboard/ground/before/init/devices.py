@@ -8,29 +8,54 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from onboard.devices.base import BusDevice, LoadCellDevice
+from onboard.devices.registry import DEVICES
+
 RECORDED = "recorded"  # by somebody else: an import brings it in
-CAN, I2C, GPIO = "can_0", "i2c_1", "sync_line"
+CAN, GPIO = "can_0", "sync_line"
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
-URLS = {  # of the buses that the kinds below stand on; serial devices have one each
-    I2C: "i2c:///dev/i2c-1",
-    CAN: "can+socketcan://can0?bitrate=500000",
-    GPIO: "gpio:///dev/gpiochip0?line=17",
-}
-SERIAL_BAUD = {"nimu": 115200, "qsb": 230400, "modbus_load_cell": 115200, "dsc_load_cell": 115200}
+URLS = {CAN: "can+socketcan://can0?bitrate=500000", GPIO: "gpio:///dev/gpiochip0?line=17"}
 
 
 class NewDevice(NamedTuple):
-    """A table, and the bus that it stands on: "" of one that is read from a recording."""
+    """A table, the bus that it stands on ("" of one that is read from a recording), and that bus's usual URL."""
 
     text: str
     bus: str
+    url: str = ""
+
+
+def kinds(role: type) -> tuple[str, ...]:
+    """Kinds of a role that can be made: those that say what their table has."""
+    made = [k for k, model in DEVICES.items() if issubclass(model, role) and issubclass(model, BusDevice)]
+    return tuple(kind for kind in made if _model(kind).new_keys)
+
+
+def _model(kind: str) -> type[BusDevice]:
+    model = DEVICES[kind]
+    assert issubclass(model, BusDevice)
+    return model
+
+
+def _table(device: str, kind: str, number: int, common: str) -> NewDevice:
+    """The table of a device of a bus; ``common``: keys that its role has, before its own."""
+    model = _model(kind)
+    bus = model.new_bus.format(number=number) or f"tty_{device}"
+    url = URLS.get(bus, f"serial:///dev/{bus}?baud={model.new_baud}")
+    if bus.startswith("i2c_"):
+        url = f"i2c:///dev/{bus.replace('_', '-')}"
+    keys = model.new_keys.format(number=number)
+    return NewDevice(f'\n[device.{device}]\nkind = "{kind}"\nbus = "{bus}"\n{common}{keys}', bus, url)
 
 
 def imu(kind: str, frame: str) -> NewDevice:
     """The IMU that measures the base."""
-    if kind == RECORDED:
-        return NewDevice(
-            f"""
+    if kind != RECORDED:
+        return _table(
+            "imu_base", kind, 1, f'frame = "{frame}"           # link of the URDF whose axes are the chip\'s\n'
+        )
+    return NewDevice(
+        f"""
 [device.imu_base]
 kind = "recorded_imu"
 frame = "{frame}"           # link of the URDF whose axes are the sensor's
@@ -38,33 +63,7 @@ period_ms = 5                  # yours
 accel_noise_m_s2 = 0.05        # one sample: yours
 gyro_noise_rad_s = 2e-3
 """,
-            "",
-        )
-    head = f'\n[device.imu_base]\nkind = "{kind}"\n'
-    if kind == "mpu6050":
-        return NewDevice(
-            f"""{head}bus = "{I2C}"
-address = 0x68
-frame = "{frame}"           # link of the URDF whose axes are the chip's
-sample_rate_hz = 1000
-accel_range_g = 4
-gyro_range_deg_s = 250
-filter_code = 2                # DLPF_CFG: 94/98 Hz
-poll_period_ms = 10
-accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
-gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
-""",
-            I2C,
-        )
-    bus = "tty_imu_base"
-    return NewDevice(
-        f"""{head}bus = "{bus}"
-frame = "{frame}"
-sample_rate_hz = 150
-accel_noise_m_s2 = 0.02        # one sample: from its certificate
-gyro_noise_rad_s = 2e-3
-""",
-        bus,
+        "",
     )
 
 
@@ -90,20 +89,10 @@ def joint(
     device = device_of(number, name)
     if kind == RECORDED:
         return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A), "")
-    bus = f"tty_{device}" if kind == "qsb" else CAN
-    node = "" if kind == "qsb" else f"node = {number}\n"
-    return NewDevice(
-        f"""
-[device.{device}]
-kind = "{kind}"
-bus = "{bus}"
-{node}joint = {json.dumps(name)}             # of the URDF
-counts_per_revolution = 500000 # of the joint: quadrature and gear included
-zero_count = 0                 # what it reads at joint angle zero
-noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
-{"" if largest_N_m is None else _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK)}""",
-        bus,
-    )
+    made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF\n")
+    if largest_N_m is None:
+        return made
+    return made._replace(text=made.text + _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK))
 
 
 def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_A: float | None) -> str:
@@ -159,21 +148,11 @@ OF_LARGEST = OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears o
 def load_cell(kind: str, node: int, frame: str) -> NewDevice:
     """A load cell that feels the moment about z of ``frame``."""
     if kind == RECORDED:
-        return NewDevice(f'\n[device.load_cell]\nkind = "recorded_load_cell"\nperiod_ms = 5\n{_felt(frame)}', "")
-    bus = CAN if kind == "cia404" else "tty_load_cell"
-    own = {
-        "cia404": f"node = {node}\n",
-        "modbus_load_cell": 'unit = "N"\nscale = 0.001                  # N in a count\nsample_period_ms = 10\n',
-        "dsc_load_cell": "sample_period_ms = 20\n",
-    }[kind]
-    return NewDevice(
-        f"""
-[device.load_cell]
-kind = "{kind}"
-bus = "{bus}"
-{own}{_felt(frame)}""",
-        bus,
-    )
+        text = f'\n[device.load_cell]\nkind = "recorded_load_cell"\nperiod_ms = 5\n{_felt(frame)}'
+        return NewDevice(text + LoadCellDevice.new_delay, "")
+    made = _table("load_cell", kind, node, "")
+    delay = getattr(_model(kind), "new_delay", "")
+    return made._replace(text=made.text + _felt(frame) + delay)
 
 
 def _felt(frame: str) -> str:
@@ -185,8 +164,6 @@ lever_sigma_m = 1e-4
 capacity_N = 50.0              # yours: larger samples are saturated
 scale_sigma = 0.0025           # relative, of its calibration
 noise_N = 0.0025               # one sample
-delay_ms = 0.5                 # yours: of its filter, against the joints'
-delay_sigma_ms = 0.05
 """
 
 
@@ -264,6 +241,7 @@ period_ms = 5
 delay_ms = 0.110               # a one-byte frame at 500 kbit/s
 """,
     CAN,
+    URLS[CAN],
 )
 PULSE = NewDevice(
     f"""
@@ -273,4 +251,5 @@ bus = "{GPIO}"
 sync_period_ms = 5             # pulse intervals are whole numbers of these
 """,
     GPIO,
+    URLS[GPIO],
 )

@@ -9,15 +9,16 @@ from xml.sax.saxutils import quoteattr
 
 from onboard import config
 from onboard.config.keys import schema
+from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing
 from onboard.ground.before.init.devices import NewDevice
 from onboard.ground.before.init.drawing import Drawn
 
 BASES = ("free", "prescribed", "fixed", "planar")
-IMUS = ("mpu6050", "nimu", "recorded", "none")
-ENCODERS = ("cia406", "cia402", "qsb", "recorded")
-LOAD_CELLS = ("cia404", "modbus_load_cell", "dsc_load_cell", "recorded", "none")
+IMUS = (*devices.kinds(ImuDevice), devices.RECORDED, "none")
+ENCODERS = (*devices.kinds(JointDevice), devices.RECORDED)
+LOAD_CELLS = (*devices.kinds(LoadCellDevice), devices.RECORDED, "none")
 _IMPORT = "import.toml"
 _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
 _PUCK = "puck_1"  # of an air-bearing table
@@ -76,10 +77,14 @@ def make(wanted: Wanted, directory: Path) -> list[Path]:
     """
     _require(wanted)
     chosen = _devices(wanted)
-    buses = list(dict.fromkeys(device.bus for device in chosen if device.bus))
+    buses = {device.bus: device.url for device in chosen if device.bus}
     if unknown := sorted(set(wanted.urls) - set(buses)):
         raise config.ConfigError(f"--bus {unknown[0]}: no device stands on it; the buses are {', '.join(buses)}")
-    parts = [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen)]
+    parts = [
+        _head(wanted),
+        *(_bus(name, url, wanted) for name, url in buses.items()),
+        *(device.text for device in chosen),
+    ]
     text = "".join([*parts, devices.IN_TURN if wanted.recorded else "", _rest(wanted)])
     files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
     if wanted.recorded:
@@ -188,9 +193,7 @@ payload_link = {json.dumps(wanted.payload_link)}       # what is held: of it not
 {planar if wanted.base == "planar" else ""}"""
 
 
-def _bus(name: str, wanted: Wanted) -> str:
-    kind = {"tty_imu_base": wanted.imu, "tty_load_cell": wanted.load_cell}.get(name, wanted.encoder)
-    usual = devices.URLS.get(name, f"serial:///dev/{name}?baud={devices.SERIAL_BAUD.get(kind, 115200)}")
+def _bus(name: str, usual: str, wanted: Wanted) -> str:
     return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
 
 

@@ -9,8 +9,8 @@ from drivers.ports import I2cPort, I2cReply
 TRIES = 3
 NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})  # at the address: no data were transferred
 _REMEDY = {
-    errno.ENXIO: "check its power, wiring and AD0",
-    errno.EREMOTEIO: "check its power, wiring and AD0",
+    errno.ENXIO: "check its power, wiring and address",
+    errno.EREMOTEIO: "check its power, wiring and address",
     errno.ETIMEDOUT: "SDA may be held low: power-cycle it",
     errno.ENODEV: "the adapter is gone: plug it in",
     errno.ENOENT: "the adapter is gone: plug it in",

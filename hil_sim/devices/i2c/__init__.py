@@ -1,0 +1,1 @@
+"""Emulators of devices on I2C that stand on ``twin``."""
