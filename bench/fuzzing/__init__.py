@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "node_frame", "sync_pulse")
+I2C = ("nau7802",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
-NAMES = DECODERS + FILES
+NAMES = DECODERS + I2C + FILES
 
 
 class Target(NamedTuple):
@@ -28,6 +29,10 @@ def target(name: str) -> Target:
         from bench.fuzzing import file_seeds, files  # noqa: PLC0415
 
         return Target(files.CALLS[name], file_seeds.seeds()[name], 1 << 15)
+    if name in I2C:
+        from bench.fuzzing import i2c  # noqa: PLC0415
+
+        return Target(i2c.CALLS[name], i2c.SEEDS, 1 << 10)
     from bench.fuzzing import decoders, seeds  # noqa: PLC0415
 
     return Target(decoders.CALLS[name], seeds.seeds()[name], 1 << 10)

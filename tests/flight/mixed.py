@@ -12,6 +12,7 @@ from hil_sim.devices.canopen.arm_controller import ArmController
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
@@ -116,6 +117,7 @@ class MixedWorld:
         self.qsb = QsbTwin(Analog(angle(3)), RateClock(), START_NS)
         self.node = FrameNode(_node_channels(), RateClock(-0.001), START_NS, node=7, line=LineFormat(230_400))
         bus["i2c_1"].add(self.imu)
+        bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
         nodes = [
             self.encoder,

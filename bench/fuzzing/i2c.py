@@ -1,0 +1,83 @@
+"""Devices on I2C under fuzz: a chip that keeps what is written, whose registers, errors and clock the bytes say."""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+
+from bench import peers
+from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
+from drivers.device import Device
+from drivers.errors import FrameError
+from drivers.i2c import nau7802
+from drivers.ports import I2cReply
+
+TRANSFER_NS = 100_000
+ERRNOS = (5, 6, 121, 110, 11)  # EIO, ENXIO, EREMOTEIO, ETIMEDOUT, EAGAIN
+
+
+class Registers:
+    """A slave of 256 registers (``drivers.ports.I2cPort``); ``shows``: bits that are set in what is read."""
+
+    def __init__(self, clock: peers.Clock, shows: dict[int, int]) -> None:
+        self.clock, self.shows = clock, shows
+        self.values = bytearray(256)
+        self.fail_in, self.code = -1, 5
+
+    def _transfer(self) -> None:
+        self.clock.now_ns += TRANSFER_NS
+        self.fail_in -= 1
+        if 0 <= self.fail_in + 1 < 5:
+            raise OSError(self.code, os.strerror(self.code))
+
+    def write(self, address: int, data: bytes) -> None:
+        """See ``I2cPort``."""
+        self._transfer()
+        for place, value in enumerate(data[1:]):
+            self.values[(data[0] + place) & 0xFF] = value
+
+    def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
+        """See ``I2cPort``."""
+        self._transfer()
+        places = [(data[0] + place) & 0xFF for place in range(count)]
+        return I2cReply(bytes(self.values[at] | self.shows.get(at, 0) for at in places), self.clock())
+
+    def close(self) -> None:
+        """See ``I2cPort``."""
+
+
+def _fly(device: Device, chip: Registers, body: bytes, data_at: range) -> None:
+    def steps() -> Iterator[None]:
+        for _ in range(12):  # the setting up
+            chip.clock.now_ns += 25 * MS
+            yield
+        for number in range(min(len(body) // 3, MOST_PUMPS)):
+            kind, a, b = body[3 * number : 3 * number + 3]
+            if kind & 3 == 0:
+                chip.values[a] = b
+            elif kind & 3 == 1:
+                chip.fail_in, chip.code = a % 16, ERRNOS[b % 5]
+            elif kind & 3 == 2:
+                chip.values[data_at.start : data_at.stop] = (body[3 * number :] + bytes(8))[: len(data_at)]
+            chip.clock.now_ns += STEPS_NS[kind >> 3 & 7]
+            yield
+
+    drive(device, chip.clock, steps(), 0)
+
+
+def nau7802_chip(data: bytes) -> None:
+    """The decoder, the count of conversions and the device."""
+    (which, ready), body = leading(data, 2)
+    with contextlib.suppress(FrameError):
+        nau7802.decode_sample(body)
+    config = nau7802.Nau7802Config(sample_rate_hz=(10, 20, 40, 80, 320)[which % 5], amplifier=1 << (which >> 5))
+    chip = Registers(peers.Clock(), {0x00: 0x08 | (ready & 0x20), 0x07: 0x80, 0x1F: 0x0F})
+    _fly(nau7802.Nau7802("cell", chip, config), chip, body, range(0x12, 0x15))
+
+
+CALLS: dict[str, Callable[[bytes], None]] = {"nau7802": nau7802_chip}
+SEEDS = [
+    b"\3\x20" + bytes([2, 1, 2, 8, 0, 0, 16, 0, 0, 2, 9, 9]) * 6,
+    b"\3\0" + bytes([0, 0, 0xBE, 8, 0, 0, 0, 0, 0x9E, 48, 0, 0]) * 8,
+    b"\4\x20" + bytes([1, 3, 2, 8, 0, 0, 0, 2, 0x70, 32, 0, 0]) * 8,
+    b"\0\0" + bytes([0, 1, 0, 24, 0, 0]) * 6,
+]

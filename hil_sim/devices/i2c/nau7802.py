@@ -1,0 +1,243 @@
+"""A Nuvoton NAU7802 with a load cell on its channel 1 (data sheet revision 1.7), on I2C at 2Ah.
+
+Registers: 00h PU_CTRL (7 AVDDS, 6 OSCS, 5 CR, 4 CS, 3 PUR, 2 PUA, 1 PUD, 0 RR), 01h CTRL1 (7 CRP, 6 DRDY_SEL, 5..3
+VLDO, 2..0 GAINS), 02h CTRL2 (7 CHS, 6..4 CRS, 3 CAL_ERR, 2 CALS, 1..0 CALMOD), 03h OCAL1 (sign and magnitude), 06h
+GCAL1 (800000h is 1), 0Ah and 0Dh the same of channel 2, 11h I2C control, 12h ADCO, 15h ADC or OTP, 1Bh PGA, 1Ch power
+control, 1Fh revision (0Fh). Full scale is half the reference over the gain, either way; AVDD is the reference and feeds
+the bridge. Output = GCAL x (conversion - OCAL).
+
+Where the data sheet is silent, or was not at hand: the digital filter is four running means over one conversion each
+(settling in four conversions, delay of two); CR is cleared when ADCO's first byte is read; CS, a new rate, gain or
+channel begin a conversion; a calibration takes eight conversions; channel 2 is shorted; PUR follows PUD after 200 us;
+everything but PU_CTRL can be written while it is off.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+from pydantic import PositiveFloat
+
+from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.i2c.twin import I2cTwin
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
+from hil_sim.sensing.sensors import LoadCellSensor
+
+_RATES: Final = {0: 10, 1: 20, 2: 40, 3: 80, 7: 320}
+_RESET: Final = {0x07: 0x80, 0x0E: 0x80, 0x1F: 0x0F}
+_WRITABLE: Final = frozenset({*range(0x01, 0x12), 0x15, 0x1B, 0x1C})
+_FULL: Final = 1 << 23
+_READY_NS: Final = 200_000
+_CALIBRATION: Final = 8  # conversions
+_TAPS: Final = 4  # samples of the input in a conversion
+_BOX: Final = np.full(_TAPS, 1.0 / _TAPS)
+FILTER: Final = np.convolve(np.convolve(_BOX, _BOX), np.convolve(_BOX, _BOX))
+"""Weights of input samples a quarter of a conversion apart, (13,)."""
+NOISE_GAIN: Final = float(np.sqrt(np.sum(FILTER**2)))
+"""Of white noise, rms."""
+_OFFSET_V: Final = 20e-6  # our choice: 1 sigma of the amplifier's offset, at its input
+
+
+class Nau7802Twin(I2cTwin):
+    """One chip.
+
+    Args:
+        analog: Force on the cell, N.
+        clock: Its RC oscillator.
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        volt_per_volt_N: What the bridge gives for a newton, V per V of its supply.
+        seed: Of its offset.
+        faults: What breaks.
+
+    Raises:
+        FaultError: a fault that it cannot have.
+    """
+
+    def __init__(
+        self,
+        analog: ScalarAnalog,
+        clock: ChipClock,
+        start_ns: int,
+        *,
+        volt_per_volt_N: float = 2e-3 / 50.0,
+        seed: int = 0,
+        faults: DeviceFaults = NO_FAULTS,
+    ) -> None:
+        kinds = (*INPUT_KINDS, FaultKind.SATURATED, *CLOCK_KINDS, FaultKind.WHO_AM_I)
+        super().__init__(0x2A, start_ns, faults, kinds)
+        self._cell = FaultyScalar(analog, faults, start_ns)
+        self._healthy = clock
+        self._clock = FaultyClock(clock, faults)
+        self._per_N = volt_per_volt_N
+        self._offset_V = _OFFSET_V * float(np.random.default_rng([seed, 0x7802]).standard_normal())
+        self._made = 0  # conversions
+        self.shown = 0  # from the first to the last that was read as new, by the rate that the chip had
+        self._last_shown: tuple[int, int, float] | None = None  # grid, number, mission time
+        self._grid = 0
+        self._power_up(start_ns)
+
+    def _power_up(self, now_ns: int) -> None:
+        self._reg = bytearray(0x20)
+        for register, value in _RESET.items():
+            self._reg[register] = value
+        self._ready_ns = self._calibrated_ns = now_ns
+        self._data = bytes(3)
+        self._begin(now_ns)
+
+    def _begin(self, now_ns: int) -> None:
+        """A conversion begins."""
+        self._grid += 1
+        self._reg[0] &= ~0x20
+        self._period_ns = 1_000_000_000 // _RATES.get(self._reg[2] >> 4 & 7, 10)
+        self._next_ns = self._clock.chip_ns(now_ns) + self._period_ns
+
+    @property
+    def _gain(self) -> int:
+        return 1 << (self._reg[1] & 7)
+
+    def _run(self, until_ns: int) -> None:
+        power = self._reg[0]
+        if power & 0x02 and until_ns - self._ready_ns >= _READY_NS:
+            self._reg[0] |= 0x08
+        if power & 0x07 != 0x06:
+            return
+        chip_ns = self._clock.chip_ns(until_ns)
+        if self._reg[2] & 0x04:
+            if chip_ns < self._calibrated_ns:
+                return
+            self._calibrate()
+            self._next_ns = self._calibrated_ns + self._period_ns
+        due = (chip_ns - self._next_ns) // self._period_ns + 1
+        if due <= 0:
+            return
+        last_ns = self._next_ns + (due - 1) * self._period_ns
+        self._next_ns += due * self._period_ns
+        self._made += int(due)
+        self._convert(last_ns, (until_ns - self._start_ns) * 1e-9)
+        self._reg[0] |= 0x20
+
+    def _convert(self, chip_ns: int, latest_s: float) -> None:
+        """The conversion that ended when its clock showed ``chip_ns``."""
+        back = np.arange(len(FILTER) - 1, -1, -1, dtype=np.float64) + 2.0  # of the middles of four means' samples
+        ticks_ns = chip_ns - self._period_ns / _TAPS * back
+        times_s = np.clip(self._clock.times_s(ticks_ns), 0.0, latest_s)  # (13,)
+        channel_2 = bool(self._reg[2] & 0x80)
+        ratio = 0.0 if channel_2 else self._per_N * float(self._cell.values(times_s) @ FILTER)
+        self._last_s = min(float(self._clock.times_s(np.array([float(chip_ns)]))[0]), latest_s)
+        at = 0x0A if channel_2 else 0x03
+        offset = int.from_bytes(self._reg[at : at + 3], "big")
+        offset = -(offset & 0x7FFFFF) if offset & 0x800000 else offset
+        gain = int.from_bytes(self._reg[at + 3 : at + 7], "big") / _FULL
+        counts = gain * (self._counts(ratio + self._offset_V / self._supply_V) - offset)
+        self._data = round(min(max(counts, -_FULL), _FULL - 1)).to_bytes(3, "big", signed=True)
+
+    @property
+    def _supply_V(self) -> float:  # noqa: N802
+        return 4.5 - 0.3 * (self._reg[1] >> 3 & 7) if self._reg[0] & 0x80 else 3.3
+
+    def _counts(self, ratio: float) -> float:
+        """Of an input, V per V of the reference; clipped where the converter is."""
+        return min(max(ratio * 2.0 * self._gain, -1.0), 1.0) * _FULL
+
+    def _calibrate(self) -> None:
+        """CALMOD 0: the input is shorted. The others need a load that is not simulated: CAL_ERR."""
+        self._reg[2] &= ~0x04
+        if self._reg[2] & 0x03:
+            self._reg[2] |= 0x08
+            return
+        offset = round(self._counts(self._offset_V / self._supply_V))
+        at = 0x0A if self._reg[2] & 0x80 else 0x03
+        self._reg[at : at + 3] = (abs(offset) | (0x800000 if offset < 0 else 0)).to_bytes(3, "big")
+
+    def _read(self, register: int) -> int:
+        if register == 0x1F and (wrong := self._faults.active(FaultKind.WHO_AM_I, self._settled_ns)) is not None:
+            return int(wrong.value)
+        if 0x12 <= register <= 0x14:
+            if register == 0x12:
+                if self._reg[0] & 0x20:
+                    self._show()
+                self._reg[0] &= ~0x20
+            return self._data[register - 0x12]
+        return self._reg[register] if register < len(self._reg) else 0
+
+    def _show(self) -> None:
+        if self._last_shown is None:
+            self.shown = 1
+        elif self._last_shown[0] == self._grid:
+            self.shown += self._made - self._last_shown[1]
+        else:
+            second = self._healthy.chip_ns(self._start_ns + 1_000_000_000) - self._healthy.chip_ns(self._start_ns)
+            self.shown += max(round((self._last_s - self._last_shown[2]) * second / self._period_ns), 1)
+        self._last_shown = self._grid, self._made, self._last_s
+
+    def _write(self, register: int, value: int, now_ns: int) -> None:
+        if register == 0:
+            self._write_power(value, now_ns)
+        elif self._reg[0] & 0x01:
+            return  # held in reset
+        elif register == 2:
+            before, self._reg[2] = self._reg[2], value & 0xF7 | self._reg[2] & 0x08
+            if value & 0x04:
+                self._reg[2] &= ~0x08
+                self._calibrated_ns = self._clock.chip_ns(now_ns) + _CALIBRATION * self._period_ns
+            if (before ^ value) & 0xF0:
+                self._begin(now_ns)
+        elif register in _WRITABLE:
+            changed = register == 1 and (self._reg[1] ^ value) & 0x3F
+            self._reg[register] = value
+            if changed:
+                self._begin(now_ns)
+
+    def _write_power(self, value: int, now_ns: int) -> None:
+        before = self._reg[0]
+        if value & 0x01:
+            self._power_up(now_ns)
+            self._reg[0] = 0x01
+            return
+        self._reg[0] = value & 0xD6 | before & 0x28
+        if value & 0x02 and not before & 0x02:
+            self._ready_ns = now_ns
+        if not value & 0x02:
+            self._reg[0] &= ~0x28
+        if (value & ~before) & 0x14:  # PUA, CS
+            self._begin(now_ns)
+
+
+class Nau7802Table(MeasuringEmulator):
+    """An NAU7802 with a cell that gives ``rated_output_mV_V`` at ``rated_load_N``."""
+
+    needs = "i2c"
+    quantities = FORCES
+
+    kind: Literal["nau7802"]
+    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's own letter)
+    rated_load_N: PositiveFloat = 50.0  # noqa: N815
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: the cell and its cable delay by half a millisecond, the rest is the chip's filter."""
+        table = {"measures": name, "at": said["frame"], "rated_output_mV_V": said.get("rated_output_mV_V", 2.0)}
+        table["rated_load_N"] = said.get("rated_load_N") or said["capacity_N"]
+        cell = sheets.load_cell(said)
+        cell |= {"delay_ms": 0.5, "delay_sigma_ms": 0.0}
+        cell["noise_rms_N"] /= NOISE_GAIN
+        return Equivalent(table, {name: cell}, {name: "converter"})
+
+    @property
+    def place(self) -> str:
+        """See ``Emulator``."""
+        return "address 0x2a"
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        twin = Nau7802Twin(
+            bench.sensor(LoadCellSensor),
+            bench.clock,
+            bench.start_ns,
+            volt_per_volt_N=1e-3 * self.rated_output_mV_V / self.rated_load_N,
+            seed=bench.seed,
+            faults=bench.faults,
+        )
+        return Twin(twin, lambda: twin.shown, (bench.name,))

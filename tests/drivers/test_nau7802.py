@@ -1,0 +1,349 @@
+"""NAU7802: decoder, count of conversions, and the driver against a chip typed from the data sheet."""
+
+import errno
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ConfigurationError, FrameError
+from drivers.i2c.nau7802 import ConversionCount, Nau7802, Nau7802Config, decode_sample
+from drivers.records import SampleStatus
+from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.i2c_model import MS, Nau7802Model
+
+NAME = "cell"
+SATURATED, NOT_VALID, AFTER_RESET = map(int, (SampleStatus.SATURATED, SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET))
+
+
+class Flight:
+    def __init__(self, clock, config=None, **chip):
+        self.clock, self.chip = clock, Nau7802Model(clock, **chip)
+        self.device = Nau7802(NAME, self.chip, config)
+        self.batches = self.device.start(clock())
+
+    def fly(self, seconds, step_ns=MS):
+        until_ns, before = self.clock() + round(seconds * 1e9), len(self.batches)
+        due_ns = self.clock()
+        while self.clock() < until_ns:
+            self.clock.advance(step_ns)
+            if self.clock() >= due_ns:
+                self.batches += self.device.pump(self.clock())
+                due_ns = self.clock() + self.device.period_ns
+        return self.batches[before:]
+
+    def rows(self):
+        return whole(self.batches, NAME)
+
+    def true_numbers(self):
+        """Of the chip's conversions, from the first row on."""
+        values = self.rows()["value_raw"] - 1000
+        return values - values[0]
+
+
+@pytest.fixture
+def flight(clock):
+    return Flight(clock)
+
+
+# The decoder
+
+
+@pytest.mark.parametrize(
+    ("data", "counts", "status"),
+    [
+        ("000000", 0, 0),
+        ("000001", 1, 0),
+        ("ffffff", -1, 0),
+        ("123456", 0x123456, 0),
+        ("7ffffe", 8_388_606, 0),
+        ("7fffff", 8_388_607, SATURATED),
+        ("800000", -8_388_608, SATURATED),
+        ("800001", -8_388_607, 0),
+    ],
+)
+def test_samples_of_the_data_sheets_coding(data, counts, status):
+    assert decode_sample(bytes.fromhex(data)) == (counts, status)
+
+
+@given(st.binary(max_size=8))
+def test_any_bytes_are_a_sample_or_refused(data):
+    if len(data) == 3:
+        counts, status = decode_sample(data)
+        assert counts.to_bytes(3, "big", signed=True) == data
+        assert bool(status) == (abs(counts + 0.5) > 8_388_607)
+    else:
+        with pytest.raises(FrameError, match="three"):
+            decode_sample(data)
+
+
+# The count
+
+
+@given(st.floats(-0.03, 0.03), st.floats(0.05, 0.45), st.integers(0, 2**32))
+def test_the_count_is_right_whatever_the_phase(error, width, seed):
+    """Looks of a given width, a gap of ten: no number is wrong without being said to be unsure."""
+    rng, period = np.random.default_rng(seed), 12.5e6
+    count = ConversionCount(period)
+    true = [period * (1.0 + error) * n for n in [*range(1, 100), *range(110, 140)]]
+    numbers, surely = [], []
+    for end in true:
+        late = rng.uniform(0.0, width * period)
+        _, sure = count.seen(round(end + late - width * period), round(end + late))  # None: of late looks only
+        numbers.append(count.number)
+        surely.append(sure)
+    assert numbers[:99] == list(range(99))
+    assert all(surely[:99])
+    assert numbers[99] - 98 == 11 or not surely[99]
+    assert np.diff(numbers[99:]).tolist() == [1] * 29
+
+
+# Set-up
+
+
+def test_the_set_up_is_these_transactions(clock, flight):
+    flight.fly(0.45)
+    assert codes(flight.batches) == ["started"]
+    wrote = [data for kind, *data in flight.chip.transfers if kind == "write"]
+    assert wrote == [
+        [0x00, 0x01],
+        [0x00, 0x02],
+        [0x01, 0x2F],  # 3.0 V, gain 128
+        [0x02, 0x30],  # 80 a second
+        [0x1C, 0x80],
+        [0x15, 0x30],
+        [0x00, 0x86],
+        [0x02, 0x34],
+        [0x00, 0x96],
+    ]
+
+
+@pytest.mark.parametrize(("rate", "code"), [(10, 0x00), (20, 0x10), (40, 0x20), (80, 0x30), (320, 0x70)])
+@pytest.mark.parametrize(("gain", "supply", "control"), [(1, 4.5, 0x00), (2, 2.4, 0x39), (64, 0.0, 0x06)])
+def test_rate_gain_and_supply_are_in_the_registers(clock, rate, code, gain, supply, control):
+    flight = Flight(clock, Nau7802Config(sample_rate_hz=rate, amplifier=gain, supply_V=supply))
+    flight.fly(2.0)
+    assert flight.chip.registers[2] == code
+    assert flight.chip.registers[1] == control
+    assert bool(flight.chip.registers[0] & 0x80) == bool(supply)
+    assert len(flight.rows()) > rate
+    np.testing.assert_array_equal(flight.true_numbers(), flight.rows()["tick"])
+
+
+@pytest.mark.parametrize("wrong", [{"sample_rate_hz": 100}, {"amplifier": 3}, {"supply_V": 5.0}, {"poll_period_ms": 7}])
+def test_what_it_has_not_is_refused(wrong):
+    with pytest.raises(ConfigurationError):
+        Nau7802Config(**wrong)
+
+
+def set_up_transfers(clock):
+    flight = Flight(clock)
+    while "started" not in codes(flight.batches):
+        flight.fly(0.001)
+    return len(flight.chip.transfers)
+
+
+@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
+def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
+    for place in range(set_up_transfers(clock)):
+        flight = Flight.__new__(Flight)
+        flight.clock, flight.chip = clock, Nau7802Model(clock)
+        flight.chip.fail = lambda number, place=place: code if number == place else 0
+        flight.device = Nau7802(NAME, flight.chip)
+        flight.batches = flight.device.start(clock())
+        flight.fly(0.6)
+        assert codes(flight.batches) == ["started"], place
+        assert flight.device.bus_errors == 1
+        assert len(flight.rows())
+
+
+def test_a_bus_that_dies_at_any_transaction_of_the_set_up_is_told_once_and_tried_again(clock):
+    for place in range(set_up_transfers(clock)):
+        flight = Flight.__new__(Flight)
+        flight.clock, flight.chip = clock, Nau7802Model(clock)
+        dead = {"until": 1 << 30}
+        flight.chip.fail = lambda number, place=place, dead=dead: errno.ENXIO if place <= number < dead["until"] else 0
+        flight.device = Nau7802(NAME, flight.chip)
+        flight.batches = flight.device.start(clock())
+        flight.fly(3.0)
+        assert codes(flight.batches) == ["no_answer"], place
+        assert "check its power" in texts(flight.batches, "no_answer")[0]
+        dead["until"] = 0
+        flight.chip.reset()
+        flight.fly(2.0)
+        assert codes(flight.batches) == ["no_answer", "bus_recovered", "started"], place
+        assert len(flight.rows()) > 20
+
+
+def test_a_chip_that_comes_late_is_taken_then(clock):
+    flight = Flight.__new__(Flight)
+    flight.clock, flight.chip = clock, Nau7802Model(clock)
+    flight.chip.address = 0x2B  # nobody is at 2Ah
+    flight.device = Nau7802(NAME, flight.chip)
+    flight.batches = flight.device.start(clock())
+    flight.fly(5.0)
+    assert codes(flight.batches) == ["no_answer"]
+    flight.chip.address = 0x2A
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["no_answer", "bus_recovered", "started"]
+    assert flight.rows()["sequence"][0] == 0
+
+
+def test_another_chip_is_named(clock):
+    flight = Flight(clock)
+    flight.chip.registers[0x1F] = 0x42
+    flight.batches = flight.device.start(clock())
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["wrong_device"]
+    assert "revision 0x42" in texts(flight.batches, "wrong_device")[0]
+
+
+@pytest.mark.parametrize("register", [0x00, 0x01, 0x02, 0x1C])
+def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, register):
+    flight = Flight(clock)
+    flight.chip.stuck[register] = 0x49
+    flight.fly(3.0)
+    assert codes(flight.batches) == ["configuration"]
+    assert len(of(flight.batches, NAME)) == 0
+
+
+def test_a_calibration_that_fails_is_told(clock, flight):
+    flight.chip.calibrates = False
+    flight.fly(1.0)
+    assert codes(flight.batches) == ["configuration"]
+    assert "offset calibration fails" in texts(flight.batches, "configuration")[0]
+    flight.chip.calibrates = True
+    flight.fly(2.0)
+    assert codes(flight.batches)[-1] == "started"
+
+
+# Samples
+
+
+@pytest.mark.parametrize("error", [-0.02, 0.0, 1e-6, 0.013])
+def test_every_conversion_is_a_row_with_its_number(clock, error):
+    flight = Flight(clock, rate_error=error)
+    flight.fly(10.0)
+    rows = flight.rows()
+    assert len(of(flight.batches, "gap")) == 0
+    np.testing.assert_array_equal(flight.true_numbers(), rows["tick"])
+    assert rows["status"].tolist() == [NOT_VALID] * 4 + [0] * (len(rows) - 4)
+    spacing = np.diff(rows["host_ns"])
+    assert np.abs(spacing - 12.5e6 * (1.0 + error)).max() <= 1e6
+
+
+def test_it_looks_when_a_conversion_is_due_and_hardly_before(clock, flight):
+    flight.fly(1.0)
+    before, rows = len(flight.chip.transfers), len(flight.rows())
+    flight.fly(4.0)
+    assert (len(flight.chip.transfers) - before) / (len(flight.rows()) - rows) < 6.0
+
+
+def test_a_sample_at_the_rail_is_saturated(clock, flight):
+    flight.chip.values = lambda number: 0x7FFFFF if number > 30 else number
+    flight.fly(1.5)
+    rows = flight.rows()
+    assert set(rows["status"][-10:]) == {SATURATED}
+    assert set(rows["value_raw"][-10:]) == {0x7FFFFF}
+
+
+def test_late_polls_lose_what_they_lose_and_count_it(clock, flight, rng):
+    flight.fly(2.0)
+    for _ in range(40):
+        flight.clock.advance(int(rng.uniform(1.0, 90.0) * MS))
+        flight.fly(0.2)
+    rows = flight.rows()
+    gaps = of(flight.batches, "gap")
+    assert len(gaps) > 10
+    assert set(gaps["cause"]) == {b"missed"}
+    np.testing.assert_array_equal(flight.true_numbers(), rows["tick"])
+
+
+@pytest.mark.parametrize("code", [errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.ENODEV])
+def test_a_bus_error_at_any_transaction_in_flight_is_survived(clock, code):
+    for later in range(12):
+        flight = Flight(clock)
+        flight.fly(1.0)
+        first = len(flight.chip.transfers) + later
+        flight.chip.fail = lambda number, first=first: code if first <= number < first + 5 else 0
+        flight.fly(1.0)
+        said = codes(flight.batches)[1:]
+        assert said == ["bus_error", "bus_recovered"], (later, said)
+        np.testing.assert_array_equal(flight.true_numbers(), flight.rows()["tick"])
+
+
+def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(clock, flight):
+    flight.fly(30.0)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(10.0)
+    flight.chip.fail = lambda number: 0
+    flight.fly(5.0)
+    assert codes(flight.batches) == ["started", "bus_error", "bus_recovered"]
+    rows = flight.rows()
+    assert np.abs(flight.true_numbers() - rows["tick"].astype(int)).max() <= 1
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"bus_error"
+    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 80 / 1.004, abs=90)  # and the back-off
+
+
+def test_a_brown_out_is_found_and_the_zero_is_put_back(clock, flight):
+    flight.fly(2.0)
+    calibrated = [flight.chip.registers[place] for place in (3, 4, 5)]
+    assert calibrated == [0x80, 0x01, 0x23]
+    flight.chip.reset()
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["started", "brown_out", "started"]
+    assert [flight.chip.registers[place] for place in (3, 4, 5)] == calibrated
+    assert sum(data == [2, 0x34] for kind, *data in flight.chip.transfers if kind == "write") == 1  # one calibration
+    rows = flight.rows()
+    assert (rows["status"] & AFTER_RESET != 0).sum() == 1
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"brown_out"
+    due = 4.0 - 0.35
+    assert len(rows) + gap["last_missing"] - gap["first_missing"] + 1 == pytest.approx(80 * due, abs=8)
+
+
+@pytest.mark.parametrize(("register", "value"), [(1, 0x2E), (2, 0x70), (3, 0x00), (7, 0x40), (0x1C, 0x00)])
+def test_a_flipped_bit_is_found_within_a_second(clock, flight, register, value):
+    flight.fly(2.0)
+    flight.chip.registers[register] = value
+    flight.fly(2.5)
+    assert codes(flight.batches)[1:] in (["configuration_lost", "started"], ["brown_out", "started"])
+    assert flight.chip.registers[register] != value
+
+
+def test_a_chip_that_stops_converting_is_reset(clock, flight):
+    flight.fly(2.0)
+    flight.chip.converts = False
+    flight.fly(1.0)
+    assert codes(flight.batches)[1] == "no_samples"
+    flight.chip.converts = True
+    flight.fly(2.0)
+    assert len(flight.rows()) > 200
+
+
+def test_a_data_ready_bit_that_hangs_makes_no_rows_of_nothing(clock, flight):
+    flight.fly(2.0)
+    before = len(flight.rows())
+    flight.chip.stuck[0] = 0x86 | 0x08 | 0x20
+    flight.fly(2.0)
+    assert "no_samples" in codes(flight.batches)
+    assert len(flight.rows()) - before < 2.2 * 80
+    del flight.chip.stuck[0]
+    flight.fly(2.0)
+    assert codes(flight.batches)[-1] == "started"
+
+
+def test_rows_and_gaps_add_up_through_stops_and_starts(clock, flight):
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    assert flight.chip.registers[0] & 0x06 == 0
+    clock.advance(3_000 * MS)
+    flight.batches += flight.device.start(clock())
+    flight.fly(1.0)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    flight.rows()
+    assert codes(flight.batches)[-1] == "stopped"

@@ -1,0 +1,117 @@
+"""Devices on I2C that people own: a vehicle of ``heft init`` with each flies in virtual time and in real time."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drivers.records import SampleStatus
+from hil_sim.devices.i2c.nau7802 import Nau7802Twin
+from onboard.cli import main
+from onboard.recording.reader import LogReader
+from tests.flight.mixed import MixedWorld, vehicle
+from tests.flight.test_devices import timed
+from tests.flight.test_rehearsal import answers, honest
+
+SEQUENCE = """
+[[sequence]]
+phase = 1
+action = "hold"
+duration_s = 3.0
+[[sequence]]
+phase = 1
+action = "swing"
+duration_s = {swing}
+"""
+CELL = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802"]
+
+
+def rehearsed(directory, init, *further, swing=6.0, seed=3, change=("", "")):
+    """The result of ``heft hil`` of a vehicle of ``heft init``, its log and its exit code."""
+    assert main(["init", str(directory / "mine"), *init]) == 0
+    path = directory / "mine" / "vehicle.toml"
+    path.write_text(path.read_text().replace(*change))
+    (directory / "over.toml").write_text(SEQUENCE.format(swing=swing))
+    log, result = directory / "flight.mcap", directory / "result.json"
+    asked = ["hil", str(path), "--seed", str(seed), "--scenario", str(directory / "over.toml"), *further]
+    code = main([*asked, "--json", str(result), "--log", str(log)])
+    return json.loads(result.read_text()), LogReader(log), code
+
+
+@pytest.mark.parametrize("rate", [80, 320])
+def test_a_cell_on_an_nau7802_is_weighed_with(tmp_path, rate):
+    change = ("sample_rate_hz = 320 ", f"sample_rate_hz = {rate} ")
+    result, log, _ = rehearsed(tmp_path, CELL, change=change)
+    assert result["accounted"]
+    honest(answers(result))
+    assert answers(result)["XZ_payload_R"]["supported"]
+    rows = log.read("load_cell")
+    assert len(rows) > 8.0 * rate
+    assert result["channels"]["load_cell"]["missing"] == 0
+    assert rows["status"].nonzero()[0].tolist() == [0, 1, 2, 3]  # its filter settles
+
+
+def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
+    faults = [
+        *("--fault", "silent:load_cell:3:4", "--fault", "reset:load_cell:5", "--fault", "nack:load_cell:6:6.2"),
+        *("--fault", "off:load_cell:7:7.5", "--fault", "timeout:load_cell:8.5:8.6"),
+    ]
+    result, log, _ = rehearsed(tmp_path, CELL, *faults)
+    assert result["accounted"]
+    honest(answers(result))
+    events = log.read("event")
+    told = events["code"][events["source"] == b"load_cell"].tolist()
+    assert told.count(b"bus_recovered") == 4
+    assert told.count(b"brown_out") == 2
+    rows = log.read("load_cell")
+    assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 2
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+
+
+def test_a_cell_beyond_its_range_is_saturated_and_not_weighed_with(tmp_path):
+    result, log, _ = rehearsed(tmp_path, CELL, "--fault", "saturated:load_cell:5:6:1")
+    rows = log.read("load_cell")
+    saturated = rows["status"] & SampleStatus.SATURATED != 0
+    assert 280 < saturated.sum() < 340
+    assert set(rows["value_raw"][saturated]) == {(1 << 23) - 1}
+    honest(answers(result))
+
+
+def test_what_the_file_says_of_the_bridge_must_fit_the_converter(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "mine"), *CELL]) == 0
+    path = tmp_path / "mine" / "vehicle.toml"
+    path.write_text(path.read_text().replace("rated_load_N = 50.0", "rated_load_N = 20.0"))
+    assert main(["preflight", str(path)]) != 0
+    assert "its range ends at" in capsys.readouterr().err
+
+
+def test_conversions_are_put_on_the_time_when_they_ended(tmp_path, monkeypatch):
+    """The clock of its own oscillator, 0.7 % fast, fitted to what was seen, against the truth."""
+    ended_s = []
+    convert = Nau7802Twin._convert
+
+    def watched(self, *arguments):
+        convert(self, *arguments)
+        ended_s.append(self._last_s)
+
+    monkeypatch.setattr(Nau7802Twin, "_convert", watched)
+    with MixedWorld(tmp_path) as world:
+        flying = vehicle(tmp_path, world.urls)
+        heard = world.fly(world.open(flying), 6.0)
+    times_ns, sigma_ns, start_ns = timed(flying, heard, "bridge")
+    assert len(times_ns) > 400
+    truth_s = np.array(ended_s)
+    late = [float(t - truth_s[np.abs(truth_s - t).argmin()]) for t in (times_ns[-200:] - start_ns) * 1e-9]
+    assert sigma_ns < 0.5e6
+    assert np.abs(late).max() < 3.0 * sigma_ns * 1e-9
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_a_cell_on_an_nau7802_flies_in_real_time(tmp_path):
+    result, log, _ = rehearsed(tmp_path, CELL, "--realtime", "--fault", "silent:load_cell:4:5")
+    assert result["accounted"]
+    rows = log.read("load_cell")
+    assert len(rows) > 300
+    events = log.read("event")
+    assert b"bus_recovered" in events["code"][events["source"] == b"load_cell"].tolist()
