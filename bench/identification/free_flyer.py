@@ -18,9 +18,10 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate, standard_covariance, standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.ground.campaign.results import Answer
 from onboard.identification.exiddm.batch import Exiddm

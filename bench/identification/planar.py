@@ -26,8 +26,9 @@ from bench.identification.free_flyer import (
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard import config
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import Answer, FlightResult

@@ -13,6 +13,7 @@ from drivers.transports import url
 from onboard.config.errors import ConfigError
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.urdf_check import impossible, inertial_of, require_flyable
 from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, shortened
 
@@ -222,8 +223,9 @@ def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
-    if file.vehicle.base not in ("free", "planar", "pivot"):
-        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free", "planar" or "pivot"')
+    if not BaseKind(file.vehicle.base).follows:
+        known = " or ".join(f'"{kind}"' for kind in BaseKind if kind.follows)
+        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = {known}')
     if file.vehicle.payload_link is None and file.vehicle.base != "pivot" and file.body is None:
         fail(where, 'method "exiddm" estimates the payload; name its payload_link')
     others = {

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq, qr
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, BaseKind
+from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion, RowModel
 
@@ -39,13 +40,10 @@ class SampledMotion:
 
     @classmethod
     def of(cls, kind: BaseKind, gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)) -> "SampledMotion":
-        """General motion of a base of this kind; a fixed and a planar one are in gravity, given in base axes."""
-        x, y, z = gravity_m_s2
-        if kind is BaseKind.FIXED:
-            return cls(0.0, 0.0, 0.0, (-x, -y, -z))
-        if kind is BaseKind.PLANAR:
-            return cls((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 0.0), (-x, -y, -z))
-        return cls()
+        """General motion of a base of this kind; gravity in base axes, for those that it is constant in."""
+        x, y, z, roll, pitch, yaw = (float(k in kind.moves) for k in range(6))
+        turns, (g_x, g_y, g_z) = (roll, pitch, yaw), gravity_m_s2
+        return cls(turns, turns, (x, y, z), (-g_x, -g_y, -g_z) if kind.in_gravity else (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)

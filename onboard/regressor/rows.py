@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
@@ -106,8 +107,8 @@ def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
     """The rows of the force on the whole vehicle (Limparis 3.5), in base axes: three, x and y alone on a planar bed."""
     frame = vehicle.spec.base_link
     unit = np.eye(6)
-    axes = "xy" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
-    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate(axes))
+    moves = vehicle.spec.base.moves or range(6)
+    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate("xyz") if i in moves)
 
 
 def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
@@ -122,8 +123,8 @@ def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
     frame = vehicle.spec.base_link
     coasting = vehicle.spec.base is BaseKind.FREE and vehicle.centre_of_mass_is_fixed()
     unit = np.eye(6)
-    axes = "z" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
-    return tuple(WrenchRow(f"base_moment_{n}", frame, tuple(unit[3 + "xyz".index(n)]), coasting=coasting) for n in axes)
+    turns = [(i, n) for i, n in enumerate("xyz", 3) if i in (vehicle.spec.base.moves or range(6))]
+    return tuple(WrenchRow(f"base_moment_{n}", frame, tuple(unit[i]), coasting=coasting) for i, n in turns)
 
 
 def standing(vehicle: VehicleModel, ticks: int) -> BaseMotion:

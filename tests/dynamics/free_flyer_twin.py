@@ -9,9 +9,10 @@ import onboard
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
 from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex_parabolic" / "dymaflex.urdf"
 BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))

@@ -5,7 +5,8 @@ import pytest
 
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.kinematics import chain_motion, frames_of, link_motions, momentum_columns, wrench_columns
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.spatial import Columns, coad, crf, crm
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 

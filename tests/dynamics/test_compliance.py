@@ -7,9 +7,10 @@ from hil_sim.plants import free_flyer, urdf_drawing
 from hil_sim.plants.parts.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior

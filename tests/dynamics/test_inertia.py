@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import (
     RigidBody,
@@ -13,7 +14,7 @@ from onboard.dynamics.model.inertia import (
     symmetric,
     take_away,
 )
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_mujoco, to_urdf
 
 

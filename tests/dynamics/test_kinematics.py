@@ -6,8 +6,9 @@ import pinocchio as pin
 import pytest
 
 from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns, wrench_columns
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 KINDS = ["revolute", "fixed", "prismatic", "revolute", "fixed", "revolute"]

@@ -6,11 +6,12 @@ import pinocchio as pin
 import pytest
 
 from onboard import config
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.urdf import with_bodies
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF
 
 TILTED = np.array([[0.031, 0.002, -0.003], [0.002, 0.027, 0.004], [-0.003, 0.004, 0.019]])

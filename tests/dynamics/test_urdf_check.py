@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.urdf_check import require_flyable
 from onboard.dynamics.model.urdf_reading import DrawingError, plain
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 BASE = '<inertial><mass value="10"/><inertia ixx="0.2" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial>'
 ARM = '<inertial><mass value="1"/><inertia ixx="1e-3" iyy="5e-3" izz="5e-3" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -1,10 +1,14 @@
 """URDF reading: links kept apart, joints by name, what hangs beyond a frame, errors with names and remedies."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
+from onboard.config.vehicle import VehicleSection
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import ModelError, UnknownFrameError, UrdfError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 INERTIAL = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="2.5" ixy="0.1" ixz="0.2" iyz="0.3"/></inertial>'
@@ -181,3 +185,11 @@ def test_unknown_names(rng):
         vehicle.joint("elbow")
     with pytest.raises(UnknownFrameError, match="link_1"):
         vehicle.frame_id("hand")
+
+
+def test_a_kind_of_base_is_a_record_in_one_place():
+    """The names of vehicle.toml are those of the kinds; what floats follows from the arm, by its masses."""
+    section = VehicleSection.model_fields["base"].annotation
+    assert set(get_args(section)) == set(BaseKind)
+    assert all(kind.follows or not kind.floats for kind in BaseKind)
+    assert [kind for kind in BaseKind if kind.floats and len(kind.moves) == 6] == [BaseKind.FREE]

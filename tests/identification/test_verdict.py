@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from
 from onboard.identification.observability import observed_directions

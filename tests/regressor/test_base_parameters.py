@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.ground.before.mechanics.counts import counted
 from onboard.regressor.base_parameters import (
     BaseParameters,

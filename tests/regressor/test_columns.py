@@ -4,7 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.regressor.columns import body_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf

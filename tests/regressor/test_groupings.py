@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.groupings import groupings
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root

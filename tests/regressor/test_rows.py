@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.regressor.friction import Motor
 from onboard.regressor.rows import (
     BaseMotion,

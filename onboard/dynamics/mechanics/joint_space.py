@@ -6,15 +6,11 @@ left of the joints' rows when they are eliminated is the arm's own inertia, ``H*
 has three of the six rows, one that stands none, and gravity.
 """
 
-from typing import Final
-
 import numpy as np
 
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.model.vehicle import FREE_FLYER_NV, BaseKind
+from onboard.dynamics.model.vehicle import FREE_FLYER_NV
 from onboard.estimation.arrays import FloatArray
-
-_ROWS: Final = {BaseKind.FREE: (0, 1, 2, 3, 4, 5), BaseKind.PLANAR: (0, 1, 5)}  # of the base's that nothing acts on
 
 
 class JointSpace:
@@ -27,9 +23,9 @@ class JointSpace:
     def __init__(self, arm: FloatingArm) -> None:
         self.arm = arm
         spec = arm.vehicle.spec
-        self._free = np.array(_ROWS.get(spec.base, ()), np.intp)
+        self._free = np.array(spec.base.moves if spec.base.floats else (), np.intp)
         self._held = np.zeros(FREE_FLYER_NV + arm.joints)
-        if spec.base in (BaseKind.FIXED, BaseKind.PLANAR):
+        if spec.base.in_gravity:
             self._held[:3] = -np.asarray(spec.gravity_m_s2)
             self._held[self._free] = 0.0
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, Problem, read
 from onboard.estimation.arrays import FloatArray
 
@@ -68,7 +69,7 @@ def require_flyable(
         DrawingError: it cannot; all that is wrong, with lines.
     """
     drawing = read(urdf, label)
-    floats = base in ("free", "planar", "pivot")
+    floats = BaseKind(base).follows
     problems = [*_sizes(drawing)] or [*_axes(drawing)]
     if floats or simulated:
         problems = problems or [*_bodies(drawing), *_ranges(drawing)] or [*_carried(drawing)]

@@ -10,12 +10,12 @@ first moments, and elements of the inertia tensor about the *link frame's origin
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.model.tree import tree_of
 from onboard.dynamics.model.urdf_check import LEAST_SHARE, inertial_of, require_flyable, vector
@@ -26,16 +26,6 @@ STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
 FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
 STANDARD_GRAVITY_M_S2 = 9.80665
 NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
-
-
-class BaseKind(StrEnum):
-    """Kind of base: knowledge of its motion and of the wrench on it."""
-
-    FREE = "free"  # motion measured, wrench zero
-    PLANAR = "planar"  # on a level bed: x, y and yaw move, their wrench is zero but for drag
-    PRESCRIBED = "prescribed"  # motion measured, wrench unknown
-    PIVOT = "pivot"  # turns about the base frame's origin: motion measured, no moment about that but gravity's
-    FIXED = "fixed"  # at rest in gravity, wrench unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +97,7 @@ class VehicleModel:
         self.links = tuple(name for name, chi in parameters.items() if chi[0] > least_kg or name == spec.payload_link)
         self.chi = np.concatenate([parameters[name] for name in self.links] or [np.zeros(0)])
         self.chi.setflags(write=False)
-        if spec.base in (BaseKind.FREE, BaseKind.PLANAR, BaseKind.PIVOT):
+        if spec.base.follows:
             self.base_body()
         self.joints = tuple(self._joint(drawing, index) for index in range(2, self.model.njoints))
         self.tree = tree_of(self.model, self.joints, self.links)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
 from onboard.estimation.recursive.consistency import JackknifeEstimate

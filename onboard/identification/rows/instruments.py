@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.identification.rows.predicted_motion import PredictedMotion

@@ -19,10 +19,11 @@ import numpy as np
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import Readings
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import possible_body
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 import onboard
 from hil_sim.plants import free_flyer
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex" / "dymaflex.urdf"
 START = np.array([0.0, 0.6, 0.0, 0.8, 0.0])

@@ -9,8 +9,9 @@ from onboard.dynamics.mechanics import virtual_manipulator as virtual
 from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count, free_base_count
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import arm
 

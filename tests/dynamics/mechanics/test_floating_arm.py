@@ -6,8 +6,9 @@ import pytest
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import follow, straight_line
 from onboard.dynamics.mechanics.reaction import reaction
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import START, URDF, arm, fly, spline
 

@@ -6,7 +6,8 @@ import pytest
 
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics import mujoco_twin
 
 SLIDE = '<joint type="slide" axis="{}"/>'

@@ -6,8 +6,9 @@ import pytest
 
 from onboard.dynamics.free_flight import rate_of_momentum
 from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.ground.identify.base_motion.fit import fit
 from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import START, URDF, fly, spline

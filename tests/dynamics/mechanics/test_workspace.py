@@ -10,8 +10,9 @@ from onboard.dynamics.mechanics import nonholonomic, workspace
 from onboard.dynamics.mechanics import virtual_manipulator as virtual
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from tests.dynamics.mechanics.mujoco_flights import START, arm, fly
 

@@ -18,7 +18,8 @@ from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import AttitudeTable
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex_wheels" / "dymaflex.urdf"
 PLACES_m = ((0.1, 0.1, -0.1), (-0.1, 0.1, -0.1), (0.0, -0.1, -0.1))

@@ -3,8 +3,9 @@
 import numpy as np
 
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.payload import standard_covariance, standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.free_base import free_exiddm

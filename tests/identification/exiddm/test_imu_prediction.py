@@ -5,8 +5,9 @@ import pytest
 
 from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import UnknownFrameError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.exiddm.prediction.further import DisturbancePrior
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor

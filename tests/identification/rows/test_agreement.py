@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.identification.quantities import Findings, mass_quantities
 from onboard.identification.rows.checks.agreement import instrument_fits, judged_fit

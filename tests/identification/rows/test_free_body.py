@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, elements, parallel_axis, principal_moments, symmetric
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.recursive.consistency import Interval
 from onboard.identification.rows.free_body import (
     FREE_BODY,

@@ -11,9 +11,10 @@ from bench.identification.workshop import payload
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.body import Body
 from hil_sim.plants.vehicle_plant import VehiclePlant
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody, pseudo_inertia, symmetric
 from onboard.dynamics.model.payload import body_of, numbers_of, standard_of
-from onboard.dynamics.model.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import BODY

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from onboard.config import packaged
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import RowError
 from onboard.estimation.gates import GateReason
 from onboard.estimation.recursive.memory import Memory

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from bench.identification.linear import feed, identifier, signals_of
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.instruments import MotionRows, whitening
 from onboard.identification.rows.predicted_motion import PredictedMotion
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin

@@ -8,10 +8,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from hil_sim.plants.body import Body
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.checks import kept_ticks, suspects
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, Ticks
 from onboard.identification.rows.checks.remade import RowsRemade, turned

@@ -13,10 +13,11 @@ import onboard
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_covariance, standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.batch import Exiddm

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance, standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import FARTHEST, doubtful

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
-from onboard.dynamics.model.vehicle import BaseKind
+from onboard.dynamics.model.bases import BaseKind
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect

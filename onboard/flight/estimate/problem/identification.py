@@ -10,11 +10,12 @@ from onboard import config
 from onboard.config.vehicle import LinkSection
 from onboard.devices.recorded import RecordedDevice
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.inertia import RigidBody, symmetric
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
-from onboard.dynamics.model.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel, VehicleSpec
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response

@@ -24,7 +24,8 @@ from onboard.devices.base import JointDevice
 from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire

@@ -20,8 +20,9 @@ from onboard import config
 from onboard.devices.roles import TorqueKeys
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
 from onboard.estimation.smoothing import correlation_inflation

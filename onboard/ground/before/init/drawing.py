@@ -15,10 +15,11 @@ import numpy as np
 from onboard import config
 from onboard.config.text import MOST_BYTES_URDF
 from onboard.dynamics.model import urdf_check, urdf_reading
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.urdf_reading import DrawingError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 PLACEHOLDER = RigidBody(10.0, np.zeros(3), 0.2 * np.eye(3))  # of a base that weighs nothing
 
@@ -88,7 +89,7 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     except DrawingError as error:
         raise config.ConfigError(f"{error}{_without(error, measured)}") from error
     root = drawing.root
-    if base in ("free", "planar") and not urdf_check.base_weighs(drawing):
+    if BaseKind(base).follows and not urdf_check.base_weighs(drawing):
         text = with_bodies(text, {root: PLACEHOLDER})
         notes.append(f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct")
     model = VehicleModel(text, VehicleSpec(BaseKind(base), root))

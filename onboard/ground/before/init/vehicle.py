@@ -10,6 +10,7 @@ from xml.sax.saxutils import quoteattr
 from onboard import config
 from onboard.config.keys import schema
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
+from onboard.dynamics.model.bases import BaseKind
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing
 from onboard.ground.before.init.devices import NewDevice
@@ -163,12 +164,7 @@ def _devices(wanted: Wanted) -> list[NewDevice]:
 
 
 def _head(wanted: Wanted) -> str:
-    about = {
-        "free": "floats freely: its own motion is predicted from the arm's",
-        "prescribed": "moves as something larger does: its motion is measured",
-        "fixed": "stands still, in gravity",
-        "planar": "floats on an air-bearing table: x, y and yaw are free",
-    }[wanted.base]
+    about = BaseKind(wanted.base).about
     planar = f"""
 [planar]                       # 1 sigma
 tilt_sigma_m_s2 = 0.002        # as the table was levelled
@@ -215,7 +211,7 @@ accelerometer_bias_m_s2 = 0.03
 
 
 def _rest(wanted: Wanted) -> str:
-    if wanted.base in ("free", "planar"):
+    if BaseKind(wanted.base).follows:
         known = "".join(
             f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
             for link in wanted.links

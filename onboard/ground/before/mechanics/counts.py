@@ -18,8 +18,9 @@ from onboard.dynamics.mechanics.base_parameter_count import (
 )
 from onboard.dynamics.mechanics.chain import Chain, chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.flight.estimate.problem.identification import NAMING_SEED
 from onboard.regressor.base_parameters import SampledMotion, base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row

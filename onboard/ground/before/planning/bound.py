@@ -13,9 +13,10 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.answers import change_of
@@ -68,7 +69,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
         ConfigError: a vehicle whose base does not float, or without an IMU or joints.
     """
     model, roles = build_model(vehicle), roles_of(vehicle)
-    if model.spec.base not in (BaseKind.FREE, BaseKind.PLANAR):
+    if not model.spec.base.floats:
         raise config.ConfigError(
             f'{vehicle.label}: base = "{model.spec.base}"; only of a floating base is a motion predicted'
         )

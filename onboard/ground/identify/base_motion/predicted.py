@@ -8,8 +8,9 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import BaseKind, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
 from onboard.ground.identify.base_motion.flown import Flown, flown, payload_in

@@ -17,9 +17,10 @@ from drivers.records import IMU, SCALAR
 from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import ANGLE, RATE
+from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import BodyEstimate
-from onboard.dynamics.model.vehicle import BaseKind, VehicleSpec
 from onboard.dynamics.model.vehicle import VehicleModel as Model
+from onboard.dynamics.model.vehicle import VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
