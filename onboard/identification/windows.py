@@ -13,7 +13,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.recursive.consistency import NoiseScale, noise_scale
 
-_LEAST_TOLD = 0.01  # of a stated variance: what the data must take away at least
+_LEAST_TOLD = 0.01  # least share of a stated variance that the data must take away
 
 
 class Part(NamedTuple):

@@ -30,12 +30,12 @@ from onboard.identification.exiddm.guesses import FIRST_TICKS, first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 
-ANNOUNCED_s: Final = 0.05  # the touch may be so far from the time of an announced capture
+ANNOUNCED_s: Final = 0.05  # largest distance of the touch from the time of an announced capture
 _ZERO_s: Final = 0.5  # before the first touch, in which the accelerometer's zero is told
 _EARLY_s: Final = 0.03  # before the first time at which the payload may have been touched
 _CONTACTS_s: Final = (0.25, 0.35, 0.5)  # after the last one, until the grip has closed
 _BESIDE: Final = 12  # ticks on each side that tell the rate there
-_HOLE: Final = 0.5  # of a tick: later or earlier ones have others missing
+_HOLE: Final = 0.5  # of a tick: largest deviation of a tick's time; beyond it ticks are missing
 _OTHER: Final = 1e-2  # chance below which two times tell different motions
 _RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative

@@ -32,7 +32,7 @@ UNITS: Final = (*["m/s"] * 3, *["rad/s"] * 3)
 
 _EXPECTED: Final = np.repeat([0.1, 1.0], 3)  # m/s, rad/s: how bodies may come; see SUPPORTED_SHRINKAGE
 _KEPT_s: Final = 2.5  # ticks before a change is noticed
-_AGAIN: Final = 1.5  # times the ticks at which it was told last
+_AGAIN: Final = 1.5  # growth of the number of ticks at which the estimate is made again
 _LONGEST_s: Final = 60.0  # after the capture
 
 

@@ -35,7 +35,7 @@ _HARDLY = 0.5  # share of the ticks in which the reference has to be there
 _ABSENT_BATCHES = 10  # in a row: it is left out
 _GAIN_WINDOWS = (5, 10, 20)  # batches
 _MISLED_BATCHES = 64  # for which a scale that is off may have misled the estimate before it shows
-_GAIN_SIGMAS = 6.0  # of a window's scale error, of its standard error; and DOUBTFUL stated sigmas
+_GAIN_SIGMAS = 6.0  # scale error of a window that counts, in its standard errors; in stated sigmas DOUBTFUL
 
 
 class Accusation(NamedTuple):

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from scipy.special import chdtri
 
 _BLOCK = 600  # degrees of freedom; a mean over them scatters by 6 %
-_CHANCE = 1e-5  # of a block: what is exceeded more rarely counts
+_CHANCE = 1e-5  # chance of a block's sum: only rarer sums count
 
 
 def beyond_chance(squares: float, freedom: int) -> float:

@@ -23,8 +23,8 @@ from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
-_EVERY = 10  # batches from one time at which a step may be to the next: the motion changes in no less than a second
-_TIMES = 8  # of these that are kept: the newest, and the likeliest of the others
+_EVERY = 10  # batches between candidate times of a step: the motion changes in no less than a second
+_TIMES = 8  # candidate times that are kept: the newest, and the likeliest of the others
 
 
 class Steps:

@@ -39,11 +39,11 @@ _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
-_HOPELESS = 2.0  # residual sum over its rows: a fit that will not get below it is given up
+_HOPELESS = 2.0  # residual sum per row: a fit that will not get below it is given up
 _PATIENCE = 6  # predictions by whose gain the rest is judged
 _ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
 _LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
-_SAME = 0.05  # relative change of any sigma that is none: 0.1 % in the mean
+_SAME = 0.05  # relative change of a sigma that counts as none: 0.1 % in the mean
 _DAMPING = 1e-6  # of the first step
 
 

@@ -70,7 +70,7 @@ def test_outliers_do_not_make_a_window_hopeless(held, at):
 
 
 def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a_result(held, monkeypatch):
-    """Where a motion tells little, the minimum lies in a flat valley; that it is not reached contradicts nothing."""
+    """Where a motion tells little, the minimum lies in a flat valley; stopping short of it is no misfit."""
     predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 100))
     best = solved(predictor, window, Hypothesis.NEW)[0].found
 

@@ -12,7 +12,7 @@ from rich.text import Text
 from onboard.ground.before.control.run import COMPUTED, Stage, Trial, TrialSeries
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
 
-_GROWS = 1.005  # of the error in a trial, from which on it is said
+_GROWS = 1.005  # growth of the error per trial from which on it is reported
 _SHORT = {Stage.BEFORE: "payload unknown", Stage.AFTER: "payload identified"}
 
 

@@ -18,7 +18,7 @@ from onboard.ground.before.planning.splines import Splines
 
 PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
 FEWEST_PIECES = 6
-_TOLD = 0.98  # of the sigma at rest: a motion that leaves more tells nothing of a quantity
+_TOLD = 0.98  # share of the sigma at rest; a motion that leaves more does not determine the quantity
 
 
 class Wanted(NamedTuple):

@@ -15,7 +15,7 @@ from onboard.ground.before.planning.planning import PlannedMotion
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
 from onboard.ground.report.flight.figures import legend
 
-_MOST_PERCENT = 200.0  # of its size: as good as not known
+_MOST_PERCENT = 200.0  # interval, in per cent of the quantity, from which on it counts as unknown
 
 
 def render(made: PlannedMotion | Library) -> RenderableType:

@@ -27,7 +27,7 @@ from onboard.recording.reader import LogReader
 
 _LEVEL = 0.95
 _MISSED = 3.5  # periods without a command: what was commanded then is not known
-_DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
+_DOUBTED = 1.3  # residual variance of a sensor over its noise variance
 _TOLD = "of what the motion tells"
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
 

@@ -35,7 +35,7 @@ from onboard.recording.reader import LogReader
 
 _STEP_s = 1.0  # in which the log is read
 _STAGES_s = (4.0,)  # part of each run that is fitted first
-_GUESS_kg = 1.0  # of a payload, in the middle of nowhere
+_GUESS_kg = 1.0  # initial guess of the payload's mass
 _CONTRADICTS = 1e-6  # chance of a run's payload, beside that of all
 
 

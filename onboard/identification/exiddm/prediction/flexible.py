@@ -17,10 +17,10 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, Layout, SpringPrior
 
 _DAMPING_RATIO = 0.02  # of a joint's swing alone, unladen, where no damping is stated
-_SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer ones told wrong numbers
+_SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer joints gave wrong numbers
 _STIFFEST_Hz = 25.0  # of the same: of 40 Hz a flight was refused for its damping, of 2 kHz no motion is found
-_COLOURED = 10.0  # times the variance of their noise that errors of joint accelerations have where joints swing
-_TORQUE_N_m = 5.0  # of a joint that a bend may begin with, one sigma
+_COLOURED = 10.0  # variance of the errors of joint accelerations over that of their noise, where joints swing
+_TORQUE_N_m = 5.0  # 1 sigma of the torque that bends a joint at the start
 _LARGEST = 1.0  # sigma of a bend, rad, and of its rate, rad/s
 
 

@@ -11,7 +11,7 @@ from onboard.regressor.signals import Signals
 
 BATCH_TICKS = 10  # that the filter takes in one step
 _IMMODERATE = 1e12  # of a prediction in SI units
-_RESTS_rad_s = 0.01  # an arm that is slower shows nothing of what it holds
+_RESTS_rad_s = 0.01  # joint rate below which the motion carries no information on the payload
 
 
 class Prediction(NamedTuple):

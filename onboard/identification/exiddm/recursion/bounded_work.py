@@ -17,11 +17,11 @@ from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import WindowSolve
 
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
-_FLEXIBLE = 7  # times the work of a tick is that of one with flexible joints, measured with five
+_FLEXIBLE = 7  # cost of a tick with flexible joints over that without, measured with five
 _FLEXIBLE_WORK = 80  # as WORK, of a vehicle that has some: three quarters of a core
 LAST_WORK_s = 6.0  # the same when a flight ends; an estimator that has not ended 10 s after it was asked to is killed
 _TICK_s, _JOINT_s = 11e-6, 21e-6  # of a tick's prediction, and of each joint of it: measured with one and with five
-STEP_WORK = 50  # ticks in whose prediction's time a filter step is done, without flexible joints
+STEP_WORK = 50  # cost of a filter step without flexible joints, in predicted ticks
 
 
 def last_work(joints: int) -> int:

@@ -23,9 +23,9 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
-_MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is made anew
-_LINEAR = 0.02  # unless what was found then not to be linear of that change, as its square grows, is below this
-_BENT = 0.1  # and beyond which it is linearised anew
+_MOVED = 1.0  # rms change of a batch's prediction, sigmas of a tick, beyond which the batch is predicted again
+_LINEAR = 0.02  # unless the non-linear part, extrapolated by the square of the change, is smaller than this
+_BENT = 0.1  # non-linear part beyond which the batch is linearised again
 
 
 class Linearised:

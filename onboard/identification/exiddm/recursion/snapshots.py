@@ -22,7 +22,7 @@ from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
-TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so many is kept
+TIERS = ((8, 1), (28, 4), (80, 16))  # (n, k): every k-th of the n newest batches is kept
 
 
 def initially(predictor: ImuPredictor, payload: tuple[FloatArray, FloatArray] | None) -> Known:

@@ -25,10 +25,10 @@ from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
-_APART = 1.25  # of its last length, at which a window of steps linearised about different states is solved again
+_APART = 1.25  # growth of a window at which steps linearised about different states are solved again
 _WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough
 _WELL_rad_s = 0.02  # and sigma of the base's rate, which the zeros of a gyro bound
-_AT_REST_s = 1.0  # kept of it
+_AT_REST_s = 1.0  # time at rest that is kept
 
 
 class Stepped:

@@ -33,7 +33,7 @@ from onboard.identification.exiddm.recursion.pieces import Pieces
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40  # predictions
-_ROUGHLY = 5.0  # decrease of the squares, promised where the iteration from a guess ends: those to the minimum follow
+_ROUGHLY = 5.0  # promised decrease of the squares at which the iteration from a guess ends; steps to the minimum follow
 _SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
@@ -41,12 +41,12 @@ _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-9  # damping of the first step from a minimum of other ticks or other sigmas
-_UNTOLD = 0.05  # share of information that is the ticks' in what they do not tell
-_AWAY = 0.7  # prior sigmas from where that belongs; 0.2 by chance
-_BEGUN = 0.02  # of the prior's sigma of the payload's mass, below which a window grows: what it has told is kept
+_UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
+_AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
+_BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
 _GROWTH, _LONGEST = 1.5, 8.0  # of such a window
 _TOLD = 0.5  # relative sigma of the payload's mass below which ticks tell a payload
-_DRIVEN = 100.0  # times the information of a window of flexible joints that it has in truth: noise drives their bends
+_DRIVEN = 100.0  # by how much a window of flexible joints overstates its information: noise drives their bends
 
 
 class Hypothesis(Enum):
@@ -91,10 +91,10 @@ class Solved(NamedTuple):
         return self.mass_sigma < _TOLD
 
     def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
-        """After a window that does not determine the mass: whether what it has told is kept, and the next one's length.
+        """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.
 
-        That must hardly depend on the mass that it tells: where only windows that told a large one were kept, payloads
-        of 0.1 to 0.2 kg became one sigma heavier.
+        The decision must hardly depend on the estimated mass: where only windows with a large estimate were kept,
+        payloads of 0.1 to 0.2 kg became one sigma heavier.
 
         Args:
             length: of this one, in a length at which nothing has grown.
