@@ -3,6 +3,7 @@
 from onboard.config.bases.free_body import Load
 from onboard.config.bases.pivot import Pivot
 from onboard.config.bases.planar import Body
+from onboard.config.bases.prediction import Prediction
 from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
@@ -19,6 +20,7 @@ __all__ = [
     "Origin",
     "Phases",
     "Pivot",
+    "Prediction",
     "Prior",
     "Recording",
     "Vehicle",

@@ -13,6 +13,7 @@ from onboard.config.bases.free_body import FreeBody
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Pivot
 from onboard.config.bases.planar import Body, Planar
+from onboard.config.bases.prediction import Prediction
 from onboard.config.drive import Drive
 from onboard.config.driving import Played, player_of
 from onboard.config.errors import Origin
@@ -155,6 +156,16 @@ class Vehicle(BaseModel):
     def urdf_path(self) -> Path:
         """The URDF beside the vehicle file."""
         return self.path.parent / self.file.vehicle.urdf if self.urdf is None else self.urdf
+
+    @property
+    def prediction(self) -> Prediction:
+        """By what its flights are estimated."""
+        file = self.file
+        if file.estimation.method != "exiddm":
+            return Prediction.ROWS
+        sections = (file.body, Prediction.BODY), (file.planar, Prediction.PLANAR), (file.parabola, Prediction.PARABOLAS)
+        usual = Prediction.PIVOT if file.vehicle.base == "pivot" else Prediction.FREE
+        return next((kind for section, kind in sections if section is not None), usual)
 
     @property
     def urdf_text(self) -> str:

@@ -101,7 +101,7 @@ def test_parameter_sigma_has_a_size_even_where_the_drawing_says_zero():
     np.testing.assert_allclose(sigma[:10], 0.1 * np.array([2, *[2 * k] * 3, *[2.75] * 6]))
     np.testing.assert_allclose(sigma[10:20], 10 * sigma[:10])
     assert not sigma[20:].any()
-    with pytest.raises(UnknownFrameError, match="none is given of arm, tip: arm = "):
+    with pytest.raises(UnknownFrameError, match="none is given of arm, tip: give each"):
         vehicle.parameter_sigma({"base": 1.0})
     with pytest.raises(UnknownFrameError, match="hand is none of base, arm, tip"):
         vehicle.parameter_sigma({"base": 1.0, "arm": 1.0, "tip": 1.0, "hand": 1.0})

@@ -241,7 +241,7 @@ class VehicleModel:
         """Which links have no sigma, and which names are of no link."""
         said = ["give a relative sigma for each of the links with inertia and for nothing else"]
         if lacking := [link for link in self.links if link not in relative]:
-            said.append(f"none is given of {', '.join(lacking)}: give it, 1.0 where nothing is known")
+            said.append(f"none is given of {', '.join(lacking)}: give each, 1.0 where nothing is known")
         if unknown := [link for link in relative if link not in self.links]:
             said.append(f"{', '.join(unknown)} is none of {', '.join(self.links)}: take it out, or correct the name")
         return "; ".join(said)

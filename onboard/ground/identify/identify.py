@@ -47,6 +47,13 @@ from onboard.identification.verdict import Evidence, verdict
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
+BY_LIKELIHOOD: Mapping[config.Prediction, Callable[[config.Vehicle, LogReader], Identified]] = {
+    config.Prediction.FREE: identify_exiddm,
+    config.Prediction.PARABOLAS: identify_parabolas,
+    config.Prediction.PLANAR: identify_planar,
+    config.Prediction.BODY: identify_body,
+    config.Prediction.PIVOT: identify_pivot,
+}
 _PRINCIPAL = ("I_1", "I_2", "I_3")  # moments of a thrown load
 
 
@@ -130,10 +137,9 @@ def identify(
         check_times(vehicle, reader)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
     pools, found = dict[str, Identifier](), []
-    by_rows = vehicle.file.estimation.method != EXIDDM
-    by_likelihood = likelihood_of(vehicle)
+    by_likelihood = BY_LIKELIHOOD.get(vehicle.prediction)
     for reader, load in zip(readers, loads, strict=True):
-        found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
+        found.append(_one(vehicle, reader, load) if by_likelihood is None else by_likelihood(vehicle, reader))
         if load is not None:
             again = Estimator(vehicle, pools.get(load.name), at_the_end=True)
             pools[load.name] = again.identifier
@@ -145,17 +151,6 @@ def identify(
     calibration = throws.calibrate(vehicle, {loaded[name].role: pool for name, pool in pools.items()})
     together = {name: throws.throw(vehicle, load, pools[name]) for name, load in loaded.items()}
     return Identification(vehicle, tuple(found), calibration, together, recorded=said)
-
-
-def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReader], Identified]:
-    """What estimates a log of a vehicle by maximum likelihood."""
-    if vehicle.file.parabola is not None:
-        return identify_parabolas
-    if vehicle.file.vehicle.base == "pivot":
-        return identify_pivot
-    if vehicle.file.body is not None:
-        return identify_body
-    return identify_exiddm if vehicle.file.planar is None else identify_planar
 
 
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:

@@ -3,12 +3,13 @@
 import numpy as np
 
 from onboard import config
+from onboard.devices.roles import Roles
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.identification.exiddm.prediction.further import DisturbancePrior
+from onboard.identification.exiddm.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 
@@ -96,6 +97,20 @@ def _spring(model: VehicleModel, name: str, keys: config.JointKeys) -> SpringPri
         raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: no link with inertia lies beyond the joint")
     known = keys.stiffness_relative, keys.damping_N_m_s_rad, keys.damping_relative
     return SpringPrior(keys.stiffness_N_m_rad, *known)
+
+
+def tracker_of(roles: Roles) -> list[Further]:
+    """The pose tracker, if there is one; thrusters push the centre of mass, which it does not predict."""
+    if roles.thrusters:
+        return []
+    return [
+        FurtherPose(
+            one.channel,
+            one.frame,
+            PosePrior(one.acceleration_m_s2, one.misalignment_rad, one.place_m, one.scale, one.delay_s),
+        )
+        for one in roles.trackers[:1]
+    ]
 
 
 def check_springs(vehicle: config.Vehicle, why: str) -> None:

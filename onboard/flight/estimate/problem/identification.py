@@ -22,7 +22,13 @@ from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
 from onboard.flight.estimate.problem.exiddm_keys import SigmaKeys
-from onboard.flight.estimate.problem.exiddm_priors import check_springs, disturbance_prior, exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.exiddm_priors import (
+    check_springs,
+    disturbance_prior,
+    exiddm_prior,
+    geometry_prior,
+    tracker_of,
+)
 from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
@@ -35,7 +41,6 @@ from onboard.identification.exiddm.prediction.further import (
     FurtherCell,
     FurtherImu,
     FurtherPose,
-    PosePrior,
     Thruster,
 )
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
@@ -111,16 +116,16 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    if vehicle.file.body is not None:
+    if (build := PREDICTED.get(vehicle.prediction)) is None:
         text = "a body without joints is identified when its run is over: heft identify"
         raise config.ConfigError(f"{vehicle.label}: {text}")
-    if vehicle.file.planar is not None:
-        return build_planar(vehicle)
-    if vehicle.file.vehicle.base == "pivot":
-        return build_pivot(vehicle)
+    return build(vehicle)
+
+
+def build_parabolas(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
+    """What flies between hands, where the momentum changes with every release; and the vehicle's model."""
     online, model = build_exiddm(vehicle)
-    between_hands = vehicle.file.parabola is not None  # its momentum is another one after every release
-    return (TableRun(str(model.spec.payload_link), online.further) if between_hands else online), model
+    return TableRun(str(model.spec.payload_link), online.further), model
 
 
 def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:
@@ -221,20 +226,6 @@ def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior:
         projection = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m).projection
         found.append(FurtherCell(cell.name, keys.frame, projection, samples, prior_of_cell))
     return found
-
-
-def tracker_of(roles: Roles) -> list[Further]:
-    """The pose tracker, if there is one; thrusters push the centre of mass, which it does not predict."""
-    if roles.thrusters:
-        return []
-    return [
-        FurtherPose(
-            one.channel,
-            one.frame,
-            PosePrior(one.acceleration_m_s2, one.misalignment_rad, one.place_m, one.scale, one.delay_s),
-        )
-        for one in roles.trackers[:1]
-    ]
 
 
 def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...]]:
@@ -406,6 +397,12 @@ class Method(NamedTuple):
     tick_means: bool
 
 
+PREDICTED: Mapping[config.Prediction, Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]] = {
+    config.Prediction.FREE: build_exiddm,
+    config.Prediction.PARABOLAS: build_parabolas,
+    config.Prediction.PLANAR: build_planar,
+    config.Prediction.PIVOT: build_pivot,
+}
 METHODS = {  # by ``[estimation] method``
     "rows": Method(build_identifier, tick_means=False),
     "instrumental": Method(build_identifier, tick_means=False),

@@ -73,7 +73,7 @@ def plan_motion(
     coarse, fine = vehicle.with_row_rate(TICK_HZ), vehicle
     plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))
     ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
-    free = vehicle.file.planar is None and vehicle.file.estimation.method == "exiddm"
+    free = vehicle.prediction not in (config.Prediction.ROWS, config.Prediction.PLANAR)
     bound: Bound = FreeBound(coarse, plan, ticks.start) if free else RowsBound(coarse, plan, ticks)
     told = told_by(bound, np.stack([signal[ticks] for signal in (plan.q, plan.dq, plan.ddq)]))
     nuisance = () if wanted.asked else vehicle.file.estimation.nuisance

@@ -44,7 +44,7 @@ def plan_segments(
     Raises:
         ConfigError: limits or payload do not fit the vehicle, or it has no free base.
     """
-    if vehicle.file.planar is not None or vehicle.file.estimation.method != "exiddm":
+    if vehicle.prediction in (config.Prediction.ROWS, config.Prediction.PLANAR):
         raise config.ConfigError(f'{vehicle.label}: segments need method = "exiddm" and a base that is free')
     coarse = vehicle.with_row_rate(TICK_HZ)
     plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))

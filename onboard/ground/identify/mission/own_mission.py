@@ -15,7 +15,7 @@ from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
-from onboard.ground.identify.identify import likelihood_of
+from onboard.ground.identify.identify import BY_LIKELIHOOD
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
@@ -36,9 +36,9 @@ def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
         true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
     if vehicle.file.free_body:  # its base parameters say the same
         true |= _of_free_body(build_model(vehicle), truth)
-    elif vehicle.file.vehicle.base == "pivot":
+    elif vehicle.prediction is config.Prediction.PIVOT:
         true = _of_pivot(vehicle, truth)
-    elif vehicle.file.estimation.method != "exiddm":
+    elif vehicle.prediction is config.Prediction.ROWS:
         true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
     return true
 
@@ -51,7 +51,7 @@ def with_quantities(vehicle: config.Vehicle, truth: Truth) -> Truth:
 
 def is_estimated_afterwards(vehicle: config.Vehicle) -> bool:
     """Whether a vehicle answers nothing in flight: it moves on a table, or between hands."""
-    return vehicle.file.planar is not None or vehicle.file.parabola is not None
+    return vehicle.prediction in (config.Prediction.PLANAR, config.Prediction.PARABOLAS)
 
 
 def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Row], list[Row]]:
@@ -61,7 +61,7 @@ def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Ro
         vehicle: that flew.
         log: of the run.
     """
-    found = likelihood_of(vehicle)(vehicle, log)
+    found = BY_LIKELIHOOD[vehicle.prediction](vehicle, log)
     refused = "" if found.verdict.level is not Level.DO_NOT_USE else f"do not use: {'; '.join(found.verdict.reasons)}"
     names = {f"{kind}_{vehicle.file.vehicle.payload_link}": unit for kind, unit in zip(BODY, BODY_UNITS, strict=True)}
     rows: dict[str, Row] = {name: _answer(unit, refused or _UNDETERMINED) for name, unit in names.items()}

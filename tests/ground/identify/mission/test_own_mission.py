@@ -13,7 +13,7 @@ from onboard.identification.standing import Level
 from onboard.identification.useful import Useful
 from onboard.identification.verdict import Verdict
 
-VEHICLE = SimpleNamespace(file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
+VEHICLE = SimpleNamespace(prediction="planar", file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
 FOUND = (
     Answer("m_box", "kg", 1.4, 0.1, 1.2, 1.6, True),
     Answer("I_zz_box", "kg m^2", 0.002, 0.008, -0.014, 0.018, True),
@@ -27,7 +27,7 @@ def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
     answers = () if reasons else FOUND
     found = SimpleNamespace(verdict=verdict, answers=answers, standings=standings(answers, Useful()), runs=())
-    monkeypatch.setattr(own_mission, "likelihood_of", lambda _: lambda *_: found)
+    monkeypatch.setitem(own_mission.BY_LIKELIHOOD, "planar", lambda *_: found)
     rows, runs = own_mission.after_the_run(VEHICLE, None)
     assert runs == []
     assert len(rows) == (10 if reasons else 11)
