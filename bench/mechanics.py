@@ -74,8 +74,8 @@ def main() -> None:
     print(f"{'us a call, n = 5':46}{'Pinocchio':>12}{'NumPy':>10}{'ratio':>8}   (bar {LIMIT_US:g} us)")
     for name, ours, peer in rows:
         mine = median_us(ours, calls)
-        other = median_us(peer, max(calls // 10, 10)) if peer else float("nan")
-        print(f"{name:46}{mine:12.1f}{other:10.1f}{other / mine:8.1f}")
+        other = median_us(peer, max(calls // 10, 10)) if peer else 0.0
+        print(f"{name:46}{mine:12.1f}" + (f"{other:10.1f}{other / mine:8.1f}" if peer else ""))
     seconds, step_s = arguments.block_seconds, 1e-3 * arguments.block_step_ms
     print(f"\nblock system of {len(chain.mass)} bodies, rates 0.1 rad/s: {seconds:g} s in steps of {1e3 * step_s:g} ms")
     for seed in range(1, arguments.block_seeds + 1):

@@ -33,6 +33,7 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
     def prose(text: str) -> str:
         parts = _SPAN.split(_DISPLAY.sub(lambda it: "\n\n" + convert(it[1], display="block") + "\n\n", text))
         parts[::2] = [_INLINE.sub(lambda it: f"<span>{convert(it[1])}</span>", part) for part in parts[::2]]
+        parts[1::2] = [part.replace(r"\|", "|") for part in parts[1::2]]  # escaped for GitHub
         return _PAGE.sub(link, "".join(parts))
 
     parts = _FENCE.split(markdown)
