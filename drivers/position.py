@@ -1,37 +1,38 @@
-"""Unwraps a joint's 32-bit position counter and rejects impossible steps."""
+"""Unwraps a joint's position counter and rejects impossible steps."""
 
 ACCEPTED_AFTER = 20
-_TURN, _HALF = 1 << 32, 1 << 31
 
 
 class Position:
     """Tracks one position counter.
 
-    Of the two possible steps between samples the shorter is taken, which is right up to 2^31 counts. A step of more
-    than one revolution is rejected and does not change the reference, so that corrupted data leave no wrap behind. A
+    Of the two possible steps between samples the shorter is taken, which is right up to half of its range. A step of
+    more than ``largest`` is rejected and does not change the reference, so that corrupted data leave no wrap behind. A
     new position that persists (the joint moved while not sampled) is accepted after ``ACCEPTED_AFTER`` consistent
     samples. The first position is the one nearest to the joint's zero: an encoder that reads 0 there reads 2^32 - 1 one
     count below it.
 
     Args:
-        counts_per_revolution: Counts per revolution of the joint.
+        largest: Counts of the largest step: a revolution of the joint, or less.
         zero_count: Reading at joint angle zero.
+        bits: Width of the counter.
 
     Attributes:
         at: The last accepted position, counts; None before the first.
     """
 
-    def __init__(self, counts_per_revolution: int, zero_count: int = 0) -> None:
+    def __init__(self, largest: int, zero_count: int = 0, bits: int = 32) -> None:
         self.at: int | None = None
         self._zero = zero_count
-        self._counts = counts_per_revolution
+        self._counts = largest
+        self._turn, self._half = 1 << bits, 1 << bits - 1
         self._rejected = 0  # the last rejected position
         self._agreeing = 0  # samples in a row that agree with it
 
     def place(self, word: int) -> tuple[int, bool]:
-        """Position with the 32 bits ``word`` (signed or not) nearest to the last one, and whether it is accepted."""
+        """Position with the bits ``word`` (signed or not) nearest to the last one, and whether it is accepted."""
         before = self._nearest(word, self._zero) if self.at is None else self.at
-        position = before + (word - before + _HALF) % _TURN - _HALF
+        position = self._nearest(word, before)
         if abs(position - before) > self._counts:
             agrees = self._agreeing and abs(self._nearest(word, self._rejected) - self._rejected) <= self._counts
             self._agreeing = self._agreeing + 1 if agrees else 1
@@ -43,7 +44,7 @@ class Position:
         return position, True
 
     def follow(self, positions: list[int]) -> bool:
-        """Accept unwrapped positions if no step exceeds a revolution; False, and no change, otherwise."""
+        """Accept unwrapped positions if no step exceeds the largest; False, and no change, otherwise."""
         before = self.at
         if before is None or self._agreeing:
             return False
@@ -54,6 +55,5 @@ class Position:
         self.at = before
         return True
 
-    @staticmethod
-    def _nearest(word: int, to: int) -> int:
-        return to + (word - to + _HALF) % _TURN - _HALF
+    def _nearest(self, word: int, to: int) -> int:
+        return to + (word - to + self._half) % self._turn - self._half

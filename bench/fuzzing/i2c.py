@@ -8,7 +8,7 @@ from bench import peers
 from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
 from drivers.device import Device
 from drivers.errors import FrameError
-from drivers.i2c import nau7802
+from drivers.i2c import as5600, nau7802
 from drivers.ports import I2cReply
 
 TRANSFER_NS = 100_000
@@ -74,7 +74,17 @@ def nau7802_chip(data: bytes) -> None:
     _fly(nau7802.Nau7802("cell", chip, config), chip, body, range(0x12, 0x15))
 
 
-CALLS: dict[str, Callable[[bytes], None]] = {"nau7802": nau7802_chip}
+def as5600_chip(data: bytes) -> None:
+    """The decoder and the device."""
+    (which, status), body = leading(data, 2)
+    with contextlib.suppress(FrameError):
+        as5600.decode_reading(body)
+    config = as5600.As5600Config((-4096, 4096, 40960)[which % 3], which, (1.0, 5.0, 50.0)[which >> 2 & 1])
+    chip = Registers(peers.Clock(), {0x0B: status & 0x38})
+    _fly(as5600.As5600("joint", chip, config), chip, body, range(0x0C, 0x0E))
+
+
+CALLS: dict[str, Callable[[bytes], None]] = {"nau7802": nau7802_chip, "as5600": as5600_chip}
 SEEDS = [
     b"\3\x20" + bytes([2, 1, 2, 8, 0, 0, 16, 0, 0, 2, 9, 9]) * 6,
     b"\3\0" + bytes([0, 0, 0xBE, 8, 0, 0, 0, 0, 0x9E, 48, 0, 0]) * 8,

@@ -36,6 +36,7 @@ class FaultKind(StrEnum):
     TIMEOUT = "timeout"
     STUCK_BUS = "stuck_bus"
     WHO_AM_I = "who_am_i"
+    FIELD = "field"
     TRIP = "trip"
     EMERGENCY_STOP = "emergency_stop"
     PULSE_DROP = "pulse_drop"
@@ -65,6 +66,7 @@ EFFECTS: Final = {
     FaultKind.TIMEOUT: "transfers are made, and end in ETIMEDOUT",
     FaultKind.STUCK_BUS: "SDA is held low: no transfer begins (EBUSY)",
     FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
+    FaultKind.FIELD: "the magnet's field is 1 + VALUE times the nominal one: weak below 0.5, strong above 1.5",
     FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY (the end is not used)",
     FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h",
     FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
@@ -96,6 +98,7 @@ _SECONDS: Final = {
 _NOT_ZERO: Final = {
     FaultKind.WRONG: "how wrong it is",
     FaultKind.CLOCK_JUMP: "the jump in seconds",
+    FaultKind.FIELD: "by what share the field is off",
 }
 _WITHIN: Final = {
     FaultKind.WHO_AM_I: (0, 0xFF, "the byte to read (0 to 255)"),

@@ -23,6 +23,7 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "node_frame": 500,
     "sync_pulse": 500,
     "nau7802": 60,
+    "as5600": 60,
     "vehicle": 12,
     "urdf": 30,
     "segments": 60,

@@ -12,6 +12,7 @@ from hil_sim.devices.canopen.arm_controller import ArmController
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
@@ -30,7 +31,7 @@ from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, St
 COUNT_RAD = 2.0 * np.pi / 500_000
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
-LINKS = 4
+LINKS = 5
 BOOT_MS = 1_000  # the slowest twin is up after half of it
 DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -117,6 +118,7 @@ class MixedWorld:
         self.qsb = QsbTwin(Analog(angle(3)), RateClock(), START_NS)
         self.node = FrameNode(_node_channels(), RateClock(-0.001), START_NS, node=7, line=LineFormat(230_400))
         bus["i2c_1"].add(self.imu)
+        bus["i2c_1"].add(As5600Twin(Analog(angle(5)), START_NS, zero_count=77))
         bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
         nodes = [

@@ -23,6 +23,7 @@ phase = 1
 action = "swing"
 duration_s = {swing}
 """
+JOINTS = ["--base", "fixed", "--joints", "2", "--encoder", "as5600", "--load-cell", "nau7802"]
 CELL = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802"]
 
 
@@ -104,6 +105,44 @@ def test_conversions_are_put_on_the_time_when_they_ended(tmp_path, monkeypatch):
     late = [float(t - truth_s[np.abs(truth_s - t).argmin()]) for t in (times_ns[-200:] - start_ns) * 1e-9]
     assert sigma_ns < 0.5e6
     assert np.abs(late).max() < 3.0 * sigma_ns * 1e-9
+
+
+def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
+    """Two joints with an AS5600 each, on two buses, and their eccentric magnets."""
+    result, log, _ = rehearsed(tmp_path, JOINTS)
+    assert result["accounted"]
+    honest(answers(result))
+    assert any(row["supported"] for row in answers(result).values())
+    for joint in ("joint_1", "joint_2"):
+        rows = log.read(joint)
+        assert len(rows) > 8.5 * 200
+        assert set(rows["status"]) == {0}
+        assert set(rows["device_status"]) == {0x20}
+
+
+def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_path):
+    faults = [
+        *("--fault", "field:joint_1:4:5:-0.7", "--fault", "field:joint_2:5:5.5:-1", "--fault", "off:joint_2:6:6.5"),
+        *("--fault", "silent:joint_1:7:7.3"),
+    ]
+    result, log, _ = rehearsed(tmp_path, JOINTS, *faults)
+    assert result["accounted"]
+    honest({name: row for name, row in answers(result).items() if row["supported"]})
+    events = log.read("event")
+    told = {(event["source"], event["code"]) for event in events}
+    assert told >= {(b"joint_1", b"magnet_weak"), (b"joint_2", b"magnet_missing"), (b"joint_2", b"brown_out")}
+    assert told >= {(b"joint_1", b"magnet_over"), (b"joint_1", b"bus_recovered"), (b"joint_2", b"bus_recovered")}
+    assert (log.read("joint_1")["status"] & SampleStatus.NOT_VALID != 0).sum() == pytest.approx(200, abs=2)
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_an_arm_of_magnets_and_a_bridge_flies_in_real_time(tmp_path):
+    result, log, _ = rehearsed(tmp_path, JOINTS, "--realtime", "--fault", "silent:joint_1:4:5")
+    assert result["accounted"]
+    assert len(log.read("joint_2")) > 800
+    events = log.read("event")
+    assert b"bus_recovered" in events["code"][events["source"] == b"joint_1"].tolist()
 
 
 @pytest.mark.realtime

@@ -1,0 +1,209 @@
+"""AS5600: decoder, and the driver against a chip typed from the data sheet."""
+
+import errno
+from math import tau
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ConfigurationError, FrameError
+from drivers.i2c.as5600 import As5600, As5600Config, decode_reading
+from drivers.records import SampleStatus
+from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.i2c_model import As5600Model
+
+NAME = "joint"
+NOT_VALID = int(SampleStatus.NOT_VALID)
+
+
+class Flight:
+    def __init__(self, clock, config=None, chip=None):
+        self.clock, self.chip = clock, chip or As5600Model(clock)
+        self.device = As5600(NAME, self.chip, config)
+        self.batches = self.device.start(clock())
+
+    def fly(self, seconds):
+        until_ns = self.clock() + round(seconds * 1e9)
+        while self.clock() < until_ns:
+            self.clock.advance(self.device.period_ns)
+            self.batches += self.device.pump(self.clock())
+
+    def rows(self):
+        return whole(self.batches, NAME)
+
+
+@pytest.fixture
+def flight(clock):
+    return Flight(clock)
+
+
+@pytest.mark.parametrize(
+    ("data", "counts", "status"),
+    [("200000", 0, 0x20), ("200fff", 4095, 0x20), ("300800", 2048, 0x30), ("280001", 1, 0x28), ("000000", 0, 0)],
+)
+def test_readings_of_the_data_sheets_coding(data, counts, status):
+    assert decode_reading(bytes.fromhex(data)) == (counts, status)
+
+
+@given(st.binary(max_size=6))
+def test_any_bytes_are_a_reading_or_refused(data):
+    reserved = len(data) == 3 and (data[0] & 0xC7 or data[1] & 0xF0)
+    if len(data) != 3 or reserved:
+        with pytest.raises(FrameError, match="check bus and address"):
+            decode_reading(data)
+    else:
+        counts, status = decode_reading(data)
+        assert 0 <= counts < 4096
+        assert bytes([status, counts >> 8, counts & 0xFF]) == data
+
+
+@pytest.mark.parametrize(("taps", "code"), [(16, 0), (8, 1), (4, 2), (2, 3)])
+def test_the_set_up_leaves_what_is_not_its_own(clock, taps, code):
+    chip = As5600Model(clock)
+    chip.registers |= {0x07: 0xC0 | 0x3C, 0x08: 0xA0 | 0x0F}  # factory bits, output stage, PWM; FTH, hysteresis, LPM
+    flight = Flight(clock, As5600Config(slow_filter=taps), chip)
+    flight.fly(0.1)
+    assert codes(flight.batches) == ["started"]
+    assert chip.registers[0x07] == 0xC0 | code
+    assert chip.registers[0x08] == 0xA0
+    assert [data for kind, *data in chip.transfers if kind == "write"] == [[7, 0xC0 | code], [8, 0xA0]]
+
+
+@pytest.mark.parametrize("wrong", [{"slow_filter": 3}, {"counts_per_revolution": 0}, {"sample_period_ms": 0.0}])
+def test_what_it_has_not_is_refused(wrong):
+    with pytest.raises(ConfigurationError):
+        As5600Config(**wrong)
+
+
+@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
+def test_one_failed_transaction_at_any_place_is_tried_again(clock, code):
+    for place in range(12):
+        chip = As5600Model(clock)
+        chip.fail = lambda number, place=place: code if number == place else 0
+        flight = Flight(clock, chip=chip)
+        flight.fly(0.2)
+        assert codes(flight.batches) == ["started"], place
+        assert flight.device.bus_errors == 1
+        assert len(of(flight.batches, "gap")) == 0
+
+
+@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO, errno.ETIMEDOUT])
+def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, code):
+    for place in range(16):
+        chip = As5600Model(clock)
+        dead = {"until": 1 << 30}
+        chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
+        flight = Flight(clock, chip=chip)
+        flight.fly(3.0)
+        said = [one for one in codes(flight.batches) if one != "started"]
+        assert said in (["no_answer"], ["bus_error"]), place
+        before, dead["until"] = len(of(flight.batches, NAME)), 0
+        flight.fly(2.0)
+        assert codes(flight.batches)[-1] in ("started", "bus_recovered")
+        assert len(flight.rows()) > 150
+        if before:
+            (gap,) = of(flight.batches, "gap")
+            assert gap["cause"] == b"bus_error"
+            assert gap["last_missing"] - gap["first_missing"] == pytest.approx(700, abs=110)
+
+
+@pytest.mark.parametrize("registers", [{0x0B: 0x01}, {0x0C: 0x40}])
+def test_a_fuel_gauge_at_its_address_is_no_as5600(clock, registers):
+    """A MAX17048 answers at 36h too."""
+    chip = As5600Model(clock)
+    chip.stuck |= registers
+    flight = Flight(clock, chip=chip)
+    flight.fly(1.0)
+    assert codes(flight.batches) == ["wrong_device"]
+    assert "check bus and address" in texts(flight.batches, "wrong_device")[0]
+
+
+@pytest.mark.parametrize("register", [7, 8])
+def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, register):
+    chip = As5600Model(clock)
+    chip.stuck[register] = 0x09
+    flight = Flight(clock, chip=chip)
+    flight.fly(1.0)
+    assert codes(flight.batches) == ["configuration"]
+    assert len(of(flight.batches, NAME)) == 0
+
+
+def test_it_is_asked_in_its_period_and_stamps_both_ends(clock):
+    chip = As5600Model(clock, transfer_ns=120_000)
+    flight = Flight(clock, As5600Config(sample_period_ms=2.0), chip)
+    flight.fly(1.0)
+    rows = flight.rows()
+    assert (rows["host_ns"] - rows["tick"].astype(int) == 120_000).all()
+    assert len(rows) == pytest.approx(1.0 / 2.12e-3, abs=6)
+    assert set(rows["unit"]) == {b"rad"}
+    assert rows["scale"][0] == pytest.approx(tau / 4096)
+
+
+@pytest.mark.parametrize("counts", [4096, -4096, 40960])
+def test_it_follows_turns_either_way_from_the_count_nearest_to_zero(clock, counts):
+    chip = As5600Model(clock)
+    began_ns = clock()
+    chip.angle = lambda now_ns: 4000 + round((now_ns - began_ns) * 1e-9 * 9000)  # two turns a second
+    flight = Flight(clock, As5600Config(counts, zero_count=100), chip)
+    flight.fly(2.0)
+    rows = flight.rows()
+    true = 4000 - 4096 + (rows["tick"].astype(np.int64) - began_ns) * 9e-6
+    np.testing.assert_allclose(rows["value_raw"], true, atol=1.0)
+    assert np.sign(rows["scale"][0]) == np.sign(counts)
+
+
+def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(clock, flight):
+    flight.fly(0.5)
+    flight.chip.angle = lambda now_ns: 2200
+    flight.fly(0.005)
+    flight.chip.angle = lambda now_ns: 100
+    flight.fly(0.5)
+    rows = flight.rows()
+    assert rows["status"].tolist().count(NOT_VALID) == 1
+    assert set(rows["value_raw"][rows["status"] == 0]) == {100}
+
+
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [(0x00, "magnet_missing"), (0x10, "magnet_missing"), (0x30, "magnet_weak"), (0x28, "magnet_strong")],
+)
+def test_a_magnet_that_is_not_right_is_a_fault(clock, flight, status, code):
+    flight.fly(0.5)
+    flight.chip.status = status
+    flight.fly(0.5)
+    flight.chip.status = 0x20
+    flight.fly(0.5)
+    assert codes(flight.batches) == ["started", code, "magnet_over"]
+    rows = flight.rows()
+    assert rows["status"].tolist().count(NOT_VALID) == 100
+    assert set(rows["device_status"][rows["status"] != 0]) == {status}
+
+
+def test_a_brown_out_loses_the_filter_and_not_the_turns(clock):
+    chip = As5600Model(clock)
+    began_ns = clock()
+    chip.angle = lambda now_ns: round((now_ns - began_ns) * 1e-9 * 900)
+    flight = Flight(clock, chip=chip)
+    flight.fly(8.0)
+    chip.reset()
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["started", "brown_out", "started"]
+    assert chip.registers[7] == 3
+    rows = flight.rows()
+    np.testing.assert_allclose(rows["value_raw"], (rows["tick"].astype(np.int64) - began_ns) * 9e-7, atol=1.0)
+
+
+def test_frames_that_cannot_be_are_a_gap(clock, flight):
+    flight.fly(0.5)
+    flight.chip.stuck[0x0B] = 0xFF
+    flight.fly(0.2)
+    del flight.chip.stuck[0x0B]
+    flight.fly(0.5)
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"bad_frame"
+    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(39, abs=1)
+    flight.batches += flight.device.stop(clock())
+    assert codes(flight.batches) == ["started", "bad_frame", "stopped", "bad_frame"]
+    flight.rows()
