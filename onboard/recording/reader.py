@@ -16,6 +16,7 @@ from onboard.recording.missing import SegmentsSeen
 
 EXIT_COMPLETE = 0
 EXIT_DAMAGED = 3
+KEPT_BYTES = 64 << 20  # of the longest log that is kept
 
 
 class _Survey(NamedTuple):
@@ -37,6 +38,7 @@ class LogReader:
     Args:
         path: a log (layout: ``onboard.recording.format.segments``), or the segments to read, in order. Of a log,
             segments missing at its beginning or end are reported too.
+        kept: read a log of at most :data:`KEPT_BYTES` once: passes after the first whole one are over what it found.
 
     Attributes:
         path: as given; the first where segments were given.
@@ -48,7 +50,7 @@ class LogReader:
         OSError: none of its files can be opened.
     """
 
-    def __init__(self, path: str | Path | Sequence[Path]) -> None:
+    def __init__(self, path: str | Path | Sequence[Path], *, kept: bool = False) -> None:
         if isinstance(path, str | Path):
             self.path = Path(path)
             self.segments = segments(self.path)
@@ -58,6 +60,8 @@ class LogReader:
         alone = self.segments == (self.path,) and is_part(self.path)
         self.is_flight = isinstance(path, str | Path) and not alone
         self._before = 0
+        self._keeps = kept and self.size <= KEPT_BYTES
+        self._kept: list[tuple[int, list[MessageRun]]] | None = None  # position after a chunk, its runs
         self._scan: Scan | None = None
         self._found: _Survey | None = None
         self._require_one_of_ours()
@@ -179,7 +183,21 @@ class LogReader:
                     yield Batch(name, rows)
 
     def _chunks(self) -> Iterator[list[MessageRun]]:
-        """One pass: yields the runs of each chunk; stores the other results at the end."""
+        """One pass, over the file or what was kept of it: yields the runs of each chunk."""
+        if self._kept is not None:
+            for read, runs in self._kept:
+                self._before = read
+                yield runs
+            return
+        kept = list[tuple[int, list[MessageRun]]]()
+        for runs in self._in_file():
+            if self._keeps:
+                kept.append((self.position, runs))
+            yield runs
+        self._kept = kept if self._keeps else None
+
+    def _in_file(self) -> Iterator[list[MessageRun]]:
+        """One pass over the file; stores the other results at its end."""
         found = _Survey({}, {}, {}, [], False)
         self._before, times = 0, Times()
         alone = len(self.segments) == 1

@@ -69,6 +69,29 @@ def test_reading_a_channel_first_is_the_pass_that_tells_of_the_whole_log(small, 
     assert len(passes) == 1
 
 
+def test_a_log_that_is_kept_is_read_from_the_disk_once(small):
+    log, whole = LogReader(small, kept=True), list(LogReader(small).batches())
+    next(log.batches())  # a pass that is not whole keeps nothing
+    assert log.complete
+    small.unlink()
+    for _ in range(2):
+        again = list(log.batches())
+        assert [batch.channel for batch in again] == [batch.channel for batch in whole]
+        assert all(same_fields(one.rows, other.rows) for one, other in zip(again, whole, strict=True))
+        again[0].rows["host_ns"] = 0  # the caller's own
+    assert len(log.read("reading")) == SMALL
+    assert 0 < log.position <= log.size
+
+
+def test_a_log_that_is_too_long_to_be_kept_is_read_again(small, monkeypatch):
+    monkeypatch.setattr("onboard.recording.reader.KEPT_BYTES", small.stat().st_size - 1)
+    log = LogReader(small, kept=True)
+    assert log.complete
+    small.unlink()
+    with pytest.raises(FileNotFoundError):
+        log.read("reading")
+
+
 @pytest.mark.parametrize("ask", [lambda log: log.batches(["nobody"]), lambda log: log.read("nobody")])
 def test_a_channel_that_is_not_there_is_named(small, ask):
     with pytest.raises(ChannelError, match=r"nobody.*reading"):
