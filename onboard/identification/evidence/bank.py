@@ -252,6 +252,9 @@ class Bank:
             )
             for shape in dict.fromkeys(shapes)
         ]
+        columns = [alike.slopes.shape[2] for alike in self._alone]
+        same = [[k for k, one in enumerate(columns) if one == r] for r in dict.fromkeys(columns)]
+        self._of_columns = [([one for k in groups for one in self._alone[k].which], groups) for groups in same]
         fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner, self._inside]
         fixed += [part for one in suspects for part in (one.at, one.along)]
         for part in (*fixed, *self._slopes, *(part for alike in self._alone for part in alike[1:])):
@@ -323,14 +326,15 @@ class Bank:
     def _each(self, M: Sequence[FloatArray], slope: Sequence[FloatArray]) -> list["_Alone"]:
         """Each suspect by itself, by the matrices, (n, r, r), and the gradients, (n, r), of those that are alike."""
         found = dict[int, _Alone]()
-        for alike, matrix, gradient in zip(self._alone, M, slope, strict=True):
-            told, V = np.linalg.eigh(matrix)
+        for which, groups in self._of_columns:
+            matrix, gradient = (np.concatenate([part[k] for k in groups]) for part in (M, slope))
+            told, V = np.linalg.eigh(matrix) if matrix.shape[1] > 1 else (matrix[:, 0], _ONE)
             scale = np.sqrt(np.maximum(told, 1.0))  # (n, r); below one by rounding
             whiten = V / scale[:, None]
             g = (gradient[:, None] @ whiten)[:, 0]
             nats = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
             sizes = np.sqrt(((g / scale) ** 2).mean(axis=1))
-            found.update(zip(alike.which, map(_Alone, nats.tolist(), sizes.tolist(), whiten, g), strict=True))
+            found.update(zip(which, map(_Alone, nats.tolist(), sizes.tolist(), whiten, g), strict=True))
         return [found[k] for k in range(len(found))]
 
     def _log_weights(self, found: Sequence["_Alone"]) -> FloatArray:
@@ -408,4 +412,5 @@ class _Alike(NamedTuple):
 
 
 _NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+_ONE = np.ones((1, 1, 1))  # eigenvectors of a number
 _WEIGHT = attrgetter("weight")
