@@ -16,11 +16,12 @@ from typing import NamedTuple, Protocol
 import mujoco
 import numpy as np
 
-from hil_sim.arrays import FloatArray, solved, solved_unchecked
+from hil_sim.arrays import FloatArray, solved
 from hil_sim.plants.body import Body
 from hil_sim.plants.motions.attitude import Wheels
 from hil_sim.plants.motions.carrier import Carrier
 from hil_sim.plants.parts.cabin import Cabin
+from hil_sim.plants.parts.coasting import Coasting, Told, mean, moved
 from hil_sim.plants.parts.contact import Contact
 from hil_sim.plants.parts.exchange import Jolt, Momenta, Released
 from hil_sim.plants.parts.jets import Jets
@@ -28,7 +29,6 @@ from hil_sim.plants.parts.pucks import Drag, dragged
 from hil_sim.plants.parts.soft_parts import SoftParts, bent_inertia, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
-Told = tuple[FloatArray, FloatArray, FloatArray]  # of the joints, (j,) each: angle, rate and acceleration
 _POSES = 64  # of the motion in which springs are checked: its turns are slower than the springs by far
 _LATER = int(mujoco.mjtStage.mjSTAGE_VEL)  # stages of inverse dynamics that are done already
 
@@ -91,9 +91,9 @@ class VehicleFlight:
         self._step_s, self._path, self._pucks = step_s, path, pucks
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
-        position, velocities, accelerations = self.data.qpos, self.data.qvel, self.data.qacc
+        position, velocities = self.data.qpos, self.data.qvel
         self._state = position[: self._np], position[self._np :], velocities[: self._nb], velocities[self._nb :]
-        self._accelerations, self._wrench = accelerations, self.data.qfrc_inverse[: self._nb]
+        self._coasting = Coasting(self.model, self.data, self._np, self._nb)
         self._free = path is None and self._nb > 0
         self._soft = SoftParts(np.zeros(0), 0.0, None) if soft is None else soft
         self._integrated = self._free or soft is not None
@@ -125,7 +125,10 @@ class VehicleFlight:
         with np.errstate(invalid="raise"):
             for k in range(rows):
                 self._show(k, out, *told[2 * k])
-                if self._integrated:
+                if self._alone and self.contact is None:
+                    now = self._pose, self._velocity, told[2 * k : 2 * k + 3]
+                    self._pose, self._velocity = self._coasting.step(*now, self._step_s)
+                elif self._integrated:
                     self._step(told[2 * k : 2 * k + 3])
                 self.count += 1
         return out
@@ -247,11 +250,8 @@ class VehicleFlight:
         """Of the base at a half step, (b,), of springs, wheels, contact; leaves the joints' accelerations in place."""
         data, nb, cabin, (q, dq, ddq) = self.data, self._nb, self._cabin, told
         if self._alone and self.contact is None:
-            self._place(pose, velocity, q, dq)
-            self._accelerations[:nb], self._accelerations[nb:] = 0.0, ddq
-            mujoco.mj_inverse(self.model, data)
             self._push[:] = 0.0
-            return solved_unchecked(self._base_inertia()[:, :nb], -self._wrench), soft, self._spin, touched
+            return self._coasting.accelerate(pose, velocity, told), soft, self._spin, touched
         bends = self._soft.joints > 0
         bend, bending = self._soft.bend(soft) if bends else (0.0, 0.0)
         self._place(pose, velocity, q + bend, dq + bending)
@@ -368,7 +368,7 @@ class VehicleFlight:
         forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
         soft, spin, z, touched = [self._soft_rates], [self._spin_rates], self._touched, [self._touched_rates]
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
-            pose = self._moved(rates[-1], part * h)
+            pose = moved(self._pose, rates[-1], part * h)
             velocity = v + part * h * forces[-1]
             q, dq, ddq = told[stage]
             rate = dq if self._wheels is None else self._turned(dq, self._spin + part * h * spin[-1])
@@ -377,26 +377,11 @@ class VehicleFlight:
             for stages, one in zip((forces, soft, spin, touched), found, strict=True):
                 stages.append(one)
             rates.append(velocity)
-        self._pose = self._moved(_mean(rates), h)
-        self._velocity = v + h * _mean(forces)
+        self._pose = moved(self._pose, mean(rates), h)
+        self._velocity = v + h * mean(forces)
         if len(y):
-            self._soft.state = y + h * _mean(soft)
+            self._soft.state = y + h * mean(soft)
         if len(self._spin):
-            self._spin = self._spin + h * _mean(spin)
+            self._spin = self._spin + h * mean(spin)
         if self.contact is not None:
-            self.contact.moved(z + h * _mean(touched))
-
-    def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
-        """The base's pose after a step from where it stands."""
-        if self._np in (0, 3):
-            return np.asarray(self._pose + step_s * velocity, np.float64)
-        pose: FloatArray = self._pose.copy()
-        pose[:-4] += step_s * velocity[:-3]
-        mujoco.mju_quatIntegrate(pose[-4:], velocity[-3:], step_s)
-        return pose
-
-
-def _mean(rates: Sequence[FloatArray]) -> FloatArray:
-    """Of the four stages of a Runge-Kutta step."""
-    first, second, third, fourth = rates
-    return (first + 2.0 * second + 2.0 * third + fourth) / 6.0
+            self.contact.moved(z + h * mean(touched))
