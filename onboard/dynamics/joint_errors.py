@@ -38,36 +38,56 @@ class Readings(NamedTuple):
     dq: FloatArray
     ddq: FloatArray
     jerk: FloatArray
-    cyclic: FloatArray  # (n, 3, m) functions that cyclic errors are multiples of, and their two derivatives
+    cyclic: FloatArray  # (n, 4, m) functions that cyclic errors are multiples of, and their three derivatives
 
     @staticmethod
     def of(
         q: FloatArray, dq: FloatArray, ddq: FloatArray, period_s: float, cyclic: FloatArray | None = None
     ) -> "Readings":
-        """With the jerk by differences of the acceleration."""
+        """With the third derivatives by differences of the second; ``cyclic``: functions and two, (n, 3, m)."""
         cyclic = np.zeros((len(q), 3, 0)) if cyclic is None else cyclic
-        jerk = np.empty_like(ddq)
-        jerk[1:-1] = (ddq[2:] - ddq[:-2]) / (2.0 * period_s)
-        jerk[0], jerk[-1] = (ddq[1] - ddq[0]) / period_s, (ddq[-1] - ddq[-2]) / period_s
-        return Readings(q, dq, ddq, jerk, cyclic)
+        functions = np.concatenate([cyclic, _change(cyclic[:, 2:], period_s)], axis=1)
+        return Readings(q, dq, ddq, _change(ddq, period_s), functions)
 
-    def corrected(
-        self, errors: FloatArray, cyclic: FloatArray, turns: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, rate and acceleration with errors taken out: ``q + zero + scale q + delay dq + cyclic functions``.
+    def without_cyclic(self, errors: FloatArray, cyclic: FloatArray, turns: FloatArray) -> "Readings":
+        """With cyclic errors taken out, and the functions as scale and delay change what these do to the position.
+
+        What a late encoder says is a former angle with the error at that angle. Of ripples that are no motion a delay
+        tells nothing: beside them in the rates that it multiplies it would be found too small.
 
         Args:
             errors: in the order of :data:`JOINT_ERRORS`, (joints, 6).
-            cyclic: multiples of the functions, (m,).
+            cyclic: multiples of the first k functions, (k,); the others stay.
             turns: the joint of each function, as one in its column, (m, joints).
         """
+        k = len(cyclic)
+        own, (_, scale, delay) = turns[:k], errors[:, 3:].T
+        q, dq, ddq, jerk = ((self.cyclic[..., :k] * cyclic) @ own).swapaxes(0, 1)
+        functions = self.cyclic.copy()
+        functions[..., :k] *= 1.0 + own @ scale
+        functions[:, :3, :k] += self.cyclic[:, 1:, :k] * (own @ delay)
+        return Readings(self.q + q, self.dq + dq, self.ddq + ddq, self.jerk + jerk, functions)
+
+    def corrected(self, errors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, rate and acceleration with errors taken out: ``q + zero + scale q + delay dq``.
+
+        Args:
+            errors: in the order of :data:`JOINT_ERRORS`, (joints, 6).
+        """
         zero, scale, delay = errors[:, 3:].T
-        q, dq, ddq = ((self.cyclic * cyclic) @ turns).swapaxes(0, 1)
         return (
-            self.q * (1.0 + scale) + zero + delay * self.dq + q,
-            self.dq * (1.0 + scale) + delay * self.ddq + dq,
-            self.ddq * (1.0 + scale) + delay * self.jerk + ddq,
+            self.q * (1.0 + scale) + zero + delay * self.dq,
+            self.dq * (1.0 + scale) + delay * self.ddq,
+            self.ddq * (1.0 + scale) + delay * self.jerk,
         )
+
+
+def _change(values: FloatArray, period_s: float) -> FloatArray:
+    """Rate of change by differences, at all ticks, (n, ...)."""
+    out = np.empty_like(values)
+    out[1:-1] = (values[2:] - values[:-2]) / (2.0 * period_s)
+    out[0], out[-1] = (values[1] - values[0]) / period_s, (values[-1] - values[-2]) / period_s
+    return out
 
 
 class Displaced(NamedTuple):
@@ -111,7 +131,7 @@ class JointErrors:
     def functions(self, readings: Readings) -> FloatArray:
         """The functions of time, each in the rows of its joint, (n, 3 x joints, f): values, then two derivatives."""
         every = np.stack([readings.q, readings.dq, readings.ddq, readings.jerk], axis=1)
-        f = np.concatenate([every[:, :3], every[:, 1:], readings.cyclic], axis=2)  # (n, 3, f)
+        f = np.concatenate([every[:, :3], every[:, 1:], readings.cyclic[:, :3]], axis=2)  # (n, 3, f)
         out = np.zeros((len(f), 3, every.shape[2], f.shape[2]))
         out[:, :, self._of, np.arange(f.shape[2])] = f
         return out.reshape(len(f), -1, f.shape[2])

@@ -133,7 +133,7 @@ class AirBearingBase:
         """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`."""
         signals = self.signals
         read = Readings.of(signals.q, signals.dq, signals.ddq, signals.period_s)
-        q, dq, ddq = read.corrected(errors, np.zeros(0), np.zeros((0, len(errors))))
+        q, dq, ddq = read.corrected(errors)
         return AirBearingBase(self.vehicle, signals._replace(q=q, dq=dq, ddq=ddq), self.prior, errors[:, :3])
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:

@@ -404,7 +404,8 @@ class ImuPredictor:
             The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
             the momentum by 1 rad, one sigma.
         """
-        parts = q, dq, ddq, np.zeros_like(q), self._base.functions(2, cyclic)
+        functions = self._base.functions(2, cyclic)
+        parts = q, dq, ddq, np.zeros_like(q), np.concatenate([functions, np.zeros_like(functions[:, :1])], axis=1)
         readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
         base, _ = self._base.predict(readings, self._layout.whole(self._scaled.linear(state)), 0.0)
         carried, transition = state.copy(), np.eye(len(state))

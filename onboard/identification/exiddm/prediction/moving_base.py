@@ -69,11 +69,10 @@ class MovingBase:
             links = chain_motion(vehicle, *readings[:3]).links
             return predict_base_from_rate(links, period_s, chi, rate, self._columns, None, push), None
         own, bend, local = x[at["joints"]].reshape(-1, PER_JOINT), None, 0
-        if flexible is None:
-            corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
-        else:
+        readings = readings.without_cyclic(own, x[at["cyclic"]], self._joint_errors.turns)
+        corrected = plain = readings.corrected(own)
+        if flexible is not None:
             local = len(flexible.compliance.functions)
-            plain = readings.corrected(own, np.append(x[at["cyclic"]], np.zeros(local)), self._joint_errors.turns)
 
             def bent(bend: Bend) -> Moved:
                 chain = chain_motion(vehicle, *flexible.compliance.added(plain, bend), own[:, :3])
