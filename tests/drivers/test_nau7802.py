@@ -347,3 +347,16 @@ def test_rows_and_gaps_add_up_through_stops_and_starts(clock, flight):
     flight.batches += flight.device.stop(clock())
     flight.rows()
     assert codes(flight.batches)[-1] == "stopped"
+
+
+def test_an_outage_longer_than_the_period_is_known_for_begins_its_clock_anew(clock, flight):
+    """3 % of 400 conversions are 12: the number that follows is a guess, and said to be one."""
+    flight.fly(0.45)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(5.0)
+    flight.chip.fail = lambda number: 0
+    flight.fly(2.0)
+    rows = flight.rows()
+    after = np.flatnonzero(np.diff(rows["sequence"].astype(int)) > 1) + 1
+    assert rows["status"][after].tolist() == [AFTER_RESET]
+    assert (rows["status"] & AFTER_RESET != 0).sum() == 1

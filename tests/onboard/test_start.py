@@ -42,7 +42,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
         ("hil dymaflex --faults", 0, _HEAVY, 1220, 10),
         ("hil rocksat --faults", 0, _HEAVY, 1220, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 980, 0),
-        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1020, 1),
+        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1030, 1),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 620, 1),
     ],
 )
