@@ -68,6 +68,8 @@ BENCHES: Final = (
     Bench("resync", "--seeds 2", "--seeds 100"),
     Bench("tudelft_accuracy", "{recordings} --offsets 1", "{recordings}", "tudelft_tumbling"),
     Bench("arms", "", "", "staubli_tx40"),
+    Bench("bodies", "planar --seeds 1 --seconds 30", "planar", label="planar_bodies"),
+    Bench("bodies", "spherical --seeds 1", "spherical", label="spherical_bearing"),
     Bench(
         "faults",
         "--flights 4 --first 7601 --without-estimator",

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
+from bench.floating_bed import THRUSTERS, Wrong, fly, write
 from onboard.cli import OK, main
 from onboard.identification.body.valves import Opening, valve_of_on_times
-from tests.ground.identify.floating_bed import THRUSTERS, fly, write
 
 STATED = {
     "# mass_sigma": "mass_sigma",
@@ -57,9 +57,9 @@ def turned(bed):
 
 SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
 WRONG = {
-    "sign": (fly(71, 30.0, force=SIGN), "scale_t3"),
-    "stuck": (fly(72, 30.0, stuck=(1, 12.0, 20.0)), r"besides the thrusters|leak_t2"),
-    "place": (fly(73, 30.0, place=np.outer(np.arange(8) == 3, (0.1, 0.0))), "lever_t4"),
+    "sign": (fly(71, 30.0, wrong=Wrong(force=SIGN)), "scale_t3"),
+    "stuck": (fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
+    "place": (fly(73, 30.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
     "turned": (turned(fly(74, 30.0)), "against its thrusters|axes"),
 }
 
@@ -73,7 +73,7 @@ def test_what_is_wrong_is_named(tmp_path, what):
 
 
 def test_late_poses_are_a_delay(tmp_path):
-    bed = fly(75, 40.0, delay_s=0.1, late=0.25)
+    bed = fly(75, 40.0, delay_s=0.1, wrong=Wrong(late_s=0.25))
     found = {one["name"]: one for one in identified(tmp_path, bed)["quantities"]}
     assert found["delay"]["value"] == pytest.approx(0.35, abs=0.01)
     assert found["I_zz"]["value"] == pytest.approx(bed.inertia_kg_m2, rel=0.03)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import floating_bed
 from onboard.cli import OK, main
 from tests.dynamics.mujoco_twin import to_urdf
 from tests.flight.test_recorded_arm import LOAD_kg, laboratory
 from tests.ground.calibrate.weigh.wrist_bench import record, write
-from tests.ground.identify import floating_bed
 
 PAGE = (Path(__file__).parents[4] / "docs" / "recordings.md").read_text(encoding="utf-8")
 GAINS = np.array([12.5, 11.0, 9.5])  # N m/A, as on the page
