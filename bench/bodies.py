@@ -3,8 +3,8 @@
     python -m bench.bodies {planar,spherical} [--seeds 20] [--first 601]
 
 ``planar``: a body on an air-bearing table by its thrusters (docs/recordings.md), of ``bench/floating_bed.py``: valves
-late by 0 to 0.5 s that stay shut below 20 to 70 ms, a tilted table. Each run is identified three times: by the file that
-``heft init`` writes; with one edit, the mass as weighed, to 0.5 %; and with noise and forces stated as they are.
+late by 0 to 0.5 s that stay shut below 20 to 70 ms, a tilted table. Each run is identified three times: by the file as
+``heft init`` writes it; with one edit, the mass as weighed, to 0.5 %; and with noise and forces stated as they are.
 ``spherical``: ``heft hil spherical_bearing`` (docs/spherical_bearing.md). Exit code 1 where a bar is missed.
 """
 

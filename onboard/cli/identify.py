@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from onboard import config
+    from onboard.ground.identify.kinds.identified import Identified
     from onboard.recording.reader import LogReader
 
 
@@ -49,6 +50,12 @@ def add(commands: Commands) -> None:
     )
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
+    identify.add_argument(
+        "--fit-drawing",
+        type=Path,
+        metavar="DIR",
+        help="write vehicle.toml and URDF with the arm's links as found in one log, and how well, for other recordings",
+    )
     identify.add_argument("--budget", action="store_true", help="show what the interval of each answer is made of")
     add_json(identify)
     identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
@@ -86,8 +93,7 @@ def _identify_with(
         return _parameters(vehicle, arguments)
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
-    if arguments.urdf and len(arguments.logs) > 1:
-        raise ValueError("a URDF holds the result of one log; give --urdf with one log")
+    _check_outputs(vehicle, arguments)
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))
@@ -104,11 +110,33 @@ def _identify_with(
         identified.write(found, arguments.report)
         print(arguments.report)
     warn(found.damage)
-    if arguments.urdf and found.usable:
-        arguments.urdf.write_text(identify.urdf(vehicle, found.logs[0]), encoding="utf-8")
+    if found.usable:
+        _write_vehicles(vehicle, found.logs[0], arguments)
     if not found.usable:
         return FAILED
     return DAMAGED if found.damage else OK
+
+
+def _check_outputs(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> None:
+    from onboard.ground.identify import fitted_file
+
+    if arguments.urdf and len(arguments.logs) > 1:
+        raise ValueError("a URDF holds the result of one log; give --urdf with one log")
+    if arguments.fit_drawing:
+        if len(arguments.logs) > 1:
+            raise ValueError("a drawing is fitted to one log; give --fit-drawing with one, or heft merge them first")
+        fitted_file.require_fittable(vehicle, arguments.fit_drawing)
+
+
+def _write_vehicles(vehicle: "config.Vehicle", found: "Identified", arguments: argparse.Namespace) -> None:
+    from onboard.ground.identify import fitted_file, identify
+
+    if arguments.urdf:
+        arguments.urdf.write_text(identify.urdf(vehicle, found), encoding="utf-8")
+    if arguments.fit_drawing:
+        for path in fitted_file.write(vehicle, found, arguments.fit_drawing):
+            print(path)
+        print(f"note: for other recordings of this arm; by that file {arguments.logs[0]} would count twice")
 
 
 def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:

@@ -119,6 +119,10 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
     records = SCALAR
     kind: Literal["recorded_torque"]
     repeats: Repeats = False
+    between_recordings_sigma: Annotated[
+        NotNegative,
+        Field(description="Relative 1 sigma of its gain with the payload against that without, recorded before."),
+    ] = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""

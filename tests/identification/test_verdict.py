@@ -15,7 +15,7 @@ from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut, held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.standard import identified_links, link_estimate
+from onboard.identification.rows.standard import identified_links, link_estimate, standard_posterior
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, verdict
@@ -268,7 +268,7 @@ def test_standard_parameters_are_the_posterior_of_the_prior_and_what_is_told(rng
     chi = model.chi + 0.01 * rng.normal(size=model.chi.size)
     identifier.rls.update(Y, Y @ base.value(chi), np.full(4000, 1e-6))
     identifier.recursion.blocks.add(0.01 * np.arange(4000), Y, Y @ base.value(chi), np.full(4000, 1e-6))
-    links = identified_links(identifier)
+    links = identified_links(identifier, standard_posterior(identifier))
     assert len(links) > 0
     assert {one.link for one in links} <= set(model.vehicle.links)
     G, variance = base.grouping, 4.0

@@ -22,7 +22,7 @@ class Found(NamedTuple):
 
 
 class KeyChange(NamedTuple):
-    """One key of the vehicle file."""
+    """One key of the vehicle file; a value of None takes it out."""
 
     table: tuple[str, ...]
     key: str

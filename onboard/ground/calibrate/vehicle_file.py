@@ -26,15 +26,24 @@ def changed(vehicle: config.Vehicle, changes: Iterable[KeyChange]) -> str:
     Raises:
         ConfigError: the file would not be a vehicle's any more.
     """
+    text = edited(vehicle, changes)
+    build_online(config.parse(text, vehicle.path, vehicle.urdf))
+    return text
+
+
+def edited(vehicle: config.Vehicle, changes: Iterable[KeyChange]) -> str:
+    """The same, without looking whether it is a vehicle's.
+
+    Raises:
+        ConfigError: the text cannot be edited.
+    """
     try:
         document = tomlkit.parse(vehicle.text)
         for one in changes:
             _put(document, one)
-        text = tomlkit.dumps(document)
+        return tomlkit.dumps(document)
     except TOMLKitError as error:
         raise config.ConfigError(f"{vehicle.label} cannot be edited: {error}; write the values by hand") from error
-    build_online(config.parse(text, vehicle.path, vehicle.urdf))
-    return text
 
 
 def difference(vehicle: config.Vehicle, text: str) -> str:
@@ -87,9 +96,14 @@ def replace(vehicle: config.Vehicle, text: str) -> None:
 def _put(document: MutableMapping[str, Any], change: KeyChange) -> None:
     table = document
     for part in change.table:
+        if part not in table and change.value is None:
+            return
         if part not in table:
             table[part] = tomlkit.table()
         table = table[part]
+    if change.value is None:
+        table.pop(change.key, None)
+        return
     before = table.get(change.key)
     kept = _comment(before)
     if kept and "(was " not in kept and before != change.value:

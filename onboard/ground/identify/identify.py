@@ -38,9 +38,10 @@ from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit
+from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.standard import identified_links, without_rotors
+from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, verdict
@@ -177,7 +178,14 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     else:
         told = dict(zip(estimate.names, estimate.supported.tolist(), strict=True))
         told |= {quantity.name: quantity.supported for quantity in estimate.quantities}
-    links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
+    drawing: tuple[FittedLink, ...] = ()
+    if thrown is not None:
+        links = thrown.links
+    else:
+        after = standard_posterior(who, vehicle.file.estimation.nuisance)
+        links = identified_links(who, after)
+        held_link = who.model.vehicle.spec.payload_link
+        drawing = fitted_drawing(who.model.vehicle.links, after, [one for one in links if one.link != held_link])
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
     if thrown is not None and thrown.principal is not None:
         away[f"the load {thrown.load.name}"] = thrown.principal.away
@@ -207,6 +215,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         left_over=kept.left_over(who.block_jackknife().mean) if roles_of(vehicle).cells else {},
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
+        drawing=drawing,
         standings=standings(answers, useful),
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )

@@ -26,7 +26,7 @@ from onboard.identification.quantities import (
     Findings,
     Quantity,
 )
-from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits
+from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits, with_stated
 from onboard.identification.rows.checks.prediction import prediction, without_unknown
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.found import found
@@ -311,7 +311,8 @@ class Identifier:
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self._physical
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            self._fitted = self.rows_used, instrument_fits(self.seen, *asked)
+            stated = {one.row: one.sigma for one in self.considered if one.effect == "held_scale"}
+            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked), stated)
         return self._fitted[1]
 
     @property

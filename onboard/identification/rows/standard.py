@@ -72,8 +72,16 @@ def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
     return take_away(whole, body_of(composite_functional(vehicle) @ others))
 
 
-def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> tuple[LinkEstimate, ...]:
-    """The links in determined base parameters or quantities, by the equation at the head of this module.
+class Posterior(NamedTuple):
+    """Standard parameters of all columns after the rows, by the equation at the head of this module."""
+
+    mean: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    links: tuple[str, ...]  # those in determined base parameters or quantities
+
+
+def standard_posterior(identifier: Identifier, nuisance: Collection[str] = ()) -> Posterior:
+    """Standard parameters conditioned on the determined base parameters and quantities.
 
     Args:
         identifier: after its rows.
@@ -91,12 +99,24 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
     mean = model.chi + K @ (weights @ jackknife.mean - F @ model.chi)
     left = (root - K @ F @ root) @ root.T  # what the rows do not tell
     covariance = left + K @ weights @ jackknife.covariance @ weights.T @ K.T
-    found = []
-    for index, link in enumerate(model.vehicle.links):
-        own = slice(10 * index, 10 * index + 10)
-        if (F[:, own] @ root[own]).any():
-            found.append(link_estimate(link, mean[own], covariance[own, own]))
-            held = link == model.vehicle.spec.payload_link and identifier.payload
-            if held and (body := held.body(jackknife)) is not None:  # one body, one number
-                found[-1] = found[-1]._replace(body=body)
-    return tuple(found)
+    own = [slice(10 * index, 10 * index + 10) for index in range(len(model.vehicle.links))]
+    links = (link for link, part in zip(model.vehicle.links, own, strict=True) if (F[:, part] @ root[part]).any())
+    return Posterior(mean, covariance, tuple(links))
+
+
+def identified_links(identifier: Identifier, found: Posterior) -> tuple[LinkEstimate, ...]:
+    """Each link that the rows tell of.
+
+    Args:
+        identifier: after its rows.
+        found: by them.
+    """
+    vehicle, jackknife, made = identifier.model.vehicle, identifier.block_jackknife(), []
+    for link in found.links:
+        first = 10 * vehicle.links.index(link)
+        own = slice(first, first + 10)
+        made.append(link_estimate(link, found.mean[own], found.covariance[own, own]))
+        held = link == vehicle.spec.payload_link and identifier.payload
+        if held and (body := held.body(jackknife)) is not None:  # one body, one number
+            made[-1] = made[-1]._replace(body=body)
+    return tuple(made)

@@ -443,8 +443,22 @@ def test_a_bias_of_the_imu_is_considered_as_it_changes_the_rows(rng, effect, sen
     cause = Considered("bias", "imu_base", effect, 0.01, axis=axis)
     use = np.ones(before.shape, np.bool_)
     p = len(who.base.names)
-    D = columns([cause], who.model, signals, at, use, p, lambda of: who._errors.regressors(of, at, held))
+    D = columns([cause], who.model, signals, at, use, held, p, lambda of: who._errors.regressors(of, at, held))
     assert D is not None
     C = D @ [*mean, 1.0]
     np.testing.assert_allclose(C[:, 0], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
     assert np.abs(C).max() > 1e-3
+
+
+def test_a_gain_of_the_recording_with_the_payload_moves_its_rows_alone(rng):
+    signals, held, _ = flight(rng)
+    who, at = identifier(()), np.arange(20, held.size, 40)
+    name = who.model.rows[0].name
+    use, p = np.ones((at.size, len(who.model.rows)), np.bool_), len(who.base.names)
+    D = columns([Considered("gain", name, "held_scale", 0.03)], who.model, signals, at, use, held, p, lambda of: of)
+    assert D is not None
+    own = np.zeros(use.shape)
+    own[:, 0] = signals.measured[at, 0] * held[at]
+    assert 0 < np.count_nonzero(own) < at.size
+    np.testing.assert_array_equal(D[:, 0, -1], own[use])
+    assert not D[:, 0, :-1].any()

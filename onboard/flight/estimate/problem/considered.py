@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from onboard import config
+from onboard.devices.recorded import RecordedTorque
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.bases import BaseKind
 from onboard.estimation.arrays import FloatArray
@@ -87,7 +88,14 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
     drift_N_s = (keys.zero_drift_N_s if isinstance(keys, LoadCellKeys) else None) or 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
-    return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+    return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else []), *_between(name, keys)]
+
+
+def _between(name: str, keys: LoadCellKeys | TorqueKeys) -> Iterator[Considered]:
+    """A gain with the payload that is another than without it: they were recorded one after the other."""
+    if isinstance(keys, RecordedTorque) and keys.between_recordings_sigma:
+        what, sigma = f"scale of {name} with the payload", keys.between_recordings_sigma
+        yield Considered(what, name, "held_scale", sigma, f"{name} between_recordings_sigma")
 
 
 def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:

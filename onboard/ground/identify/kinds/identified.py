@@ -1,7 +1,7 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from onboard.identification.exiddm.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.budget import Contribution
+from onboard.identification.rows.fitted_drawing import FittedLink
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.standing import Level, Standing, standing
@@ -83,12 +84,17 @@ class Identified:
     standings: Mapping[str, Standing] = field(default_factory=dict)  # of each answer that the data determine
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
+    drawing: tuple[FittedLink, ...] = ()  # all but the payload, with sigmas that a vehicle file can state
     budget: Mapping[str, tuple[Contribution, ...]] = field(default_factory=dict)  # what makes each answer so wide
     left_over: Mapping[str, LeftOver] = field(default_factory=dict)  # by instrument, in its unit
     band_Hz: float | None = None  # noqa: N815  # which smoothed rows are of
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
+
+    def only(self, links: Collection[str]) -> "Identified":
+        """The same with the estimates of these links alone."""
+        return replace(self, links=tuple(one for one in self.links if one.link in links))
 
     def with_before(self, before: BeforeCapture | None) -> "Identified":
         """The same with the motion of the payload before it was captured."""
@@ -130,6 +136,7 @@ class Identified:
             "band_Hz": self.band_Hz,
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
+            "drawing": [{"link": one.link, **one.stated} for one in self.drawing],
             "throw": self.throw.as_json() if self.throw else None,
             **({} if self.before is None else {"before_capture": _before(self.before)}),
             **({"runs": [run.as_json() for run in self.runs]} if self.runs else {}),

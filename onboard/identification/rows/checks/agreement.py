@@ -24,7 +24,7 @@ Per instrument, at the estimate of all rows:
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +43,7 @@ _OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
+_STATED = 1.96  # sigmas: within a stated interval of 95 %
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
@@ -61,10 +62,18 @@ class GainStep(NamedTuple):
     moved: FloatArray  # (p,) of the estimate, by the step
     since_s: float = 0.0  # the first of the rows, until the step
     between: bool = False  # the recording without the payload, and that with it
+    stated: float = 0.0  # sigma of such a step that the vehicle file states, and that intervals hold
+
+    @property
+    def is_as_stated(self) -> bool:
+        """Whether it lies between the recordings, and within two of the sigmas stated for that."""
+        return self.between and abs(self.size) <= _STATED * self.stated
 
     @property
     def suspected(self) -> FloatArray:
-        """What it does to the estimate, beyond what scatter is expected to do, (p,)."""
+        """What it does to the estimate, beyond what scatter is expected to do, (p,); nothing if it is as stated."""
+        if self.is_as_stated:
+            return np.zeros_like(self.moved)
         beyond = max(0.0, 1.0 - (self.expected / self.sigmas) ** 2) if self.sigmas else 0.0
         return np.asarray(self.moved * np.sqrt(beyond), np.float64)
 
@@ -252,6 +261,14 @@ def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
     return np.asarray((times(H, c) * c).sum(axis=1), np.float64)
 
 
+def with_stated(fits: Sequence[InstrumentFit], stated: Mapping[str, float]) -> tuple[InstrumentFit, ...]:
+    """The same with the sigma that is stated of a step between recordings, by instrument."""
+    return tuple(
+        fit._replace(step=fit.step._replace(stated=stated.get(fit.instrument, 0.0))) if fit.step else fit
+        for fit in fits
+    )
+
+
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str], list[str]]:
     """Reasons to refuse all estimates, reasons to weaken them, and what is told with any, from one instrument's rows.
 
@@ -272,7 +289,11 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         if step.between:
             said = (
                 f"{name} reads {step.size:+.0%} of the motion in the recording with the payload against that without it"
+                f", from {step.since_s:.1f} s after its first row on"
             )
+            if step.is_as_stated:
+                told.append(f"{said}: within what is stated between recordings")
+                return against, doubts, told
             said += ": its gain or friction has changed between them, and the intervals hold what that does"
             (doubts if abs(step.size) > LARGE_STEP else told).append(said)
             return against, doubts, told

@@ -16,7 +16,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.rows import RowModel, base_motion
 from onboard.regressor.signals import Signals
 
-OfRow = Literal["scale", "delay", "drift"]
+OfRow = Literal["scale", "held_scale", "delay", "drift"]
 OfJoint = Literal["joint_scale", "joint_zero", "joint_delay"]
 OfImu = Literal[
     "gyro_scale",
@@ -30,7 +30,7 @@ OfImu = Literal[
 ]
 Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
 Effect = OfRow | OfJoint | OfImu | Suspected
-_OF_ROW = ("scale", "delay", "drift")
+_OF_ROW = ("scale", "held_scale", "delay", "drift")
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
 _STEP_S = 1e-4  # of a delay
@@ -92,6 +92,7 @@ def columns(
     signals: Signals,
     at: NDArray[np.intp],
     use: BoolArray,
+    attached: BoolArray,
     parameters: int,
     regressors: Callable[[Sequence[Signals]], FloatArray],
 ) -> FloatArray | None:
@@ -103,6 +104,7 @@ def columns(
         signals: all of them.
         at: ticks.
         use: which rows.
+        attached: (n,) whether the payload is held.
         parameters: p.
         regressors: rows at these ticks, (s, t, rows, p + 1), of each of s signals; last what is known.
 
@@ -122,6 +124,9 @@ def columns(
             D[..., k, -1] = signals.measured[at]
         elif cause.effect == "scale":
             D[:, names.index(cause.row), k, -1] = signals.measured[at, names.index(cause.row)]
+        elif cause.effect == "held_scale":
+            row = names.index(cause.row)
+            D[:, row, k, -1] = np.where(attached[at], signals.measured[at, row], 0.0)
         elif cause.effect == "drift":
             D[:, names.index(cause.row), k, -1] = signals.time_s[at]
         elif cause.effect == "delay":

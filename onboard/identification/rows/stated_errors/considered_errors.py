@@ -57,7 +57,7 @@ class ConsideredErrors:
         Raises:
             SignalError: a delay, and no rate of the measured rows.
         """
-        asked = self._considered, self._model, signals, at, use, self._p
+        asked = self._considered, self._model, signals, at, use, attached, self._p
         D = columns(*asked, lambda each: self.regressors(each, at, attached))
         return None if D is None else D.reshape(len(D), -1)
 

@@ -124,6 +124,14 @@ def test_a_gain_that_changed_between_two_recordings_is_told_and_refuses_nothing(
     if between:
         assert told[0].startswith("joint_2 reads +5% of the motion in the recording with the payload")
         assert fits[1].step.suspected.any()  # which intervals contain
+        for stated, as_stated in ((0.01, False), (0.03, True)):
+            step = fits[1].step._replace(stated=stated)
+            assert step.suspected.any() is not as_stated  # they contain it already
+            said = judged_fit(fits[1]._replace(step=step), 1.0)[2][0]
+            assert (
+                said.endswith("from 10.0 s after its first row on: within what is stated between recordings")
+                is as_stated
+            )
     else:
         assert f"from {cut_s:.1f} s after its first row on" in (*against, *doubts)[0]
 
