@@ -5,6 +5,7 @@ who uses them.
 """
 
 import codecs
+import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
 
 LARGEST_BYTES = 64 << 20  # of text; static poses are some hundred rows, a whole recording at 100 Hz some hours
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d*")  # 1,234.5
+_SEPARATOR = re.compile(r"sep=(.)")  # the line that a spreadsheet is told the delimiter by
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
@@ -81,9 +84,11 @@ def _one(path: Path) -> Table:
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
     comments = [(number, line.lstrip("#% ")) for number, line in lines if line[0] in "#%"]
     lines = [one for one in lines if one[1][0] not in "#%"]
+    said = _SEPARATOR.fullmatch(lines[0][1]) if lines else None
+    lines = lines[1:] if said else lines
     if not lines:
         raise PosesError(f"{path} has no rows")
-    between = _delimiter([line for _, line in lines[:20]])
+    between = said[1] if said else _delimiter([line for _, line in lines[:20]])
     rows = [(number, _cells(line, between)) for number, line in lines]
     names: Sequence[str] = ()
     if not any(_is_number(cell) for cell in rows[0][1]):
@@ -131,11 +136,14 @@ def _delimiter(lines: Sequence[str]) -> str | None:
 
 
 def _cells(line: str, between: str | None) -> list[str]:
-    return line.split() if between is None else line.split(between)
+    if between is None:
+        return line.split()
+    return next(csv.reader([line], delimiter=between)) if '"' in line else line.split(between)
 
 
 def _number(cell: str) -> float:
-    text = _DECIMAL_COMMA.sub(".", cell.strip().strip("\"'"))
+    text = cell.strip().strip("\"'")
+    text = text.replace(",", "") if _THOUSANDS.fullmatch(text) else _DECIMAL_COMMA.sub(".", text)
     try:
         value = float(text)
     except ValueError:

@@ -179,8 +179,9 @@ def _fits(
         held = still(R, meaning.wrench)
         if len(held.groups) < 4:
             failed = PosesError(
-                f"{len(held.groups)} poses that can be used ({held.bad} of {len(R)} rows are bad): four or more are "
-                "needed, and twelve or more with the wrist turned all ways are good"
+                f"{len(held.groups)} poses that can be used (of {len(R)} rows {held.bad} hold what is no number, "
+                "or a quaternion or matrix that is no rotation): four or more are needed, and twelve or more with the "
+                "wrist turned all ways are good"
             )
             continue
         if len(held.groups) > MOST_POSES:

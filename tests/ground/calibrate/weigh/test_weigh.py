@@ -138,6 +138,25 @@ def test_tables_of_other_encodings(one, tmp_path, encoding):
     assert all(holds(json.loads(answer.read_text(encoding="utf-8")), one.true).values())
 
 
+def test_quoted_cells_thousands_and_a_spreadsheets_line(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text('sep=,\nname,qw,fx_mN\n"home, left",0.5,"-1,234.5"\n"a ""b""",1,"1,5"\nplain,0.25,12345.5\n')
+    found = table.read([path])
+    assert found.names == ("name", "qw", "fx_mN")
+    np.testing.assert_array_equal(found.values[:, 1:], [[0.5, -1234.5], [1.0, 1.5], [0.25, 12345.5]])
+    assert found.lines == (3, 4, 5)
+    path.write_text("sep=;\nqw;fx\n0,5;1,25\n")
+    np.testing.assert_array_equal(table.read([path]).values, [[0.5, 1.25]])
+    path.write_text("sep=;\n")
+    with pytest.raises(PosesError, match="no rows"):
+        table.read([path])
+
+
+def test_a_quaternion_that_is_none_is_said(one, tmp_path, capsys):
+    assert weighed(tmp_path, one.rows * ([2.0] * 4 + [1.0] * 6))[0] == BAD_INPUT
+    assert "or a quaternion or matrix that is no rotation" in " ".join(capsys.readouterr().err.split())
+
+
 def test_columns_by_their_numbers(one, tmp_path, capsys):
     rows = np.hstack([np.arange(len(one.rows))[:, None], one.rows[:, ::-1]])
     given = ",".join(f"{name}={11 - k}" for k, name in enumerate(HEADER))
