@@ -3,17 +3,16 @@
 A batch's lines are ordered by instrument, those in use before those left out, so that by the Cholesky factor of the
 innovation's covariance each instrument's whitened innovation is that given all instruments before it, and an instrument
 at the end takes no part. An instrument whose innovation is improbable is refused for that batch; after several batches
-in a row it is accused. A load cell's innovation is also regressed on what it should read, over windows of batches: an
-error of its scale that the noise of the joints hides in a batch. A payload that is caught looks alike, and a cell sees
-it before the first IMU does, so the filter leaves the accused out only if the same payload explains a window without
-it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as
-any pose agrees where the one it should show is not known. The reference, the first IMU in use, is not tested so: what
-contradicts the model there is a change, which the filter detects. Where it is itself the wrong one, a window is
-explained without it (:mod:`onboard.identification.exiddm.recursion.trials`), and the next IMU becomes the reference.
+in a row it is accused. A payload that is caught looks alike, and a cell sees it before the first IMU does, so the
+filter leaves the accused out only if the same payload explains a window without it; one that was refused is used again
+when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as any pose agrees where the one it should
+show is not known. What errors of scale do over longer times the bank of hypotheses weighs. The reference, the first IMU
+in use, is not tested so: what contradicts the model there is a change, which the filter detects. Where it is itself the
+wrong one, a window is explained without it (:mod:`onboard.identification.exiddm.recursion.trials`), and the next IMU
+becomes the reference.
 One that gives no readings for a second is left out as well.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -25,7 +24,6 @@ from scipy.special import chdtrc
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.change import Change
-from onboard.identification.corrections import DOUBTFUL
 
 _IMPROBABLE = 1e-9  # chance of an instrument's innovation in a batch below which it is refused
 _CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
@@ -33,9 +31,6 @@ _PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in wh
 _AGREES_BATCHES = 100  # in a row: it is used again
 _HARDLY = 0.5  # share of the ticks in which the reference has to be there
 _ABSENT_BATCHES = 10  # in a row: it is left out
-_GAIN_WINDOWS = (5, 10, 20)  # batches
-_MISLED_BATCHES = 64  # for which a scale that is off may have misled the estimate before it shows
-_GAIN_SIGMAS = 6.0  # scale error of a window that counts, in its standard errors; in stated sigmas DOUBTFUL
 
 
 class Accusation(NamedTuple):
@@ -48,9 +43,7 @@ class Accusation(NamedTuple):
     @property
     def back(self) -> int | None:
         """Batches before this one of which the estimates are not to be used either; None: since the start."""
-        if not self.batches:
-            return None
-        return max(self.batches + 1, _MISLED_BATCHES) if self.for_good else self.batches + 1
+        return self.batches + 1 if self.batches else None
 
 
 class Fusion:
@@ -80,7 +73,6 @@ class Fusion:
         self.absent: set[int] = set()
         self._missing = 0  # batches in a row without the reference
         self._barred: set[int] = set()  # never used again
-        self._gains = [deque[tuple[float, float]](maxlen=max(_GAIN_WINDOWS)) for _ in self.names]
         self._news: list[Change] = []
 
     def run(self, until_s: float) -> None:
@@ -128,8 +120,6 @@ class Fusion:
     def forget(self) -> None:
         """Clear the windows after a reset of the filter."""
         self.refused, self._refused, self._accusing = None, [0] * len(self.names), 0
-        for gains in self._gains:
-            gains.clear()
 
     def standing(self, accused: Accusation | None) -> Accusation | None:
         """An accusation that has been made in every batch for long enough; count a batch, None: nothing is accused."""
@@ -211,25 +201,6 @@ class Fusion:
                 self.absent.discard(k)
                 self._barred.add(k)  # the next time it stays out
                 self._news.append(Change("taken_back", np.nan, np.nan, np.nan, self.names[k]))
-
-    def off_scale(self, instrument: int, along: float, squares: float, stated: float) -> int:
-        """Count a batch; the length of the window in which a cell's scale is off, 0 if in none.
-
-        Args:
-            instrument: the cell.
-            along: product of its whitened innovation and the whitened effect of a unit error of its scale.
-            squares: of that effect.
-            stated: sigma of its scale.
-        """
-        gains = self._gains[instrument]
-        gains.append((along, squares))
-        sums = np.array(gains)[::-1].cumsum(axis=0)
-        for window in _GAIN_WINDOWS:
-            if window <= len(sums):
-                along, squares = sums[window - 1]
-                if along**2 > _GAIN_SIGMAS**2 * squares and abs(along) > DOUBTFUL * stated * squares:
-                    return window
-        return 0
 
     def news(self) -> list[Change]:
         """Instruments left out and taken back since the last call."""

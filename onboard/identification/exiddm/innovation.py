@@ -35,7 +35,6 @@ class Innovation(NamedTuple):
     W: FloatArray  # L^-1 H P
     e: FloatArray  # L^-1 (measured less predicted)
     L: FloatArray
-    scales: FloatArray  # L^-1 H, (lines, cells): effect of each cell's scale
     steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
     ticks: int
 
@@ -58,7 +57,6 @@ class Innovations:
         rivals: what may not be as stated; its constants are not held against what is stated one by one.
 
     Attributes:
-        cells: load cells with a scale that is estimated, by their number among the instruments.
         may_be_wrong: places in the state of constants that the filter takes for far less certain than stated.
     """
 
@@ -67,8 +65,6 @@ class Innovations:
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
-        self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
-        self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
         self._alone = [
             np.setdiff1d(each, rivals.at) for each in (predictor.of_each[0], *own)
         ]  # held against one by one
@@ -101,11 +97,11 @@ class Innovations:
         if not there.all():
             r[~there], H[~there] = 0.0, 0.0
         H = H.reshape(r.size, p)[rows]
-        steps, of_steps = self._steps.changed.D, p + 1 + self._scales.size
-        known = np.empty((of_steps + steps.shape[1], r.size))  # transposed: LAPACK's order
+        steps = self._steps.changed.D
+        known = np.empty((p + 1 + steps.shape[1], r.size))  # transposed: LAPACK's order
         PH = np.matmul(covariance, H.T, out=known[:p])
-        known[p], known[p + 1 : of_steps] = r.ravel()[rows], H[:, self._scales].T
-        np.matmul(steps.T, H.T, out=known[of_steps:])
+        known[p] = r.ravel()[rows]
+        np.matmul(steps.T, H.T, out=known[p + 1 :])
         S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
         if not S.diagonal().max() < _LARGEST:  # as with NaN
@@ -115,7 +111,7 @@ class Innovations:
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it is to be found anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
-        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 : of_steps], solved[:, of_steps:], len(there))
+        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 
     def agreeing(
         self, batch: Batch, there: BoolArray, covariance: FloatArray, innovation: Innovation, misfit: InnovationMisfit
@@ -140,15 +136,11 @@ class Innovations:
         fusion.judged(refused, seen)
         return innovation, used
 
-    def contradicting(
-        self, innovation: Innovation, used: int, state: FloatArray, covariance: FloatArray, too_far: str
-    ) -> Accusation | None:
+    def contradicting(self, state: FloatArray, covariance: FloatArray, too_far: str) -> Accusation | None:
         """An instrument in use that contradicts the others.
 
         Args:
-            innovation: of a batch.
-            used: its lines that were, which come first.
-            state: (p,) after it.
+            state: (p,) after a batch.
             covariance: of that.
             too_far: instrument that is farther off than it can be, if any is.
         """
@@ -156,14 +148,6 @@ class Innovations:
         if (refused := fusion.refused) is not None:
             misled = refused.instrument in fusion.imus and self.misled(state)
             return refused._replace(batches=0) if misled else refused
-        e, effects = innovation.e[:used], innovation.scales[:used].T
-        for k, at, effect in zip(self.cells, self._scales, effects, strict=True):
-            if at in self.may_be_wrong:
-                continue
-            along, squares = float(effect @ e), float(effect @ effect)
-            batches = fusion.off_scale(k, along, squares, float(predictor.sigma[at]))
-            if batches and k not in fusion.left_out:
-                return Accusation(k, 0 if self.misled(state, k) else batches, for_good=True)
         stated = stated_after(predictor, fusion.running_s)
         for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
@@ -178,17 +162,16 @@ class Innovations:
         at = self._friction.get(torque)
         return at is not None and bool((state[at] < -FARTHEST * np.sqrt(covariance[at, at])).any())
 
-    def misled(self, state: FloatArray, but: int | None = None) -> bool:
+    def misled(self, state: FloatArray) -> bool:
         """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.
 
         Args:
-            state: (p,).
-            but: an instrument whose own corrections do not count, nor do those of what is left out.
+            state: (p,); what is left out does not count.
         """
         stated = stated_after(self._predictor, self._fusion.running_s)
         known = np.isfinite(stated) & (stated > 0.0)
         known[self.may_be_wrong] = False
-        for k in [*self._fusion.left_out, *([] if but is None else [but])]:
+        for k in self._fusion.left_out:
             known[self._predictor.of_each[k]] = False
         return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())
 

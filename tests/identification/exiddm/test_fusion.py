@@ -117,26 +117,3 @@ def test_a_tracker_that_was_left_out_is_not_used_again() -> None:
         fusion.judged([], np.ones(3, np.bool_))
     assert fusion.left_out == [2]
     assert [(change.kind, change.what) for change in fusion.news()][-1] == ("taken_back", "cell")
-
-
-def test_a_scale_is_seen_over_batches_that_hide_it(fusion: Fusion, rng: np.random.Generator) -> None:
-    effect = 100.0 * np.ones(TICKS)  # noise of 1 % of the reading, each tick
-
-    def window(error: float) -> int:
-        fusion.forget()
-        batches = rng.standard_normal((60, TICKS)) + error * effect
-        found = (fusion.off_scale(2, float(e @ effect), float(effect @ effect), 0.0025) for e in batches)
-        return next((length for length in found if length), 0)
-
-    assert window(0.0) == 0
-    assert window(0.003) == 0  # seen, and within what is stated
-    assert window(0.012) > 0
-    assert window(-0.02) > 0
-    assert window(0.05) == 5
-
-
-def test_a_scale_that_is_off_has_misled_the_estimate_for_longer_than_it_shows() -> None:
-    assert Accusation(2, 5, for_good=False).back == 6
-    assert Accusation(2, 5, for_good=True).back == 64
-    assert Accusation(2, 90, for_good=True).back == 91
-    assert Accusation(2, 0, for_good=True).back is None

@@ -28,7 +28,7 @@ from onboard.identification.change import Change
 from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
+from onboard.identification.exiddm.innovation import Batch, Innovations
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
@@ -336,7 +336,7 @@ class RecursiveExiddm(Holding):
         self._snapshots.append(self.state, self.covariance)
         self._snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
-            self._compare(innovation, used)
+            self._compare()
 
     def _free(self, free: Callable[[Known], Known]) -> None:
         """Go on as if everything may be wrong that is suspected."""
@@ -349,7 +349,7 @@ class RecursiveExiddm(Holding):
         self._innovations.may_be_wrong = self.rivals.freed_at
         self._linearised.begin_anew()
 
-    def _compare(self, innovation: Innovation, used: int) -> None:
+    def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
         # an empty arm that seems to be heavier than drawn may hold something: a change decides
@@ -357,7 +357,7 @@ class RecursiveExiddm(Holding):
             self._free(free)
             return
         known = self.state, self.covariance
-        found = self._innovations.contradicting(innovation, used, *known, self.rivals.too_far(*known))
+        found = self._innovations.contradicting(*known, self.rivals.too_far(*known))
         accused = self.fusion.standing(found)
         if accused is not None:
             self._before = bool(self.held)
