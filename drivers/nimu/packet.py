@@ -109,20 +109,23 @@ class PacketStream:
 
     Args:
         checksum_span: See ``NimuConfig``.
+
+    Attributes:
+        waiting: Bytes of a packet that is not whole.
     """
 
     def __init__(self, checksum_span: str = "packet") -> None:
         self._span = checksum_span
-        self._buffer = b""
+        self.waiting = b""
         self._in_step = False  # the last take found packets where they were expected
 
     def receive(self, data: bytes) -> None:
         """Append bytes."""
-        self._buffer += data
+        self.waiting += data
 
     def clear(self) -> None:
         """Drop a partial packet: the stream was interrupted."""
-        self._buffer = b""
+        self.waiting = b""
 
     def take(self) -> Packets | None:
         """All whole packets up to the first bad place; None when more bytes are needed.
@@ -130,32 +133,32 @@ class PacketStream:
         Raises:
             FrameError: No packet at this place; bytes that cannot begin one were discarded, call ``take`` again.
         """
-        count = min(len(self._buffer) // PACKET_BYTES, MOST_PACKETS if self._in_step else 1)
+        count = min(len(self.waiting) // PACKET_BYTES, MOST_PACKETS if self._in_step else 1)
         whole = count * PACKET_BYTES
         if count:
-            matrix = np.frombuffer(self._buffer, np.uint8, whole).reshape(count, PACKET_BYTES)
+            matrix = np.frombuffer(self.waiting, np.uint8, whole).reshape(count, PACKET_BYTES)
             good = _are_good(matrix, self._span)
             first_bad = count if good.all() else int(good.argmin())
             self._in_step = first_bad > 0
             if first_bad:
-                self._buffer = self._buffer[first_bad * PACKET_BYTES :]
+                self.waiting = self.waiting[first_bad * PACKET_BYTES :]
                 return _words(matrix[:first_bad])
             raise FrameError(f"{_why_not(matrix[0], self._span)}; {self._skip(1)} bytes skipped")
-        start = self._buffer[: len(HEADER)]
+        start = self.waiting[: len(HEADER)]
         if not HEADER.startswith(start):
             raise FrameError(f"no packet header; {self._skip(1)} bytes skipped: check baud rate and wiring")
         return None
 
     def _skip(self, first: int) -> int:
         """Discard bytes up to the next possible packet start at or after ``first``; returns their count."""
-        place = self._buffer.find(HEADER, first)
+        place = self.waiting.find(HEADER, first)
         if place < 0:
             place = next(
                 at
-                for at in range(max(first, len(self._buffer) - len(SYNC)), len(self._buffer) + 1)
-                if SYNC.startswith(self._buffer[at:])
+                for at in range(max(first, len(self.waiting) - len(SYNC)), len(self.waiting) + 1)
+                if SYNC.startswith(self.waiting[at:])
             )
-        self._buffer = self._buffer[place:]
+        self.waiting = self.waiting[place:]
         return place
 
 

@@ -158,26 +158,29 @@ class FrameStream:
     """Splits a byte stream into frames: ``receive`` bytes, then ``take`` until it returns None.
 
     ``take`` raises nothing but ``FrameError``.
+
+    Attributes:
+        waiting: Bytes of a frame that is not whole.
     """
 
     def __init__(self) -> None:
         self._frames: list[bytes] = []
-        self._rest = b""
+        self.waiting = b""
 
     def receive(self, data: bytes) -> None:
         """Append bytes."""
         *whole, rest = data.split(b"\0")
         if whole:
-            whole[0] = self._rest + whole[0]
+            whole[0] = self.waiting + whole[0]
             self._frames += filter(None, whole)  # skip empty frames: a node may begin with a delimiter
-            self._rest = rest
+            self.waiting = rest
         else:
-            self._rest += rest
+            self.waiting += rest
 
     def clear(self) -> None:
         """Drop a partial frame: the stream was interrupted."""
         self._frames.clear()
-        self._rest = b""
+        self.waiting = b""
 
     def take(self) -> list[bytes] | None:
         """Payloads (CRC included) of all whole frames up to the first bad one; None when more bytes are needed.
@@ -212,7 +215,7 @@ class FrameStream:
             return payloads
         if self._frames:
             return [decode_frame(self._frames.pop(0))]
-        if len(self._rest) > LONGEST_FRAME:
-            count, self._rest = len(self._rest), b""
+        if len(self.waiting) > LONGEST_FRAME:
+            count, self.waiting = len(self.waiting), b""
             raise FrameError(f"{count} bytes without a delimiter: check baud rate and wiring")
         return None

@@ -85,19 +85,22 @@ class LineStream:
     """Splits a byte stream into lines: ``receive`` bytes, then ``take`` until it returns None.
 
     ``take`` raises nothing but ``FrameError``.
+
+    Attributes:
+        waiting: Bytes of a line that is not whole.
     """
 
     def __init__(self) -> None:
-        self._buffer = b""
+        self.waiting = b""
         self._in_step = False  # the last take found 26-byte lines where they were expected
 
     def receive(self, data: bytes) -> None:
         """Append bytes."""
-        self._buffer += data
+        self.waiting += data
 
     def clear(self) -> None:
         """Drop a partial line: the stream was interrupted."""
-        self._buffer = b""
+        self.waiting = b""
 
     def take(self) -> Lines | None:
         """All whole lines up to the first of another form, or that one line; None when more bytes are needed.
@@ -105,36 +108,36 @@ class LineStream:
         Raises:
             FrameError: No valid line at this place; the bytes were discarded, call ``take`` again.
         """
-        count = min(len(self._buffer) // LINE_BYTES, MOST_LINES if self._in_step else 1)
-        positions = _positions(self._buffer[: count * LINE_BYTES], count) if count else None
+        count = min(len(self.waiting) // LINE_BYTES, MOST_LINES if self._in_step else 1)
+        positions = _positions(self.waiting[: count * LINE_BYTES], count) if count else None
         if positions is not None:
-            self._buffer = self._buffer[count * LINE_BYTES :]
+            self.waiting = self.waiting[count * LINE_BYTES :]
             self._in_step = True
             return positions
         if count:
-            matrix = np.frombuffer(self._buffer, np.uint8, count * LINE_BYTES).reshape(count, LINE_BYTES)
+            matrix = np.frombuffer(self.waiting, np.uint8, count * LINE_BYTES).reshape(count, LINE_BYTES)
             good = _first_bad(matrix)
             self._in_step = good > 0
             if good:
-                self._buffer = self._buffer[good * LINE_BYTES :]
+                self.waiting = self.waiting[good * LINE_BYTES :]
                 return _numbers(matrix[:good])
         return self._take_odd()
 
     def _take_odd(self) -> Lines | None:
         """A line of any format."""
-        self._buffer = self._buffer.lstrip(b"\r\n")
-        end = self._buffer.find(b"!", 0, LONGEST_LINE) + 1
+        self.waiting = self.waiting.lstrip(b"\r\n")
+        end = self.waiting.find(b"!", 0, LONGEST_LINE) + 1
         if not end:
-            if len(self._buffer) < LONGEST_LINE:
+            if len(self.waiting) < LONGEST_LINE:
                 return None
-            self._buffer = self._buffer[LONGEST_LINE:]
+            self.waiting = self.waiting[LONGEST_LINE:]
             raise FrameError(f"{LONGEST_LINE} bytes without the '!' that ends a line: check baud rate and wiring")
-        text = self._buffer[:end]
+        text = self.waiting[:end]
         found = _ANY_FORMAT.search(text)
         if found is not None and found.start():
-            self._buffer = self._buffer[found.start() :]
+            self.waiting = self.waiting[found.start() :]
             raise FrameError(f"{text[: found.start()]!r} is no line: bytes were lost")
-        self._buffer = self._buffer[end:]
+        self.waiting = self.waiting[end:]
         if found is not None:
             kind, register, data, stamp = found.groups()
             return _one(kind[0], register, data, stamp)

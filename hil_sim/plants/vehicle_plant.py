@@ -68,6 +68,7 @@ class VehiclePlant(world.Plant):
         payload: what is held, or caught, and how it is held once it is; None where nothing is.
         events_s: capture, closing of the grip after a contact, and ejection, by name.
         cabin: in which the vehicle is let go and caught; None where there is none.
+        flight: MuJoCo's model of what flies, and its state.
         rows_true: true signals of the whole flight; rows from ``count`` on are not yet released.
 
     Raises:
@@ -112,7 +113,7 @@ class VehiclePlant(world.Plant):
         self._parts: list[_Part] = []  # not interpolated to their end
         self._filled = 0  # rows interpolated
         self._start(rng)
-        waits = self.program.waits or isinstance(self._flight, ServoFlight)
+        waits = self.program.waits or isinstance(self.flight, ServoFlight)
         self._part = _PART * self.chunk if not waits and self.program.duration_s > _WHOLE_S else 0
         if not (waits or self._part):
             self._compute(self.rows)
@@ -134,18 +135,18 @@ class VehiclePlant(world.Plant):
         self._model.build(lightened)
         self.jets = Jets(scenario, self._model, self.bodies)
         common = self._model, self.program, self._places, link, self._coarse_s
-        self._flight: VehicleFlight | ServoFlight
+        self.flight: VehicleFlight | ServoFlight
         if scenario.servo:
             far = 0 if self.program.waits else _FAR
             parts = path, scenario.drag, scenario.stop
-            self._flight = ServoFlight(*common, self.chunk, far, self._servos, *parts)
+            self.flight = ServoFlight(*common, self.chunk, far, self._servos, *parts)
             self.drives = {
-                name: servo.drive for name, servo in zip(self._model.joints, self._flight.servos, strict=True)
+                name: servo.drive for name, servo in zip(self._model.joints, self.flight.servos, strict=True)
             }
         else:
             wheeled = holding(scenario, self._model, self._model.joints)
             held = self.cabin, self.soft, self.jets, wheeled
-            self._flight = VehicleFlight(*common, self._velocity, path, scenario.bearing or self._pucks, *held)
+            self.flight = VehicleFlight(*common, self._velocity, path, scenario.bearing or self._pucks, *held)
         self._coming = deque(events(scenario, self.payload, self._coarse_s, self._steps, rng))
         self._capture = next((event for event in self._coming if event.name == "capture"), None)
         joints = len(self.joints)
@@ -181,7 +182,7 @@ class VehiclePlant(world.Plant):
 
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
-        every, flight = self._every, self._flight
+        every, flight = self._every, self.flight
         if isinstance(flight, ServoFlight):
             return self._follow(flight, rows)
         while self._done < self._steps and self._done * every < rows:
@@ -202,7 +203,7 @@ class VehiclePlant(world.Plant):
 
     def _happen(self) -> None:
         """The next event, at the row at which the flight stands."""
-        event, flight = self._coming.popleft(), self._flight
+        event, flight = self._coming.popleft(), self.flight
         if event.name == "capture" and event.moves is not None:
             self.came = flight.approach(event.moves)
         self._jolt = event.happen(flight)
@@ -245,7 +246,7 @@ class VehiclePlant(world.Plant):
 
     def ask(self, name: str) -> bool:
         """Play a segment of ``motion.segments`` as soon as what is computed allows; False where it cannot be."""
-        return self.program.ask(name, (self._flight.count + 1) * self._coarse_s)
+        return self.program.ask(name, (self.flight.count + 1) * self._coarse_s)
 
     def inertial(self, at: str) -> world.Inertial:
         """See ``world.Plant``; ``at`` is a link or joint of the URDF."""

@@ -83,7 +83,7 @@ def test_any_bytes_give_packets_nothing_or_frame_error(chunks):
     for chunk in chunks:
         taken, _ = fed(stream, chunk, at_once(chunk))
         assert all(len(packets.timer) == len(packets.words) > 0 for packets in taken)
-        assert len(stream._buffer) < 38
+        assert len(stream.waiting) < 38
 
 
 @given(st.binary(max_size=120))

@@ -154,7 +154,7 @@ def test_bytes_without_end_are_thrown_away(run):
     assert errors
     stream = FrameStream()
     fed(stream, noise, pieces(2))
-    assert len(stream._rest) <= LONGEST_FRAME
+    assert len(stream.waiting) <= LONGEST_FRAME
 
 
 def test_a_broken_stream_forgets_its_half_frame():

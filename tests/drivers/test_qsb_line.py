@@ -138,7 +138,7 @@ def test_any_bytes_give_lines_nothing_or_frame_error(chunks):
     for chunk in chunks:
         taken, _ = fed(stream, chunk, whole(chunk))
         assert all(len(lines.kind) == len(lines.stamp) > 0 for lines in taken)
-        assert len(stream._buffer) < 64
+        assert len(stream.waiting) < 64
 
 
 @given(st.binary(max_size=100))

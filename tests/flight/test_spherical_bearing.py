@@ -111,7 +111,7 @@ def late(ticks: Ticks, by_s: float) -> Ticks:
 
 def heavier_wheels(factor: float) -> Callable[[PivotRun], None]:
     def change(run: PivotRun) -> None:
-        run._model._stored = run._model._stored * factor
+        run.model.stored = run.model.stored * factor
 
     return change
 
@@ -142,7 +142,7 @@ def test_what_is_wrong_is_named_and_nothing_is_good(kept: Kept, what: str) -> No
 
 def test_an_imu_off_its_place_within_its_sigma_harms_nothing(kept: Kept) -> None:
     def change(run: PivotRun) -> None:
-        run._model._p = run._model._p + np.array([0.005, 0.0, 0.0])
+        run.model.p_BoSo_B = run.model.p_BoSo_B + np.array([0.005, 0.0, 0.0])
 
     run = again(kept.ticks, kept.held, change)
     assert run.findings() == again(kept.ticks, kept.held).findings()
@@ -164,7 +164,7 @@ def test_a_proof_mass_checks_the_scale_to_half_a_per_cent(kept: Kept, mass_g: fl
     """By foresight: a lighter one tells less than :data:`CHECKED`."""
 
     def change(run: PivotRun) -> None:
-        run._model._proof = run._model._proof * mass_g / 30.0
+        run.model.proof = run.model.proof * mass_g / 30.0
 
     run, _ = build_online(config.load(config.packaged("spherical_bearing")))
     assert isinstance(run, PivotRun)

@@ -74,17 +74,17 @@ class Asking:
         if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
             text = "segments were made for another vehicle file: make them again with heft plan --segments"
             raise config.ConfigError(f"{vehicle.label}: {text}")
-        self._library, self._goals = library, goals_of(mission.until)
-        self._give_up_s, self._probe_s = mission.give_up_s, mission.probe_s
+        self.library, self._goals = library, goals_of(mission.until)
+        self._give_up_s, self.probe_s = mission.give_up_s, mission.probe_s
         self._names = online.quantity_names
         for goal in self._goals:
             if not goal.names(self._names):
                 known = f"mass, centre, inertia, {', '.join(self._names)}"
                 raise config.ConfigError(f"{vehicle.label}: until {goal.name}: the quantities are {known}")
         self._text = mission.until
-        self._prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
-        self._prior[PAYLOAD, PAYLOAD] = np.diag(online.exiddm.payload_sigma**2)
-        self._prior[RATE, RATE] = _ANY_RATE_rad_s**2 * np.eye(3)
+        self.prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        self.prior[PAYLOAD, PAYLOAD] = np.diag(online.exiddm.payload_sigma**2)
+        self.prior[RATE, RATE] = _ANY_RATE_rad_s**2 * np.eye(3)
         identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
         self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
         self._motions = [_motion(library, k) for k in range(len(library.names))]
@@ -152,7 +152,7 @@ class Asking:
         """Nothing is known to be held: a small motion, where the arm has rested for long enough."""
         self._idle_s = time_s if self._idle_s is None or not ready else self._idle_s
         waited_s = time_s - max(self._idle_s, self._until_s)
-        if not ready or self._over or not self._probe_s or waited_s < self._probe_s:
+        if not ready or self._over or not self.probe_s or waited_s < self.probe_s:
             return []
         if self._since_change >= _PROBES:
             self._over = True
@@ -166,10 +166,10 @@ class Asking:
             return
         k, self._turn = self._turn, (self._turn + 1) % len(self._own)
         with np.errstate(over="ignore", invalid="ignore"):  # what is no motion is not taken
-            now = self._predictor.predict(*self._motions[k], exiddm.state, self._library.cyclic[k])
+            now = self._predictor.predict(*self._motions[k], exiddm.state, self.library.cyclic[k])
         if now.moderate:
-            whitened = now.jacobian / self._library.sigma[k][:, :, None]
-            self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self._prior)))
+            whitened = now.jacobian / self.library.sigma[k][:, :, None]
+            self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
 
     def _stuck(self, held_s: float, time_s: float, *, rests: bool) -> str:
         """Why nothing more is asked for, whatever is known; empty where that is not so."""
@@ -185,16 +185,16 @@ class Asking:
     def _rests(self, joints: FloatArray) -> bool:
         """Whether the arm is where segments begin."""
         q, dq = joints
-        return bool(np.abs(q - self._library.posture).max() < _NEAR_rad and np.abs(dq).max() < _STILL_rad_s)
+        return bool(np.abs(q - self.library.posture).max() < _NEAR_rad and np.abs(dq).max() < _STILL_rad_s)
 
     def _known(self, exiddm: RecursiveExiddm, estimate: Estimate, rate: float) -> _Known:
-        masses = self._library.masses
+        masses = self.library.masses
         body = estimate.quantities[0]
         if exiddm.state is None or not exiddm.held or not exiddm.state[PAYLOAD][0] > 0.0:
             middle = float(np.sqrt(masses[0] * masses[-1]))
             side = (middle / 1000.0) ** (1.0 / 3.0)  # of a cube of water
             payload = np.array([middle, 0, 0, 0, *np.array([1.0, 0, 1.0, 0, 0, 1.0]) * middle * side**2 / 6.0])
-            return _Known(self._prior, rate, (masses[0], masses[-1]), self._asked(payload), 1.0)
+            return _Known(self.prior, rate, (masses[0], masses[-1]), self._asked(payload), 1.0)
         covariance = exiddm.predictor.aged(exiddm.covariance, round(3.0 / exiddm.predictor.period_s))
         spread = float(np.sqrt(exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
         wide = (body.sigma / spread) ** 2 if body.supported else 1.0
@@ -227,7 +227,7 @@ class Asking:
         )
 
     def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:
-        library = self._library
+        library = self.library
         low, high = known.masses_kg
         if high > 1.25 * library.masses[-1] and self._since_change >= _FEWEST:
             text = f"it may weigh {high:.3g} kg, and the segments are for {library.masses[-1]:.3g} kg at most"
@@ -267,7 +267,7 @@ class Asking:
 
     def _hopeless(self, known: _Known, roots: list[FloatArray], allowed: IndexArray, between: slice) -> str:
         """Why the allowed segments will never do; empty where they may."""
-        library = self._library
+        library = self.library
         left = in_the_end(known.covariance, roots, allowed)
         ratio = known.asked.ratio(known.widened * left[PAYLOAD, PAYLOAD])
         if ratio <= 1.0:
@@ -284,7 +284,7 @@ class Asking:
 
     def _forbidding(self, known: _Known, of: IndexArray, between: slice) -> str:
         """Which limit forbids the segment of some that is least forbidden."""
-        library = self._library
+        library = self.library
         rate = library.base_rate[of][:, between].max(axis=1) + known.rate_rad_s
         over = np.maximum(library.excess[of][:, between].max(axis=1), rate / library.most - 1.0)
         k = int(of[int(np.argmin(over))])

@@ -71,6 +71,9 @@ class PivotModel:
         names: of the unknowns but the windows'.
         sigma: of these beforehand, about the drawing and about no error.
         mass_kg: of all links.
+        p_BoSo_B: place of the IMU, (3,).
+        proof: first moments and inertia of the known mass, (9,).
+        stored: axial inertia of the wheels along their axes, (wheels, 3).
     """
 
     def __init__(
@@ -87,17 +90,17 @@ class PivotModel:
     ) -> None:
         self._period_s, self._samples = period_s, samples
         self._g = float(np.linalg.norm(vehicle.spec.gravity_m_s2))
-        self._R_BS, self._p = vehicle.pose_in_base(imu_frame)
+        self._R_BS, self.p_BoSo_B = vehicle.pose_in_base(imu_frame)
         own, functional = vehicle.payload_columns(), composite_functional(vehicle)
-        self._proof = functional[1:, own] @ vehicle.chi[own]
-        whole = functional @ vehicle.chi - np.append(vehicle.chi[own][:1].sum(), self._proof)
+        self.proof = functional[1:, own] @ vehicle.chi[own]
+        whole = functional @ vehicle.chi - np.append(vehicle.chi[own][:1].sum(), self.proof)
         self.mass_kg, self._drawn = float(whole[0]), whole[1:]
         half_trace = 0.5 * float(np.trace(symmetric(whole[4:])))
         wide = [*[float(np.sqrt(half_trace * whole[0]))] * 3, *[half_trace] * 6]
         joints = [geometry.joints.get(joint.name, JointPrior()) for joint in vehicle.joints]
         names = [joint.name for joint in vehicle.joints]
         axes = (vehicle.tree.seat_axes @ vehicle.tree.axis[..., None])[..., 0]  # (wheels, 3)
-        self._stored = axes * np.array([_axial(vehicle, name) for name in names])[:, None]
+        self.stored = axes * np.array([_axial(vehicle, name) for name in names])[:, None]
         body = [f"moment_{axis}" for axis in "xyz"] + [f"inertia_{of}" for of in ("xx", "xy", "yy", "xz", "yz", "zz")]
         blocks = {
             "body": Block(tuple(body), np.array(wide)),
@@ -210,26 +213,26 @@ class PivotModel:
             windows: k of them.
         """
         chi = self._drawn + moving[:, :BODY]
-        scale, delay = np.split(moving[:, BODY : BODY + 2 * len(self._stored)], 2, axis=1)  # (b, wheels)
+        scale, delay = np.split(moving[:, BODY : BODY + 2 * len(self.stored)], 2, axis=1)  # (b, wheels)
         drag, jets = moving[:, -5], moving[:, -4]
-        proof = windows.held[:, None] * (1.0 + moving[:, -6, None, None]) * self._proof  # (b, k, 9)
+        proof = windows.held[:, None] * (1.0 + moving[:, -6, None, None]) * self.proof  # (b, k, 9)
         both = np.moveaxis(chi[:, None] + proof, 2, 0)
         body = PivotBody(np.moveaxis(symmetric(both[3:]), (0, 1), (2, 3)), both[:3], drag, jets)
-        onto = (1.0 + scale)[:, :, None] * self._stored  # (b, wheels, 3)
+        onto = (1.0 + scale)[:, :, None] * self.stored  # (b, wheels, 3)
         late = -delay[:, :, None] * onto
         stored, change = (np.einsum("bwi,knw->nibk", onto, of) for of in (windows.speed, windows.change))
         stored = stored + np.einsum("bwi,knw->nibk", late, windows.change)
         tilt = np.einsum("kij,bkj->ibk", windows.across, begin[:, :, 3:]) + windows.up.T[:, None]
         up = tilt / np.linalg.norm(tilt, axis=0)
         motion = predict_pivot(body, stored, change, begin[:, :, :3].transpose(2, 0, 1), up, self._g, self._period_s)
-        felt = specific_force(motion, self._p[:, None] + moving[:, -3:].T, self._g)
+        felt = specific_force(motion, self.p_BoSo_B[:, None] + moving[:, -3:].T, self._g)
         shown = [np.einsum("ji,njbk->nbki", self._R_BS, one) for one in (motion.rate, felt)]
         return np.moveaxis(tick_mean(np.concatenate(shown, axis=3), self._samples), 0, 2)
 
     @property
     def _steps(self) -> FloatArray:
         """Of the differences, of all that moves the body, then of a window's state."""
-        k = len(self._stored)
+        k = len(self.stored)
         body = [*[1e-6 * self.mass_kg] * 3, *[1e-6 * float(self._drawn[[3, 5, 8]].sum())] * 6]
         return np.array([*body, *[1e-5] * k, *[1e-6] * k, 1e-5, *[1e-6] * 2, *[1e-5] * 3, *[1e-6] * _STATE])
 

@@ -55,7 +55,7 @@ class PivotRun(TableRun):
         self, model: PivotModel, base: str, balance: Mapping[str, tuple[float, Sequence[float]]], keys: Sequence[str]
     ) -> None:
         super().__init__(base)
-        self._model, self._causes = model, Causes(keys, model.sigma)
+        self.model, self._causes = model, Causes(keys, model.sigma)
         self._scales = np.array([name.startswith("scale_") for name in model.names[BODY:]], np.float64)
         self.quantity_names = (*FREE_BODY, *(f"move_{name}" for name in balance))
         self._units = ("m",) * 3 + ("kg m^2",) * 6 + ("m",) * len(balance)
@@ -89,27 +89,27 @@ class PivotRun(TableRun):
         self._ticks, self._held = [Ticks.joined(self._ticks)], [np.concatenate(self._held)]
         start = None if self.found is None else self.found.fit.x[: self.found.globals]
         try:
-            self.found, self.failure = self._model.fit(self._ticks[0], self._held[0], start), ""
+            self.found, self.failure = self.model.fit(self._ticks[0], self._held[0], start), ""
             self.rows_used = self.found.rows
         except (EstimationError, SignalError) as error:
             self.found, self.failure = None, str(error)
 
     def foresee(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> None:
         """Go on as if these ticks had been fitted and the drawing were true (:meth:`PivotModel.bound`)."""
-        self.found, self.failure = self._model.bound(ticks, held, rate), ""
+        self.found, self.failure = self.model.bound(ticks, held, rate), ""
         self.rows_used = self.found.rows
 
     def quantities_of(self, mass_kg: float, body: FloatArray) -> FloatArray:
         """Its quantities, (q,), of a body of that mass, by first moment and inertia about the pivot, (9,)."""
         found: FloatArray = self._weights @ body
-        found[:3] *= self._model.mass_kg / mass_kg
+        found[:3] *= self.model.mass_kg / mass_kg
         return found
 
     def answers(self) -> PivotQuantities | None:
         """The quantities; None before there is a fit."""
         if self.found is None:
             return None
-        body, P = self._model.body(self.found.fit.x), self.found.fit.covariance[:, : self.found.globals]
+        body, P = self.model.body(self.found.fit.x), self.found.fit.covariance[:, : self.found.globals]
         along = self._weights @ P[:BODY]
         covariance = self.found.wider * along[:, :BODY] @ self._weights.T
         return PivotQuantities(self._weights @ body, covariance, along, self.found.noise.freedom)
@@ -117,7 +117,7 @@ class PivotRun(TableRun):
     def estimate(self, level: float = 0.95) -> Estimate:
         """State and quantities; unsupported before there is a fit."""
         found, p = self.answers(), len(self.parameter_names)
-        numbers, prior = np.full((5, p), np.nan), self._model.sigma[:BODY]
+        numbers, prior = np.full((5, p), np.nan), self.model.sigma[:BODY]
         quantities = [(np.nan,) * 5] * len(self.quantity_names)
         leans = [""] * len(quantities)
         if found is not None and self.found is not None:
@@ -128,7 +128,7 @@ class PivotRun(TableRun):
             rows = np.array([found.mean, sigma, found.mean - half * sigma, found.mean + half * sigma, sigma / wide])
             quantities = [tuple(one) for one in rows.T.tolist()]
             leans = list(self._causes.said(self._causes.effects(found.along), sigma, np.abs(found.mean)))
-            body = self._model.body(self.found.fit.x)
+            body = self.model.body(self.found.fit.x)
             own = times * np.sqrt(self.found.wider * np.diag(self.found.fit.covariance)[:BODY])
             numbers[:, 1:] = [body, own, body - half * own, body + half * own, own / prior]
         supported = np.asarray(numbers[4] <= SUPPORTED_SHRINKAGE, np.bool_)
@@ -153,16 +153,16 @@ class PivotRun(TableRun):
         """Times of the ticks fitted, (n,), and what the fit leaves of each line, whitened, (n, 6)."""
         if self.found is None:
             return np.zeros(0), np.zeros((0, 6))
-        return self._model.residuals(self._ticks[0], self._held[0], self.found.fit.x)
+        return self.model.residuals(self._ticks[0], self._held[0], self.found.fit.x)
 
     def findings(self) -> Findings:
         """What is left over of a sensor, and corrections larger than stated."""
         if self.found is None:
             return Findings()
-        x, sigma = self.found.fit.x[BODY : self.found.globals], self._model.sigma[BODY:]
+        x, sigma = self.found.fit.x[BODY : self.found.globals], self.model.sigma[BODY:]
         left = self.found.fit.covariance[BODY : self.found.globals, BODY : self.found.globals] / np.outer(sigma, sigma)
         in_told = against(x / sigma, np.diag(left), self.found.wider)
-        each, of_all = dict(zip(self._model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
+        each, of_all = dict(zip(self.model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
         scales = np.flatnonzero(self._scales)
         if scales.size:
             mean = sigma[scales] / np.linalg.norm(sigma[scales])  # of all wheels, one stated sigma
@@ -192,6 +192,6 @@ class PivotRun(TableRun):
         stated = np.append(sigma, np.linalg.norm(sigma) / sigma.size)
         share = np.append(np.diag(left), mean @ left @ mean)
         wide = stated * np.sqrt(share / np.maximum(1.0 - share, np.finfo(np.float64).eps)) > CHECKED
-        names = [name.removeprefix("scale_") for name in self._model.names[BODY:] if name.startswith("scale_")]
+        names = [name.removeprefix("scale_") for name in self.model.names[BODY:] if name.startswith("scale_")]
         kept = names if wide[-1] else [name for name, one in zip(names, wide[:-1], strict=True) if one]
         return [UNCHECKED.format(", ".join(kept))] if kept else []

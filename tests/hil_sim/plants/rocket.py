@@ -61,7 +61,7 @@ def plant(seed: int = 7, **overrides: Any) -> VehiclePlant:
 
 def history(flown: VehiclePlant) -> History:
     """What a plant has computed."""
-    path = copy.deepcopy(flown._flight._path).rows(0, flown.rows)
+    path = copy.deepcopy(flown.flight._path).rows(0, flown.rows)
     flown.advance(1e9)
     imu, rows, angle = flown.inertial("imu_base"), flown.rows, flown.angle_rad("joint_1")
     own = path.pose[:rows, 3:] * [1.0, -1.0, -1.0, -1.0]

@@ -31,7 +31,7 @@ def plant(tmp_path: Path, burns: str) -> VehiclePlant:
 
 def momentum(made: VehiclePlant) -> tuple[np.ndarray, np.ndarray]:
     """Of everything, world axes: linear, and angular about where the base was at the start."""
-    flight = made._flight
+    flight = made.flight
     flight.show()
     mujoco.mj_subtreeVel(flight.model, flight.data)
     base = 1  # the world is 0

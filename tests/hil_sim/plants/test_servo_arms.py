@@ -41,7 +41,7 @@ def test_servos_of_an_arm_in_gravity_follow_the_command(arm) -> None:
 
 def test_the_torques_of_servos_explain_the_motion_with_friction_and_rotors(arm) -> None:
     """MuJoCo's inverse dynamics of what was flown asks each servo for its torque, but for what friction takes."""
-    model, data = arm._flight.model, mujoco.MjData(arm._flight.model)
+    model, data = arm.flight.model, mujoco.MjData(arm.flight.model)
     q, h = arm.rows_true.joints, arm.step_s
     half = np.diff(q, axis=0) / h
     names = arm._model.joints

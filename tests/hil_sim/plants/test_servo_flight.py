@@ -86,7 +86,7 @@ def hand_moment(seen: History, with_tip: bool) -> np.ndarray:
 def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz) -> None:
     world = plant(sequence=[HOLD] if with_tip else [EJECT, HOLD])
     world.advance(1e9)
-    model, data = world._flight.model, world._flight.data
+    model, data = world.flight.model, world.flight.data
     column = np.zeros(model.nv)
     mujoco.mj_mulM(model, data, column, np.eye(model.nv)[6])
     assert column[6] - model.dof_armature[6] == pytest.approx(zz, rel=1e-6)

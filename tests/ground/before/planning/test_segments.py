@@ -257,13 +257,13 @@ class TestLimits:
 
     def step(self, asking, time_s, rate=0.0, moving=0.0):
         own, online = asking
-        joints = np.stack([own._library.posture + moving, np.full(2, moving)])
+        joints = np.stack([own.library.posture + moving, np.full(2, moving)])
         return own.step(round(1e9 * time_s), time_s, joints, np.array([rate, 0.0, 0.0]), online)
 
     def test_before_anything_is_known_the_motion_is_safe_with_every_payload(self, asking):
         asking[1].exiddm.held = True
         request, said = self.step(asking, 1.0)
-        library = asking[0]._library
+        library = asking[0].library
         k = library.names.index(request.rows["segment"][0].decode())
         assert library.excess[k].max() <= 0.0
         assert library.base_rate[k].max() <= library.most
@@ -277,8 +277,8 @@ class TestLimits:
         *probes, (last,) = made.values()
         assert [request.rows["act"][0] for request, _ in probes] == [Act.SEGMENT] * 5
         assert "caught at rest" in probes[0][1].rows["text"][0].decode()
-        k = own._library.names.index(probes[0][0].rows["segment"][0].decode())
-        assert own._library.base_rate[k].max() <= own._library.most
+        k = own.library.names.index(probes[0][0].rows["segment"][0].decode())
+        assert own.library.base_rate[k].max() <= own.library.most
         assert np.diff(list(made)).min() >= 10  # rests of probe_s, and what is played between
         assert next(iter(made)) == 11
         assert last.rows["code"][0] == b"goal_waits"
@@ -294,7 +294,7 @@ class TestLimits:
         assert len(self.step(asking, 30.5)) == 2
 
     def test_probe_s_of_zero_moves_nothing(self, asking):
-        asking[1].exiddm.held, asking[0]._probe_s = False, 0.0
+        asking[1].exiddm.held, asking[0].probe_s = False, 0.0
         assert [self.step(asking, time_s) for time_s in (1.0, 60.0)] == [[], []]
 
     def test_a_release_while_a_segment_is_played_is_followed_by_nothing_and_a_capture_by_small_motions(self, asking):
@@ -331,14 +331,14 @@ class TestLimits:
         self, asking, seed, low, wide, turning
     ):
         own, rng = asking[0], np.random.default_rng(seed)
-        whole = own._library
+        whole = own.library
         over = rng.choice([-0.3, 0.0, 1e-9, 0.01, 0.3], whole.excess.shape, p=[0.5, 0.2, 0.1, 0.1, 0.1])
         rates = rng.uniform(0.0, 1.2, whole.base_rate.shape)
-        own._library = replace(whole, excess=over, base_rate=rates, most=1.2)
+        own.library = replace(whole, excess=over, base_rate=rates, most=1.2)
         own._since_change, own._ratios = 0, []
         known = own._known(asking[1].exiddm, asking[1].estimate(), turning)._replace(masses_kg=(low, low + wide))
         request, *_ = own._ask(0, 0.0, known, 5.0, solved=False)
-        own._library = whole
+        own.library = whole
         first = max(int((whole.masses <= low).sum()) - 1, 0)  # the masses on both sides of all that it may weigh
         last = min(int((whole.masses < low + wide).sum()), len(whole.masses) - 1)
         both = slice(min(first, last), last + 1)
@@ -354,8 +354,8 @@ class TestLimits:
     ):
         own, online = asking
         exiddm = online.exiddm
-        exiddm.held, exiddm.covariance = True, own._prior.copy()
-        exiddm.state = np.zeros(len(own._prior))
+        exiddm.held, exiddm.covariance = True, own.prior.copy()
+        exiddm.state = np.zeros(len(own.prior))
         exiddm.state[PAYLOAD] = [0.7, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]
         monkeypatch.setattr(type(exiddm), "settled", lambda _: settled)
         said = []
@@ -369,8 +369,8 @@ class TestLimits:
     def test_a_state_that_is_no_motion_is_not_linearised_about(self, asking):
         own, online = asking
         exiddm = online.exiddm
-        exiddm.held, exiddm.covariance = True, own._prior.copy()
-        exiddm.state = np.zeros(len(own._prior))
+        exiddm.held, exiddm.covariance = True, own.prior.copy()
+        exiddm.state = np.zeros(len(own.prior))
         exiddm.state[PAYLOAD] = [0.1, 90.0, 90.0, 90.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-9]
         exiddm.state[RATE] = 1e6
         assert len(self.step(asking, 1.0)) == 2
