@@ -90,7 +90,7 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
     if not isinstance(scenario, VehicleScenario):
         raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; give the path of a vehicle.toml")
     if scenario.motion.csv is not None:
-        raise ScenarioError("the scenario has a motion of its own (motion.csv); take it out to plan one")
+        raise ScenarioError("the scenario has a motion (motion.csv); take it out to plan another")
     starts = np.cumsum([0.0, *(step.duration_s for step in scenario.sequence)])
     held = _held(scenario, starts) if scenario.payload is not None else np.ones(len(starts), bool)
     swings = [k for k, step in enumerate(scenario.sequence) if step.action == "swing" and held[k]]

@@ -84,7 +84,7 @@ def _add_imu(kinds: Any) -> None:
 
 def _add_load_cell(kinds: Any) -> None:
     one = _kind(
-        *(kinds, "load-cell", "known masses: scale, offset, or lever", "the load cell (the only one)"),
+        *(kinds, "load-cell", "known masses: scale, offset, or lever", "which load cell, if several"),
         analyse=_load_cell, role="cell",
     )  # fmt: skip
     one.add_argument("--masses-kg", type=_numbers, required=True, metavar="M,M", help="in their order; 0 for none")
@@ -96,7 +96,7 @@ def _add_load_cell(kinds: Any) -> None:
 
 def _add_encoder(kinds: Any) -> None:
     one = _kind(
-        *(kinds, "encoder", "the stops of a joint: zero, direction, counts per turn", "the encoder (the only one)"),
+        *(kinds, "encoder", "the stops of a joint: zero, direction, counts per turn", "which encoder, if several"),
         analyse=_encoder, role="joint",
     )  # fmt: skip
     one.add_argument("--angles-deg", type=_numbers, metavar="A,A", help="in their order (limits of the URDF, twice)")
@@ -233,7 +233,7 @@ def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
     if name is None:
         known = by_role[arguments.role]
         if len(known) != 1:
-            raise config.ConfigError(f"{vehicle.label}: which one? give --device, one of {', '.join(known) or 'none'}")
+            raise config.ConfigError(f"{vehicle.label}: which device? give --device: {', '.join(known) or 'none'}")
         name = known[0]
     if name not in vehicle.file.device:
         raise config.ConfigError(f"{vehicle.label}: no device {name!r}; there are {', '.join(vehicle.file.device)}")

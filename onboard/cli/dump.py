@@ -12,13 +12,13 @@ _STANDARD = "mcap"
 def add(commands: Commands) -> None:
     """Make the command known."""
     dump = commands.add_parser("dump", help="logs as tables for other programs: csv, parquet, npz, mat")
-    dump.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets its own directory")
+    dump.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="several: a directory for each")
     dump.add_argument(
         "--to",
         nargs=2,
         metavar=("FORMAT", "DIR"),
         required=True,
-        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout; mcap: IMUs, "
+        help="csv, parquet, npz or mat; DIR gets a file for each channel; csv - writes one to stdout; mcap: IMUs, "
         "joint states and transforms as standard ROS 2 messages",
     )
     dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
@@ -57,7 +57,7 @@ def _dump(arguments: argparse.Namespace) -> int:
     piped = target == "-"
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     if piped and len(groups) > 1:
-        raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
+        raise ValueError(f"{len(groups)} logs into a pipe: dump each by itself")
     codes: list[int] = []
     force = arguments.force
     with progress() as bar:

@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
     fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
     fly.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
-    fly.add_argument("--new", action="store_true", help="a new flight, also where one that lost its power could go on")
+    fly.add_argument("--new", action="store_true", help="a new flight, even where an interrupted flight could go on")
     fly.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     fly.add_argument(
         "--continue",

@@ -32,7 +32,7 @@ def add(commands: Commands) -> None:
     identify = commands.add_parser("identify", help="identify from logs with the onboard estimator")
     identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
     identify.add_argument(
-        "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: the one that the logs carry)"
+        "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: that of the logs)"
     )
     identify.add_argument(
         "--parameters", action="store_true", help="show the base parameters of the vehicle in symbols"
@@ -92,7 +92,7 @@ def _identify_with(
     if arguments.parameters:
         return _parameters(vehicle, arguments)
     if not arguments.logs:
-        raise ValueError("no log to identify from; name one, or ask for --parameters")
+        raise ValueError("name a log to identify from, or ask for --parameters")
     _check_outputs(vehicle, arguments)
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)

@@ -15,11 +15,11 @@ def add(commands: Commands) -> None:
     """Make the command known."""
     importer = commands.add_parser(
         "import",
-        help="convert foreign recordings to logs, or propose a mapping for one (--guess)",
+        help="convert foreign recordings to logs, or propose a mapping (--guess)",
         description="Two steps: --guess FILE -o mapping.toml; look at it; then mapping.toml FILE -o logs.",
     )
     importer.add_argument(
-        "mapping", nargs="?", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4"
+        "mapping", nargs="?", help="mapping TOML, or the name of a packaged mapping: tudelft, staubli_tx40, kuka_lwr4"
     )
     importer.add_argument("source", type=Path, nargs="?", help="a recording, or a directory of them")
     importer.add_argument(
@@ -58,7 +58,7 @@ def _guess(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.bring_in.guess.propose import Names, propose
 
     if arguments.mapping is not None:
-        raise ValueError("--guess FILE makes the mapping: give no other one")
+        raise ValueError("--guess FILE makes the mapping: give no mapping beside it")
     named = _names(arguments.vehicle) if arguments.vehicle is not None else Names()
     with busy(f"{arguments.guess} is looked at"):
         found = propose(arguments.guess, named)

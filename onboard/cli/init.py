@@ -31,11 +31,9 @@ def add(commands: Commands) -> None:
     init.add_argument("--from", dest="packaged", metavar="NAME", help="copy a packaged vehicle: rocksat, dymaflex, ...")
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
     init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar"))
-    init.add_argument("--urdf", type=Path, help="one at hand: its joints and links; it is copied into the directory")
-    init.add_argument("--imu-frame", metavar="LINK", help="of --urdf, whose axes are the IMU's (default: one is added)")
-    init.add_argument(
-        "--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: one is added)"
-    )
+    init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
+    init.add_argument("--imu-frame", metavar="LINK", help="of --urdf, whose axes are the IMU's (default: a new link)")
+    init.add_argument("--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: a new link)")
     init.add_argument(
         "--joints",
         metavar="N|NAME,NAME",
@@ -54,7 +52,7 @@ def add(commands: Commands) -> None:
         "the force",
     )
     init.add_argument("--force", metavar="N", type=float, default=1.0, help="of each of --thrusters, in newtons (1)")
-    init.add_argument("--marker", metavar="LINK", help="of --urdf, that is tracked (default: one is added)")
+    init.add_argument("--marker", metavar="LINK", help="of --urdf, that is tracked (default: a new link)")
     init.add_argument("--no-pulse", action="store_true", help="no sync pulse is wired: clocks are then known to ms")
     init.add_argument("--bus", action="append", default=[], metavar="NAME=URL", help="URL of a bus, e.g. can_0=...")
     init.set_defaults(command=_init)
@@ -118,8 +116,8 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
         )
     if link in drawn.frames:
         return ()
-    others = f"; --payload-link {' or '.join(drawn.tips)} for one of the URDF's own frames" if drawn.tips else ""
-    return (f"what is held is told in a new link {link!r} at the origin of {drawn.last}{others}",)
+    others = f"; --payload-link {' or '.join(drawn.tips)} for a frame of the URDF" if drawn.tips else ""
+    return (f"what is held is estimated in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
 def _ask(arguments: argparse.Namespace) -> None:

@@ -58,7 +58,7 @@ def _mechanics(arguments: argparse.Namespace) -> int:
     if found.line is not None and not found.line.is_followed:
         complain(
             f"the tip cannot follow this line: it is up to {1e3 * found.line.error_m:.2g} mm off; "
-            "ask for a shorter one, from other joint positions (--at), in more time (--seconds)"
+            "ask for a shorter line, from other joint positions (--at), in more time (--seconds)"
         )
         return FAILED
     return OK

@@ -1,4 +1,4 @@
-"""``heft merge`` joins the logs of several recorders of one flight, or recordings made one after the other."""
+"""``heft merge`` joins the logs of several recorders of the same flight, or recordings made one after the other."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import DAMAGED, OK, Commands, add_json, progress, warn, 
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    merge = commands.add_parser("merge", help="merge the logs of several recorders of one flight, or of several runs")
+    merge = commands.add_parser("merge", help="merge the logs of several recorders of a flight, or of several runs")
     merge.add_argument("logs", type=Path, nargs="+", metavar="LOG")
     merge.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
     merge.add_argument(
@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
     merge.add_argument(
         "--in-turn",
         metavar="CHANNEL",
-        help="recordings made one after the other, e.g. an arm without its load and with it: CHANNEL is added, and is "
+        help="recordings made in turn, e.g. an arm without its load and with it: CHANNEL is added, and is "
         "1 in the first, 2 in the second, ...: a phase channel",
     )
     add_json(merge)

@@ -81,7 +81,7 @@ class Handler(logging.Handler):
         while (line := self._lines.get()) is not None:
             if self._unsaid:
                 line, self._unsaid = (
-                    f"{line}\n{self._unsaid} lines before this one were lost: the output was blocked",
+                    f"{line}\n{self._unsaid} lines before this were lost: the output was blocked",
                     0,
                 )
             with contextlib.suppress(OSError, ValueError):  # the reader has gone: the flight continues

@@ -15,9 +15,7 @@ def add(commands: Commands) -> None:
     predict = commands.add_parser("predict", help="predict a log's base motion from its joints, beside the gyro")
     predict.add_argument("log", type=Path, metavar="LOG")
     predict.add_argument("--method", choices=_METHODS, action="append", help="derivation; repeatable (default: all)")
-    predict.add_argument(
-        "--vehicle", help="vehicle.toml, or a packaged vehicle (default: the one that the log carries)"
-    )
+    predict.add_argument("--vehicle", help="vehicle.toml, or a packaged vehicle (default: that of the log)")
     which = predict.add_mutually_exclusive_group()
     which.add_argument(
         "--urdf", type=Path, metavar="FILE", help="bodies to predict with, as heft identify --urdf writes"

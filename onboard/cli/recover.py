@@ -9,7 +9,7 @@ from onboard.cli.common import DAMAGED, FAILED, Commands, add_json, complain, pr
 def add(commands: Commands) -> None:
     """Make the command known."""
     recover = commands.add_parser("recover", help="copy the readable part of a damaged log, and list what is lost")
-    recover.add_argument("log", type=Path, nargs="+", help="a log, a flight directory, or all segments of one flight")
+    recover.add_argument("log", type=Path, nargs="+", help="a log, a flight directory, or all segments of a flight")
     recover.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
     add_json(recover)
     recover.set_defaults(command=_recover)
@@ -22,7 +22,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     groups = flights(arguments.log)
     if len(groups) > 1:
         names = ", ".join(group[0].name for group in groups)
-        raise ValueError(f"{names} are logs of different flights: recover them one by one, then merge them")
+        raise ValueError(f"{names} are logs of different flights: recover each by itself, then merge them")
     with progress() as bar:
         task = bar.add_task("recover", total=None)
         found = recover(

@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
         dest="settings",
         type=Path,
         metavar="TOML",
-        help="use these settings over the log's own, and show the differences",
+        help="use these settings over those of the log, and show the differences",
     )
     add_json(replay)
     replay.set_defaults(command=_replay)

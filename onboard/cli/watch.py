@@ -83,7 +83,7 @@ def _live() -> int:
 
     flights = manifest.running()
     if not flights:
-        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays a recorded one")
+        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays a recorded flight")
     flight = flights[-1]
     board = Board(f"{flight.vehicle}  {flight.log}")
     rings: dict[Path, RingReader] = {}

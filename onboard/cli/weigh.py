@@ -45,11 +45,11 @@ def add(commands: Commands) -> None:
         "--orientation", default="", metavar="KIND", help="xyzw, wxyz, matrix, rotvec, or Euler angles: xyz, ZYX, ..."
     )
     weigh.add_argument(
-        "--sense", choices=("sensor-in-base", "base-in-sensor"), help="whose orientation it is (the likelier one)"
+        "--sense", choices=("sensor-in-base", "base-in-sensor"), help="whose orientation it is (default: the likelier)"
     )
     weigh.add_argument("--axes", choices=("sensor", "base"), help="whose axes the wrench is in (the likelier ones)")
     weigh.add_argument(
-        "--sign", choices=("weight", "reaction"), help="whether it is what acts on the sensor (the likelier one)"
+        "--sign", choices=("weight", "reaction"), help="whether it is what acts on the sensor (default: the likelier)"
     )
     weigh.add_argument("--turned", default="", metavar="AXIS,...", help="axes whose sign is wrong: fx,mz")
     weigh.add_argument("--force-unit", default="", metavar="UNIT", help="N, kN, kgf, lbf ... (by the names, else N)")

@@ -80,14 +80,14 @@ def _check_bus(vehicle: Vehicle, bus: str, fail: Fail) -> None:
     on_bus = vehicle.devices_on(bus)
     types = {device.bus_type: type(device) for device in on_bus.values()}
     if len(types) > 1:
-        fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(types))}; give each its own bus")
+        fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(types))}; give each a bus")
     for bus_type, one in types.items():
         try:
             url.parse(vehicle.file.bus[bus].url, one.urls)
         except DriverError as error:
             fail(["bus", bus, "url"], f"its devices are on {bus_type}: {error}")
         if not one.shares_bus and len(on_bus) > 1:
-            text = f"bus {bus!r} has {', '.join(on_bus)}; {bus_type} has one device: give each its own bus"
+            text = f"bus {bus!r} has {', '.join(on_bus)}; {bus_type} has one device: give each a bus"
             fail(["bus", bus], text)
         for where, why in one.bus_problems(bus, on_bus):
             fail(where, why)
@@ -115,7 +115,7 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
                 text = f"use a letter, then letters, digits and _, {LONGEST_NAME} at the most"
                 fail(where, f"channel {channel!r} is not a name; {text}")
             if channel in RESERVED or channel.startswith(OURS):
-                fail(where, f"channel {channel!r} is one of heft's own; rename the device")
+                fail(where, f"channel {channel!r} is heft's; rename the device")
             if owner.setdefault(channel, name) != name:
                 fail(where, f"channel {channel!r} is that of {owner[channel]!r} too; rename one of them")
 
@@ -124,7 +124,7 @@ def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     devices = vehicle.file.device
     imus = [name for name, device in devices.items() if device.roles(name, 1.0).imus]
     if not imus and vehicle.file.vehicle.base != "fixed" and vehicle.file.body is None:
-        fail(["device"], "no device is an IMU; the base's motion has to be measured: add one")
+        fail(["device"], "no device is an IMU; the base's motion has to be measured: add an IMU")
     lines: dict[str, str] = {}  # first of each kind
     for name, device in devices.items():
         if device.sync_line(name) is not None and lines.setdefault(device.kind, name) != name:
@@ -216,7 +216,7 @@ def _impossible(vehicle: Vehicle, drawing: Drawing, link: str) -> str:
 def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
     wanted = vehicle.file.realtime
     if wanted.recording_priority and wanted.recording_priority >= wanted.acquisition_priority:
-        text = f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it a lower one, or 0"
+        text = f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it less, or 0"
         fail(["realtime", "recording_priority"], text)
 
 

@@ -129,7 +129,7 @@ def read_motion(path: Path, joints: Sequence[str]) -> tuple[FloatArray, FloatArr
         with path.open(encoding="utf-8", newline="") as file:
             rows = [row for row in csv.reader(file) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"motion {path} cannot be read: {error}; heft plan writes one") from error
+        raise ConfigError(f"motion {path} cannot be read: {error}; heft plan writes such files") from error
     names = [name.strip() for name in rows[0]] if rows else []
     wanted = {"time_s", *joints}
     if set(names) != wanted or len(names) != len(wanted):
@@ -213,7 +213,7 @@ def _range(drive: Drive, joint: str, ranges: dict[str, Range]) -> Range:
     """The URDF's, less the margin, and not faster than told."""
     if joint not in ranges:
         raise ConfigError(
-            f"the URDF gives {joint!r} no range (a revolute joint with <limit>): a driven joint needs one"
+            f"the URDF gives {joint!r} no range (a revolute joint with <limit>): a driven joint needs a range"
         )
     low, high, rate = ranges[joint]
     if not low < high:

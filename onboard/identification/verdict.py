@@ -111,7 +111,7 @@ def _contradictions(evidence: Evidence) -> list[str]:
     for link, away in evidence.away.items():
         if away > FARTHEST_BODY:
             far = f"{away:.0f} sigmas from any body" if away < np.inf else "its mass is not positive"
-            said.append(f"what was found for {link} cannot exist: {far}; check signs and units")
+            said.append(f"the estimate of {link} cannot exist: {far}; check signs and units")
     said += too_large(evidence.corrections)
     if evidence.misfit is not None and evidence.misfit > WORST_MISFIT:
         said.append(

@@ -161,7 +161,7 @@ def test_a_run_begins_where_the_base_is_let_go_and_not_after_a_gap() -> None:
             "tilt_m_s2 = 0.2",
             "unknown key 'planar.tilt_m_s2'; did you mean 'tilt_sigma_m_s2'",
         ),
-        ('frame = "puck_2"', 'frame = "puck_1"', "two pucks are at puck_1; give each its own frame"),
+        ('frame = "puck_2"', 'frame = "puck_1"', "two pucks are at puck_1; give each another frame"),
         ('base = "planar"', 'base = "free"', 'pucks and a table need base = "planar"'),
         ('method = "exiddm"', 'method = "rows"', 'base = "planar" needs method = "exiddm"'),
         (

@@ -37,5 +37,5 @@ class Pivot(Section):
     def _each_name_once(self) -> "Pivot":
         names = [one.name for one in self.balance]
         if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-            raise ValueError(f"two balance masses are called {', '.join(twice)}; give each its own name")
+            raise ValueError(f"two balance masses are called {', '.join(twice)}; give each another name")
         return self

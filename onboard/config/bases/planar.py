@@ -32,7 +32,7 @@ class Planar(Section):
     def _each_frame_once(self) -> "Planar":
         frames = [puck.frame for puck in self.puck]
         if twice := [frame for frame in dict.fromkeys(frames) if frames.count(frame) > 1]:
-            raise ValueError(f"two pucks are at {', '.join(twice)}; give each its own frame")
+            raise ValueError(f"two pucks are at {', '.join(twice)}; give each another frame")
         return self
 
 

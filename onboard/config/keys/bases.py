@@ -3,7 +3,7 @@
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),
     "free_m_s2": (
-        "Below this one nothing may hold the vehicle; roughness beyond the IMU's noise says that something does.",
+        "Below this value nothing may hold the vehicle; roughness beyond the IMU's noise says that something does.",
         "a fast arm shakes a light base by more",
     ),
     "settle_s": ("Left out after a release, before a catch and about a bump.", "hands let go slowly"),
@@ -79,7 +79,7 @@ JOINT = {
     ),
     "stiffness_relative": ("How well that is known, relative, 1 sigma.", "it was measured, or guessed"),
     "damping_N_m_s_rad": (
-        "Of that spring. Without: 2 % of the critical one of the joint's swing alone, nothing held.",
+        "Of that spring. Without: 2 % of the critical damping of the joint's swing alone, nothing held.",
         "a swing was seen to die away",
     ),
     "damping_relative": ("How well that is known, relative, 1 sigma.", "it was measured"),
@@ -95,14 +95,14 @@ CARRIER: dict[str, tuple[str, ...]] = {
     "mass_kg": ("Mass of the device itself.",),
     "centre_of_mass_m": ("Its centre of mass, base axes.",),
     "centre_of_mass_sigma_m": ("How well that is known, 1 sigma by axis.",),
-    "inertia_kg_m2": ("XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, base axes.",),
+    "inertia_kg_m2": ("XX, XY, YY, XZ, YZ, ZZ about its centre of mass, base axes.",),
     "inertia_sigma_kg_m2": ("How well these are known, 1 sigma.",),
 }
 
 LOAD: dict[str, tuple[str, ...]] = {
     "name": ("Name of the load.",),
     "logs": ("Pattern of the names of its logs.",),
-    "role": ('"carrier": the device alone; "proof": a known body; these two calibrate. "load": to be told.',),
+    "role": ('"carrier": the device alone; "proof": a known body; these two calibrate. "load": to be estimated.',),
     "mass_kg": ("Weighed.",),
     "truth_kg_m2": ("Known moments of inertia, to compare with or to calibrate by.",),
     "truth_source": ("Where they are from.",),

@@ -71,7 +71,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "mass_kg": _M("Its mass.", "it was weighed: heft calibrate balance writes it"),
         "centre_of_mass_m": _M("Its centre of mass, link axes.", "it was balanced: heft calibrate balance writes it"),
         "inertia_kg_m2": _M(
-            "XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, link axes.",
+            "XX, XY, YY, XZ, YZ, ZZ about its centre of mass, link axes.",
             "it was swung: heft calibrate bifilar writes it",
         ),
         "calibrated": _M("Date, log and command of its calibration."),
@@ -103,7 +103,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "The same of recording, below that of acquisition; 0: none.",
             "other programs keep the computer busy for seconds",
         ),
-        "recording_cpus": _M("The same of recording.", "acquisition has a core of its own"),
+        "recording_cpus": _M("The same of recording.", "acquisition has a separate core"),
         "lock_memory": _M(
             "Memory of acquisition and recording is never swapped out. Needs LimitMEMLOCK=infinity.",
             "the computer swaps, or memory is short",
@@ -166,7 +166,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
         "exiddm": _M('Table of method "exiddm".'),
         "disturbance": _M('Table: what pushes a free base unknown on board, for method "exiddm".'),
-        "useful": _M("Table: how narrow an interval must be to be good; a wider one is weak."),
+        "useful": _M("Table: how narrow an interval must be to be good; a wider interval is weak."),
         "imu_prior": _M(
             "Table: sigmas of the base IMU's errors, for method exiddm; of rows, a moving base's two biases."
         ),

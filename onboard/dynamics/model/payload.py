@@ -141,7 +141,7 @@ def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
             return body
         return _likeliest(chi, covariance, standard_of(_nearby(body)))
     except np.linalg.LinAlgError as error:
-        raise ConvergenceError(f"the likeliest possible body was not found ({error})") from error
+        raise ConvergenceError(f"the search for the likeliest possible body did not converge ({error})") from error
 
 
 def _likeliest(chi: FloatArray, covariance: FloatArray, start: FloatArray) -> RigidBody:
@@ -174,7 +174,7 @@ def _likeliest(chi: FloatArray, covariance: FloatArray, start: FloatArray) -> Ri
         while cost(z + length * step, barrier) > now - 0.1 * length * promised and length > _WORTH_A_STEP:
             length *= 0.5
         z = z + length * step
-    raise ConvergenceError("the likeliest possible body was not found")
+    raise ConvergenceError("the search for the likeliest possible body did not converge")
 
 
 def _nearby(body: RigidBody) -> RigidBody:

@@ -49,7 +49,7 @@ def stops(angles_deg: Sequence[float]) -> list[GuideStep]:
 
 def swings(count: int = 6) -> list[GuideStep]:
     """One axis after the other."""
-    which = ("x", "y", "z", "the one between x and y", "the one between x and z", "the one between y and z")
+    which = ("x", "y", "z", "between x and y", "between x and z", "between y and z")
     return [
         GuideStep(
             f"swing {n + 1}",

@@ -75,7 +75,7 @@ def calibrate_load_cell(
     )
     result = Calibration(notes=[_fitted(found.residual, spans, reading, masses)])
     if len(masses) < 3:
-        result.notes.append("two masses fit any line: a third would show a wrong one")
+        result.notes.append("two masses fit any line: a third would show an error")
     table = ("device", device)
     if lever:
         _lever(result, table, section, hung, found.slope, common)

@@ -150,7 +150,7 @@ def _require_of(log: LogReader, vehicle: config.Vehicle, channel: str) -> None:
         return  # an import: its channel has to be there
     name, own = flown.file.vehicle.name, vehicle.file.vehicle.name
     if name != own:
-        raise CalibrationError(f"{log.path} is a log of vehicle {name!r}, not of {own!r}; give a log of this one")
+        raise CalibrationError(f"{log.path} is a log of vehicle {name!r}, not of {own!r}; give a log of this vehicle")
     was, now = flown.file.device.get(channel), vehicle.file.device.get(channel)
     if was is not None and now is not None and was.kind != now.kind:
         raise CalibrationError(f"{log.path}: {channel} was a {was.kind} then and is a {now.kind} now; record it again")

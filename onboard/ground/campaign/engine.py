@@ -99,7 +99,7 @@ def run(
                     watcher.done(item, done)
         except _AwayError as error:
             if not reached or tries * _AGAIN_S >= where.patience_s:
-                said = "start one with dask scheduler, and workers with dask worker; then the same command goes on"
+                said = "start it with dask scheduler, and workers with dask worker; then the same command goes on"
                 raise SchedulerError(
                     f"no Dask scheduler at {where.scheduler or 'this computer'} ({error}): {said}"
                 ) from error

@@ -54,7 +54,7 @@ class Flight(Section):
         if self.mission is None and (self.over is not None or self.faults):
             raise ValueError("over and faults go with a mission")
         if self.vehicle is not None and self.logs is None:
-            raise ValueError("vehicle goes with logs; the vehicle of a mission is the mission's own")
+            raise ValueError("vehicle goes with logs; the vehicle of a mission is that of the mission")
         return self
 
 

@@ -75,7 +75,7 @@ class Store:
             return Content(**told, items=items)
         except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
             said = f"{self.directory} is not the directory of a campaign ({type(error).__name__}: {error})"
-            raise ValueError(f"{said}; give the one that heft campaign wrote into") from error
+            raise ValueError(f"{said}; give the directory that heft campaign wrote into") from error
 
     def is_done(self, address: str) -> bool:
         """Whether there is a result."""

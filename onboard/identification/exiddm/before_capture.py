@@ -109,7 +109,7 @@ def before_capture(
     ):
         raise SignalError("readings are missing about the capture")
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
-        raise SignalError("the payload found has no mass or inertia that a body can have")
+        raise SignalError("the estimated payload has no mass or inertia that a body can have")
     rest = ticks.part(slice(max(0, first - round(_ZERO_s / predictor.period_s)), first))
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -105,11 +105,11 @@ class Innovations:
         S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
         if not S.diagonal().max() < _LARGEST:  # as with NaN
-            raise SingularError("the state says nothing of what is measured; it is to be found anew")
+            raise SingularError("the state says nothing of what is measured; it has to be estimated anew")
         try:
             L = np.asarray(np.linalg.cholesky(S), np.float64)
         except np.linalg.LinAlgError as error:
-            raise SingularError("the state's covariance is none any more; it is to be found anew") from error
+            raise SingularError("the state's covariance is none any more; it has to be estimated anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 

@@ -290,7 +290,7 @@ class _Work:
             ConvergenceError: there are none left.
         """
         if self._left <= 0:
-            raise ConvergenceError("no minimum was found in the time that a search has; check IMU and joints")
+            raise ConvergenceError("no minimum was reached in the time that a search has; check IMU and joints")
         self._left -= ticks
 
 

@@ -77,7 +77,7 @@ period_ms = 20                 # of the commands: yours
         for name in wanted.thrusters
     )
     return f"""{schema.FIRST_LINE}
-# Made by heft init. Numbers that are "yours" are placeholders: put your own there. Every key: docs/vehicle.md,
+# Made by heft init. Numbers that are "yours" are placeholders: put yours there. Every key: docs/vehicle.md,
 # those of devices: docs/devices.md.
 
 [vehicle]

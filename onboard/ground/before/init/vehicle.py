@@ -177,7 +177,7 @@ viscous_sigma_N_s_m = 5.0      # how much it may drag
 coulomb_sigma_N = 0.5
 """
     return f"""{schema.FIRST_LINE}
-# Made by heft init. Numbers that are "yours" are placeholders: put your own there. Every key: docs/vehicle.md,
+# Made by heft init. Numbers that are "yours" are placeholders: put yours there. Every key: docs/vehicle.md,
 # those of devices: docs/devices.md. `heft preflight vehicle.toml` says what does not fit.
 
 [vehicle]

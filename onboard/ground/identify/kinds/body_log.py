@@ -115,7 +115,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
         raise ChannelError(f"{log.path}: {name} is in {unit.decode()!r}; a level needs 1, or N: correct the mapping")
     level = values / (own.force_N if unit == b"N" else 1.0)
     if (level < 0.0).any():
-        raise ChannelError(f"{log.path}: {name} is negative; a thruster pushes one way: give each its own column")
+        raise ChannelError(f"{log.path}: {name} is negative; a thruster pushes one way: give each a column")
     if level.max() > 1.5:
         text = f"{name} reaches {level.max():.3g} times its force"
         raise ChannelError(f"{log.path}: {text}; give its unit and scale in the mapping, or its force_N")

@@ -1,6 +1,6 @@
 """Converts foreign recordings to logs by a mapping file.
 
-``host_ns`` is the recording's own clock, here the time of the sample. ``tick`` numbers the samples. The conversion is
+``host_ns`` is the recording's clock, here the time of the sample. ``tick`` numbers the samples. The conversion is
 deterministic to the byte.
 """
 
@@ -135,7 +135,7 @@ def _write(chosen: Mapping, files: Iterable[Path], log: Path, channels: dict[str
             "source": ", ".join(path.name for path in files),
             "sha256": ", ".join(_sha256(path) for path in files),
             "mapping": chosen.file.mapping.name,
-            "host_ns": "the recording's own clock",
+            "host_ns": "the recording's clock",
             "not_recorded": ", ".join(_absent(chosen)),
         }
         writer.add_metadata(IMPORT_METADATA, facts)

@@ -55,7 +55,7 @@ def legend(tables: FlightTables, files: Mapping[str, str]) -> str:
         "",
         "level of a quantity: 0 good, 1 weak, 2 do not use; supported 0: its value is not to be used",
         "",
-        "device_status is the device's own byte, filter_code its own code of its low-pass filter: see its data sheet.",
+        "device_status is the device's status byte, filter_code the code of its low-pass filter: see its data sheet.",
         "Text that would begin a formula in a spreadsheet has an apostrophe before it.",
     ]
     return "\n".join(lines) + "\n"

@@ -38,7 +38,7 @@ def in_turn(parts: Sequence[Part], phase: str, output: Path, *, progress: Progre
         OSError: a log cannot be read, or the output not written.
     """
     if len(parts) < 2:
-        raise ValueError("give two recordings or more to put one after the other")
+        raise ValueError("give two recordings or more to join")
     logs = [part.open() for part in parts]
     _require(logs, phase)
     task = None if progress is None else progress.add_task("merge", total=sum(log.size for log in logs))
@@ -108,7 +108,7 @@ def _require(logs: Sequence[LogReader], phase: str) -> None:
             both = f"{log.path} and {logs[0].path}"
             raise ChannelError(f"{both} differ by channel {other[0]}; import them by one mapping")
         if phase in log.channels:
-            raise ChannelError(f"{log.path} has a channel {phase!r} already; name another one")
+            raise ChannelError(f"{log.path} has a channel {phase!r} already; name another")
 
 
 def _span(log: LogReader) -> tuple[int, int]:

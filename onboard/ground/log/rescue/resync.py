@@ -111,7 +111,7 @@ def resync(
         raise ValueError("give two logs or more: the clocks of one flight computer's log are fitted to its pulses")
     imus = {number: name for number, log in enumerate(logs) if (name := _imu_channel(log, vehicle))}
     if not imus:
-        raise ValueError("none of the logs has an IMU: give the one that recorded it first")
+        raise ValueError("none of the logs has an IMU: give the log with the IMU first")
     first = next(iter(imus))
     told(f"reads {logs[first].path.name}")
     rate, force = _imu(logs[first], imus[first])
@@ -258,7 +258,7 @@ def render(placed: Sequence[AlignedLog]) -> RenderableType:
         table.add_row("rate", f"{1e6 * one.rate:+.2f} ppm ± {1e6 * 1.96 * one.sigma_rate:.2f} ppm")
         if one.drift_per_s:
             table.add_row("drift", f"{60e6 * one.drift_per_s:+.3f} ppm a minute; merge leaves it out")
-        table.add_row("at", f"{one.pivot_s:.3f} s of its own time")
+        table.add_row("at", f"{one.pivot_s:.3f} s of its time")
         table.add_row("from", one.how)
         table.add_row("unique", one.unique)
         if one.payload is not None:

@@ -52,7 +52,7 @@ def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, Meanin
     if vehicle is None:
         sampled = Meaning(time=_NO_CLOCK, time_field="")
         if "import" in log.metadata:
-            sampled = Meaning(time="the sample, by the recording's own clock")
+            sampled = Meaning(time="the sample, by the recording's clock")
         return {n: sampled if "tick" in (log.channels[n].names or ()) else one for n, one in found.items()}
     roles = roles_of(vehicle)
     measures, frames = _measures(roles), {one.channels[0]: one.frame for one in roles.imus if len(one.channels) == 1}

@@ -119,7 +119,7 @@ def _bad(some: Sequence[Table], ragged: int) -> str:
 def _time(main: Table, made: "_Maker") -> str:
     if main.clock is None:
         key = text.Key(
-            f"rate_Hz = {_RATE_Hz:g}", "no column of times was found: write the rate of the samples, or column and unit"
+            f"rate_Hz = {_RATE_Hz:g}", "there is no column of times: write the rate of the samples, or column and unit"
         )
         return "\n[time]\n" + key.lines
     own = made.clocks[main.name]
