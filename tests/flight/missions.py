@@ -12,21 +12,19 @@ from onboard.flight import hil
 from onboard.ground.identify.mission import mission_table as table
 from onboard.recording.reader import LogReader
 
-_SWEEP = {
-    "phase": 4,
-    "action": "strokes",
-    "amplitude": {"joint_1": 0.2007},
-    "stroke_s": 0.6,
-    "strokes": 6,
-    "pause_s": 0.05,
-    "transfer_s": 0.6,
-}
+
+def sweep(strokes: int, transfer_s: float) -> dict[str, Any]:
+    """An entry of RockSat's sequence: strokes of the arm in phase 4, and the way back."""
+    of_each = {"amplitude": {"joint_1": 0.2007}, "stroke_s": 0.6, "pause_s": 0.05}
+    return {"phase": 4, "action": "strokes", "strokes": strokes, "transfer_s": transfer_s, **of_each}
+
+
 SHORT = [  # of RockSat: 16 s in which all three masses are found
     {"phase": 0, "action": "hold", "duration_s": 4.0},
-    _SWEEP,
+    sweep(6, 0.6),
     {"phase": 0, "action": "hold", "duration_s": 0.5},
     {"phase": 5, "action": "hold", "duration_s": 1.5},
-    _SWEEP,
+    sweep(6, 0.6),
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 SHORT_REAL = [*SHORT[:-1], SHORT[-1] | {"duration_s": 2.0}]  # on a busy computer too a flight ends before its devices

@@ -12,24 +12,15 @@ from onboard.flight import hil, simulated
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay.replay import replay
 from onboard.recording.reader import LogReader
-from tests.flight.missions import Result, fly, inline
+from tests.flight.missions import Result, fly, inline, sweep
 
 SEED = 6  # the MPU-6050's clock is 1 % fast: one that is not polled at its own period loses samples
-SWEEP = {
-    "phase": 4,
-    "action": "strokes",
-    "amplitude": {"joint_1": 0.2007},
-    "stroke_s": 0.6,
-    "strokes": 3,
-    "pause_s": 0.05,
-    "transfer_s": 0.5,
-}
 SHORT = {
     "sequence": [
         {"phase": 0, "action": "hold", "duration_s": 2.0},
-        SWEEP,
+        sweep(3, 0.5),
         {"phase": 5, "action": "hold", "duration_s": 0.5},
-        SWEEP,
+        sweep(3, 0.5),
         {"phase": 9, "action": "hold", "duration_s": 0.5},
     ],
 }

@@ -114,37 +114,22 @@ def test_a_wrist_cell_that_nothing_contradicted_before_a_capture_is_left_out_aft
     assert_weak(mass, "load_cell")
 
 
-def test_a_wrist_cell_whose_scale_changes_in_flight_is_left_out(flown: Result) -> None:
-    start_ns = int(LogReader(flown.flown.log).read("load_cell")["host_ns"][0])
+@pytest.mark.parametrize(
+    ("name", "field", "factor", "from_s"),
+    [("load_cell", "value_raw", 1.1, 10.0), ("imu_2", "gyro_raw", 0.7, -1.0), ("imu_base", "gyro_raw", 0.7, 11.0)],
+)
+def test_an_instrument_whose_scale_is_wrong_from_the_start_or_changes_in_flight_is_left_out(
+    flown: Result, name: str, field: str, factor: float, from_s: float
+) -> None:
+    start_ns = int(LogReader(flown.flown.log).read(name)["host_ns"][0])
 
     def spoil(rows: Rows) -> None:
-        late = rows["host_ns"] > start_ns + 10_000_000_000
-        rows["value_raw"][late] = np.rint(1.1 * rows["value_raw"][late])
+        late = rows["host_ns"] > start_ns + round(1e9 * from_s)
+        rows[field][late] = np.rint(factor * rows[field][late])
 
-    texts, mass = told(flown.flown.log, "load_cell", spoil)
-    assert texts == ["load_cell contradicts the other instruments: estimates without it"]
-    assert_weak(mass, "load_cell")
-
-
-def test_a_second_imu_of_a_wrong_scale_is_left_out(flown: Result) -> None:
-    def spoil(rows: Rows) -> None:
-        rows["gyro_raw"] = np.rint(0.7 * rows["gyro_raw"])
-
-    texts, mass = told(flown.flown.log, "imu_2", spoil)
-    assert texts == ["imu_2 contradicts the other instruments: estimates without it"]
-    assert_weak(mass, "imu_2")
-
-
-def test_a_first_imu_whose_scale_changes_in_flight_is_left_out(flown: Result) -> None:
-    start_ns = int(LogReader(flown.flown.log).read("imu_base")["host_ns"][0])
-
-    def spoil(rows: Rows) -> None:
-        late = rows["host_ns"] > start_ns + 11_000_000_000
-        rows["gyro_raw"][late] = np.rint(0.7 * rows["gyro_raw"][late])
-
-    texts, mass = told(flown.flown.log, "imu_base", spoil)
-    assert texts == ["imu_base contradicts the other instruments: estimates without it"]
-    assert_weak(mass, "imu_base")
+    texts, mass = told(flown.flown.log, name, spoil)
+    assert texts == [f"{name} contradicts the other instruments: estimates without it"]
+    assert_weak(mass, name)
 
 
 def test_a_first_imu_of_swapped_axes_is_left_out(flown: Result) -> None:

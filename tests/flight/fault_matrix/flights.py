@@ -14,25 +14,16 @@ from hil_sim.scenario.load import load
 from onboard.estimation.gates import GateReason
 from onboard.timebase.clock import ClockState
 from tests.flight.fault_matrix.cells import CELLS, CHANNELS, EJECTION_S, SECOND_S, Cell
-from tests.flight.missions import fly
+from tests.flight.missions import fly, sweep
 
 SEED = 3
-_SWEEP = {
-    "phase": 4,
-    "action": "strokes",
-    "amplitude": {"joint_1": 0.2007},
-    "stroke_s": 0.6,
-    "strokes": 4,
-    "pause_s": 0.05,
-    "transfer_s": 0.5,
-}
 MISSION = {
     "sequence": [
         {"phase": 0, "action": "hold", "duration_s": 2.5},
-        _SWEEP,
+        sweep(4, 0.5),
         {"phase": 0, "action": "hold", "duration_s": 0.3},
         {"phase": 5, "action": "hold", "duration_s": 0.5},
-        _SWEEP,
+        sweep(4, 0.5),
         {"phase": 9, "action": "hold", "duration_s": 0.5},
     ]
 }

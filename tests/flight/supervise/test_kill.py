@@ -66,6 +66,13 @@ def pids(supervisor: int) -> dict[str, int]:
     return found
 
 
+def await_another(supervisor: int, name: str, victim: int, deadline_s: float) -> None:
+    """Wait until another process stands for a worker."""
+    while pids(supervisor).get(name, victim) == victim and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+    assert pids(supervisor)[name] != victim
+
+
 def adds_up(log: Path) -> None:
     """Every number of every channel is in the log once, or in a gap record."""
     about = info(log)
@@ -81,10 +88,7 @@ def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_pat
         for name in (*WORKERS, "heft-record", "heft-estimate"):
             victim = pids(flight.pid)[name]
             os.kill(victim, signal.SIGKILL)
-            deadline = time.monotonic() + 15
-            while pids(flight.pid).get(name, victim) == victim and time.monotonic() < deadline:
-                time.sleep(0.1)
-            assert pids(flight.pid)[name] != victim
+            await_another(flight.pid, name, victim, time.monotonic() + 15)
             time.sleep(2.0)
         flight.send_signal(signal.SIGTERM)
         _, err = flight.communicate(timeout=100)
@@ -118,9 +122,7 @@ def test_workers_that_hang_are_killed_and_started_again(tmp_path: Path, urls: li
             os.kill(victim, signal.SIGSTOP)
         deadline = time.monotonic() + 60
         for name, victim in victims.items():
-            while pids(flight.pid).get(name, victim) == victim and time.monotonic() < deadline:
-                time.sleep(0.1)
-            assert pids(flight.pid)[name] != victim
+            await_another(flight.pid, name, victim, deadline)
         time.sleep(2.0)
         flight.send_signal(signal.SIGTERM)
         _, err = flight.communicate(timeout=100)
