@@ -181,7 +181,7 @@ class ImuPriorKeys(Section):
 class DisturbanceKeys(Section):
     """What pushes a free base unknown on board: sigmas of first-order Gauss-Markov processes with a drift each.
 
-    In the base's axes; zero: nothing does; silent: by the vehicle's mass (``exiddm_priors.disturbance_prior``).
+    In the base's axes; zero: nothing does; silent: by the vehicle's mass (``priors.disturbance_prior``).
     ``time_s``: their correlation time.
     """
 

@@ -8,8 +8,8 @@ from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.errors import UnknownFrameError
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.identification.exiddm.prediction.further import (
     CellPrior,
     Friction,

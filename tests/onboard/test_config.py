@@ -190,7 +190,7 @@ def test_an_slcan_adapter_cannot_be_opened_twice() -> None:
             'joint = "elbow"\ncounts',
             "vehicle.toml:\\d+: joint 'elbow' is not in the URDF; its moving joints are joint_1",
         ),
-        ("arm = 1.0, ", "", "none is given of arm: give each"),
+        ("arm = 1.0, ", "", "\\[estimation.prior\\]: .*none is given of arm: give each"),
     ],
 )
 def test_names_that_the_urdf_does_not_have_are_refused_before_the_flight(old: str, new: str, expected: str) -> None:

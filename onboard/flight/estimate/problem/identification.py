@@ -22,14 +22,15 @@ from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
 from onboard.flight.estimate.problem.exiddm_keys import SigmaKeys
-from onboard.flight.estimate.problem.exiddm_priors import (
+from onboard.flight.estimate.problem.pivot import pivot_run
+from onboard.flight.estimate.problem.priors import (
     check_springs,
     disturbance_prior,
     exiddm_prior,
     geometry_prior,
+    row_prior,
     tracker_of,
 )
-from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
@@ -58,7 +59,6 @@ from onboard.identification.rows.stated_errors.whitening import Whitening
 from onboard.identification.table.run import TableRun
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.friction import Motor
-from onboard.regressor.prior import Made, prior_root
 from onboard.regressor.rows import (
     RowModel,
     WrenchRow,
@@ -305,9 +305,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows += base_moment_rows(model)
         row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
-        absolute = {**settings.prior.absolute, **offsets, **scales}
-        made = {name: Made(*own.model_dump().values()) for name, own in settings.prior.link.items()}
-        prior = prior_root(row_model, settings.prior.relative, absolute, made)
+        prior = row_prior(settings.prior, row_model, {**offsets, **scales})
         known = np.asarray(~prior.any(axis=1), np.bool_)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
         quantities: tuple[Quantity, ...] = ()

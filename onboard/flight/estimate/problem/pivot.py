@@ -4,7 +4,7 @@ from onboard import config
 from onboard.config.bases.pivot import Pivot
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.flight.estimate.problem.exiddm_priors import geometry_prior, imu_prior_of
+from onboard.flight.estimate.problem.priors import geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.pivot.online import PivotRun

@@ -6,8 +6,8 @@ from onboard import config
 from onboard.dynamics.model.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
+from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, MotionPlan, axes_words, body_values
 from onboard.ground.identify.kinds.identified import standings

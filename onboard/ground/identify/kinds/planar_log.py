@@ -15,8 +15,8 @@ from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
+from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Answer, Identified
 from onboard.ground.identify.kinds.likelihood_log import LEVEL, Judged, Kept, identified, longest_held

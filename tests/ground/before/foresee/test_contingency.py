@@ -14,8 +14,8 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior
 from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.priors import exiddm_prior
 from onboard.flight.estimate.readings.cyclic import cyclic_functions
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of

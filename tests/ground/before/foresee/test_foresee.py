@@ -14,8 +14,8 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior
 from onboard.flight.estimate.problem.identification import build_exiddm, build_identifier
+from onboard.flight.estimate.problem.priors import exiddm_prior
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.foreseen import render
 from onboard.ground.before.foresee.plan import plan_of

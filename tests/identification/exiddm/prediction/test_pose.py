@@ -6,8 +6,8 @@ import pytest
 from onboard import config
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.tracked_pose import left, product, quaternion_of, right, rotation
-from onboard.flight.estimate.problem.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.guesses import first_pose
 from onboard.identification.exiddm.prediction.further import FurtherPose, PosePrior

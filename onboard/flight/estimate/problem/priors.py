@@ -1,10 +1,12 @@
-"""What the vehicle file states before a flight, as the ExIDDM takes it: links, instruments, joints, payload."""
+"""What the vehicle file states before a flight: links, instruments, joints, payload; for the ExIDDM and for rows."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from onboard import config
 from onboard.devices.roles import Roles
-from onboard.dynamics.model.errors import UrdfError
+from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -12,6 +14,8 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.identification.exiddm.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.regressor.prior import Made, prior_root
+from onboard.regressor.rows import RowModel
 
 # Of a silent file: air, umbilicals and valves of bench flights, 0.01 N on the 26 kg of DYMAFLEX.
 UNTOLD_m_s2 = 4e-4
@@ -35,6 +39,24 @@ def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str
     first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
     payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
     return covariance, imu_prior_of(vehicle), payload_sigma
+
+
+def row_prior(stated: config.Prior, model: RowModel, further: Mapping[str, float]) -> FloatArray:
+    """Root of the prior covariance of the standard parameters of rows, (P, P).
+
+    Args:
+        stated: the section of the file.
+        model: of the rows.
+        further: sigmas by column, besides those of the section.
+
+    Raises:
+        ModelError: a sigma that is missing, stated twice, or of no link or column.
+    """
+    made = {name: Made(*own.model_dump().values()) for name, own in stated.link.items()}
+    try:
+        return prior_root(model, stated.relative, {**stated.absolute, **further}, made)
+    except ModelError as error:
+        raise ModelError(f"[estimation.prior]: {error}") from error
 
 
 def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
