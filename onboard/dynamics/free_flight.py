@@ -81,20 +81,6 @@ class BasePrediction(NamedTuple):
         """Derivative of the rate, (n, 3, 3 + c)."""
         return self.along[:, :3]
 
-    @property
-    def d_specific_force(self) -> FloatArray:
-        """Derivative of the specific force, (n, 3, 3 + c)."""
-        return self._derived(slice(0, 3))
-
-    @property
-    def d_acceleration(self) -> FloatArray:
-        """Derivative of the angular acceleration, (n, 3, 3 + c)."""
-        return self._derived(slice(3, 6))
-
-    def _derived(self, rows: slice) -> FloatArray:
-        by_wrench = self.by_wrench[:, rows] @ self.along[:, 3:]
-        return np.asarray(self.by_rate[:, rows] @ self.along[:, :3] + by_wrench, np.float64)
-
 
 def predict_base(
     links: Frames | Sequence[LinkMotion],

@@ -62,7 +62,6 @@ class LogWriter:
         self._last_sync_ns: int | None = None
         self._failing = False
         self._summary = SummarySection()
-        self._rows_written = 0
         self._ended = self._closed = False
         self._append(_HEADER)
 
@@ -82,11 +81,6 @@ class LogWriter:
     def channels(self) -> dict[str, np.dtype[np.void]]:
         """The registered channels and their dtypes."""
         return {name: channel.dtype for name, channel in self._channels.items()}
-
-    @property
-    def rows_written(self) -> int:
-        """Rows accepted so far."""
-        return self._rows_written
 
     @property
     def bytes_written(self) -> int:
@@ -177,7 +171,6 @@ class LogWriter:
             return
         self._staged.setdefault(channel, []).append(rows.tobytes())
         self._staged_bytes += len(rows) * known.record_bytes
-        self._rows_written += len(rows)
         if self._staged_bytes >= self._stage_bytes:
             self._pack_staged()
             self._drain_unless_failing()

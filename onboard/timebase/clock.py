@@ -163,11 +163,6 @@ class DeviceClock(FlywheelingClock):
     def _rates(self) -> tuple[float, float]:
         return -self.tolerance * 1e9, self.tolerance * 1e9
 
-    @property
-    def consecutive_rejects(self) -> int:
-        """Marks refused since the last accepted one."""
-        return len(self._refused)
-
     def mark(self, mark: Mark) -> bool:
         """Take a mark, in order of tick; returns whether it was accepted."""
         if self.state in (ClockState.ACQUIRING, ClockState.INVALID):

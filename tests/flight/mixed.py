@@ -28,7 +28,6 @@ from onboard import config
 from onboard.flight.acquire.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
 
-COUNT_RAD = 2.0 * np.pi / 500_000
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
 LINKS = 5

@@ -22,11 +22,6 @@ class Wheel(NamedTuple):
     body: Body
     start_rad_s: float
 
-    @property
-    def axial_kg_m2(self) -> float:
-        """Inertia about its axis."""
-        return float(self.axis @ self.body.inertia_kg_m2 @ self.axis)
-
     @staticmethod
     def of(
         name: str,

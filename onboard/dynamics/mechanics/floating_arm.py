@@ -128,9 +128,3 @@ class FloatingArm:
         """Velocity of the base frame's origin, (3,) m/s, where wheels hold the attitude and linear momentum is zero."""
         A = self.momentum_map(q)
         return np.asarray(-np.linalg.solve(A[:3, :3], A[:3, FREE_FLYER_NV:] @ dq), np.float64)
-
-    def attitude_hold_jacobian(self, q: FloatArray) -> FloatArray:
-        """(6, n): the tip's twist per joint rate while wheels hold the attitude and the base translates (2.96)."""
-        J, A = self.tip_jacobian(q), self.momentum_map(q)
-        base = np.linalg.solve(A[:3, :3], A[:3, FREE_FLYER_NV:])
-        return np.asarray(J[:, FREE_FLYER_NV:] - J[:, :3] @ base, np.float64)

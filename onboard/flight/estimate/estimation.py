@@ -97,11 +97,6 @@ class EstimationWorker:
         ]
         self._kept = {channel for name in kept for channel in estimator.vehicle.file.device[name].channels(name)}
 
-    @property
-    def left_out_rows(self) -> int:
-        """Rows of the devices that it left out because it could not keep up."""
-        return self._left_out_rows
-
     def step(self, now_ns: int) -> None:
         """Consume what the devices have said since the last step, the oldest 0.5 s of it where it is more."""
         said, skipped_ns = self._shed(now_ns)

@@ -94,9 +94,6 @@ def test_the_wheels_momentum_is_the_integral_of_their_moment(rng):
 
     slope = (momentum(h) - momentum(-h)) / (2 * h)
     np.testing.assert_allclose(reaction(floating, q, dq, ddq).wheel_moment, -slope, atol=1e-8)
-    np.testing.assert_allclose(
-        floating.attitude_hold_jacobian(q)[3:] @ dq, (floating.tip_jacobian(q)[:, 6:] @ dq)[3:], atol=1e-13
-    )
 
 
 def test_the_force_on_the_arm_is_the_sum_over_its_bodies(rng):

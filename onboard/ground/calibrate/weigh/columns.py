@@ -22,7 +22,6 @@ MOMENT_UNITS = {
 }
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
-_LENGTH_OF_ONE = 0.05  # of a quaternion: what four digits or a careless average make
 _FULL_TURN = 2.0 * np.pi + 0.1
 
 # Names, without marks between their parts, in the order in which they are looked for

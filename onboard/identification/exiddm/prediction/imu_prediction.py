@@ -250,10 +250,6 @@ class ImuPredictor:
         """
         return self._noise.of(q, joint_sigma, self.chi(state))
 
-    def joint_effect(self, q: FloatArray, state: FloatArray) -> FloatArray:
-        """Effect of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
-        return self._noise.effect(q, self.chi(state))
-
     def predict(
         self,
         q: FloatArray,
