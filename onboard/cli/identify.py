@@ -92,7 +92,7 @@ def _identify_with(
     if arguments.parameters:
         return _parameters(vehicle, arguments)
     if not arguments.logs:
-        raise ValueError("name a log to identify from, or ask for --parameters")
+        raise ValueError("no log to identify from; name one, or ask for --parameters")
     _check_outputs(vehicle, arguments)
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
