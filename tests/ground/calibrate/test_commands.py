@@ -135,7 +135,7 @@ def test_bad_runs_leave_the_file(calibrated, mine, capsys, tmp_path):
     refused(capsys, ["imu", mine, "--log", tmp_path / "none.mcap"], BAD_INPUT, "none.mcap")
     refused(capsys, [*cell, "--masses-kg", "0,1", "--at", "1:2"], BAD_INPUT, "write 2-12,15-25")
     refused(capsys, [*cell, "--masses-kg", "0,1", "--device", "cell"], BAD_INPUT, "no device 'cell'")
-    refused(capsys, ["encoder", mine, "--log", logs["imu"]], BAD_INPUT, "which one? give --device")
+    refused(capsys, ["encoder", mine, "--log", logs["imu"]], BAD_INPUT, "which device? give --device")
     refused(capsys, ["imu", mine], BAD_INPUT, "run it on a terminal, or give --log or --hil")
     assert mine.read_text(encoding="utf-8") == before
     mine.write_text(before.replace('name = "dymaflex"', 'name = "other"', 1), encoding="utf-8")

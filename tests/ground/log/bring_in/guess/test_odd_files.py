@@ -199,7 +199,7 @@ def test_names_that_stand_twice(tmp_path):
 def test_no_clock_is_told_and_pauses_are(tmp_path):
     log, found, _ = brought_in(made.text(tmp_path / "a.csv", ("force",), [np.sin(T)]))
     assert len(log.read("load_cell")) == COUNT
-    assert "no column of times was found" in found.doubts[0]
+    assert "there is no column of times" in found.doubts[0]
     paused = T + np.where(T > 1.0, 0.5, 0.0)
     _, found, _ = brought_in(made.text(tmp_path / "b.csv", ("time", "force"), [paused, np.sin(T)]))
     assert "# 125 Hz, 1 intervals longer than 1.5 of that, up to 0.508 s" in found.text
