@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from onboard.identification.evidence.bank import Bank, Known, Suspect
+from onboard.identification.evidence.policy import ODDS_OF_PART
 from onboard.identification.exiddm import steps as steps_module
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.steps import Steps
@@ -128,3 +129,19 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
     steps.forget()
     np.testing.assert_array_equal(steps.changed.D, np.eye(5)[:, [4, 3]] * [0.1, 1.0])
     assert not steps.changed.J.any()
+
+
+def test_one_may_begin_every_second_and_of_a_minute_eight_are_kept_as_likely_as_a_wrong_part() -> None:
+    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, further=(CELL,), changing=np.array([0]))
+    steps, counts = Steps(predictor), list[int]()
+    for _ in range(600):  # batches of ten ticks
+        m = steps.changed.D.shape[1]
+        steps.step((np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))), np.eye(5)[:1])
+        counts.append(len(steps.suspects))
+    scales_and_zeros = 2
+    assert counts[8] == scales_and_zeros
+    assert counts[9] == counts[18] == 2 * scales_and_zeros
+    assert counts[19] == 3 * scales_and_zeros
+    assert max(counts) == 8 * scales_and_zeros  # right-hand sides of a batch: 2 % of what a flight's estimate costs
+    in_a_minute = 60 * steps.suspects[0].odds
+    assert abs(np.log(in_a_minute / ODDS_OF_PART)) < np.log(1.5)
