@@ -42,7 +42,7 @@ UNCALIBRATED = (  # the vehicle file of who has the datasheet only
     ("gyro_misalignment_rad = 8.7e-3", "gyro_misalignment_rad = 1.3e-2"),
     ("accelerometer_misalignment_rad = 8.7e-3", "accelerometer_misalignment_rad = 1.3e-2"),
 )
-SLOWER = (("sample_rate_hz = 1000", "sample_rate_hz = 200"), ("poll_period_ms = 10", "poll_period_ms = 50"))
+SLOWER = (("sample_rate_hz = 1000", "sample_rate_hz = 200"), ("poll_period_ms = 20", "poll_period_ms = 50"))
 PLACE = place(LATITUDE_deg)
 
 
