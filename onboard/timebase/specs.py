@@ -23,7 +23,7 @@ class MarkedChannel(NamedTuple):
 
 
 class FreeChannel(NamedTuple):
-    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, at the least."""
+    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, waiting for a poll too."""
 
     period_ns: float
     delay_ns: float = 0.0

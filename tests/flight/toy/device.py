@@ -26,10 +26,21 @@ class ToyAngleDevice(SerialLineDevice, JointDevice):
         return 1e9 / PERIOD_NS
 
     def clocks(self, name, around):
-        return {name: FreeChannel(PERIOD_NS, WIRE_NS, 0.2e6)}
+        return {name: FreeChannel(PERIOD_NS, *(1e9 * part for part in self.delay_s))}
 
     def delays(self, name, around):
-        return [Delay(name, "", WIRE_NS * 1e-9, 0.2e-3, "line on the wire")]
+        return [Delay(name, "", *self.delay_s, "line on the wire, and half of `poll_period_ms`")]
+
+    @property
+    def delay_s(self):
+        """From sample to arrival, and its sigma: a line waits for the next poll, and may keep step with the polls."""
+        poll_s = 1e-3 * self.poll_period_ms
+        return WIRE_NS * 1e-9 + 0.5 * poll_s, poll_s / 12**0.5
+
+    def roles(self, name, period_s):
+        roles = super().roles(name, period_s)
+        joint = roles.joints[0]._replace(delay_sigma_s=self.delay_s[1])
+        return roles._replace(joints=[joint])
 
     def driver(self, name, open_port, clock, baud):
         return ToyAngle(name, open_port, clock)

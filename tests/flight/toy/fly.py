@@ -14,4 +14,6 @@ world, urls = open_in_process(scenario, 3)
 with world:
     flown = hil.fly_simulated(config.load(Path(vehicle)), world, urls, Path(log))
 result = mission_table.result(flown)
-sys.stdout.write(json.dumps({"accounted": result["accounted"], "channels": result["channels"]}))
+sys.stdout.write(
+    json.dumps({**{key: result[key] for key in ("accounted", "channels")}, "start_ns": flown.truth["start_ns"]})
+)
