@@ -257,6 +257,7 @@ class JointDevice(BusDevice):
 zero_count = 0                 # what it reads at joint angle zero
 noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
 """
+    new_smoothing_ms: ClassVar[int] = 100  # of the rows, in a file that heft init makes: by its noise
     keeps_zero: ClassVar[bool] = True  # over a reset of the device
     joint: str
     counts_per_revolution: int

@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from onboard.devices.base import BusDevice, LoadCellDevice
+from onboard.devices.base import BusDevice, JointDevice, LoadCellDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
@@ -29,6 +29,12 @@ def kinds(role: type) -> tuple[str, ...]:
     """Kinds of a role that can be made: those that say what their table has."""
     made = [k for k, model in DEVICES.items() if issubclass(model, role) and issubclass(model, BusDevice)]
     return tuple(kind for kind in made if _model(kind).new_keys)
+
+
+def smoothing_ms(kind: str) -> int:
+    """Of rows of joints that a kind measures."""
+    model = DEVICES.get(kind, JointDevice)
+    return model.new_smoothing_ms if issubclass(model, JointDevice) else JointDevice.new_smoothing_ms
 
 
 def _model(kind: str) -> type[BusDevice]:

@@ -211,6 +211,7 @@ accelerometer_bias_m_s2 = 0.03
 
 
 def _rest(wanted: Wanted) -> str:
+    smoothing = devices.smoothing_ms(wanted.encoder)
     if BaseKind(wanted.base).follows:
         known = "".join(
             f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
@@ -221,7 +222,7 @@ def _rest(wanted: Wanted) -> str:
 [estimation]
 method = "exiddm"              # predicts the base IMU; finds the payload, its capture and its ejection
 row_rate_hz = {rate_hz}{" " * (17 - len(rate_hz))}# two samples of every device, or more, in a row's period
-smoothing_ms = 100             # of the joints
+smoothing_ms = {smoothing}             # of the joints
 
 [estimation.exiddm]
 held_at_start = true           # false: it is caught in flight
@@ -250,7 +251,7 @@ delay_s = 1e-4
     mark, chooses = ("# ", "; silent: heft identify chooses") if wanted.recorded and wanted.by_torque else ("", "")
     return f"""
 [estimation]
-{mark}smoothing_ms = 100             # of both sides of every row{chooses}
+{mark}smoothing_ms = {smoothing}             # of both sides of every row{chooses}
 row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
 [estimation.prior.link]        # 1 sigma about the URDF, {about}; where
