@@ -5,8 +5,8 @@
 A seed is flown by ``heft hil rocksat``, identified with the packaged file, then with the one that
 ``heft calibrate balance --link tip_mass --hil`` made of it: knife edges, read to 0.2 mm, on the part that flies with
 that seed (docs/calibration.md). The error is told with half of the 95 % interval, and by the truth it is taken apart:
-what the drawing adds, ``m / ZZ`` in the file over the true one; what the load cell adds, its true gain; and the rest,
-the rows', in the sigmas that ``--budget`` gives for all but the cell.
+what the drawing adds, ``m / ZZ`` in the file over the true one; what the load cell adds, its true gain; what the seat
+does, by how far the part sits from the joint; and the rest, the rows', in the sigmas of ``--budget`` without the cell.
 """
 
 import argparse
@@ -53,6 +53,7 @@ class TipMass(NamedTuple):
     half: float  # of the 95 % interval
     drawing: float  # of the error: the file's
     cell: float
+    seat: float  # by ``length_m`` of the vehicle file, which is not measured
     rows: float
     sigma: float  # of the rows' part
 
@@ -74,13 +75,16 @@ def taken_apart(found: dict[str, Any], truth: dict[str, Any], lever_m: float) ->
     mass, mass_kg = told[MASS], true[MASS]
     tip, true_tip = (of[HELD] - of[RELEASED] for of in ({name: told[name]["value"] for name in (HELD, RELEASED)}, true))
     cell = 100.0 * (lever_m / truth["load_cell"]["moment_Nm_per_N"] - 1.0)
+    radius_m = (true_tip / mass_kg) ** 0.5
+    seat = 200.0 * truth["places_m"]["tip_mass"][0] / radius_m  # frames 4 and 5 are along x of the arm
     others = [one["sigma"] for one in found["budget"][MASS] if not one["cause"].startswith(CELL)]
     return TipMass(
         100.0 * (mass["value"] / mass_kg - 1.0),
         50.0 * (mass["high"] - mass["low"]) / mass_kg,
         100.0 * (mass["value"] / tip * true_tip / mass_kg - 1.0),
         cell,
-        100.0 * (tip / true_tip - 1.0) - cell,
+        seat,
+        100.0 * (tip / true_tip - 1.0) - cell - seat,
         100.0 * float(np.hypot.reduce(others)) / mass_kg,
     )
 
@@ -106,12 +110,16 @@ def seed_of(seed: int, where: Path) -> tuple[TipMass, TipMass]:
 
 def table(told: Sequence[tuple[TipMass, TipMass]], seeds: Sequence[int]) -> list[str]:
     """A line a seed, and the summary of both."""
-    heads = ("as drawn", "balanced", "drawing", "cell", "rows", "rows' sigma")
-    out = [f"{'seed':>8}{heads[0]:>18}{heads[1]:>18}{heads[2]:>10}{heads[3]:>8}{heads[4]:>8}{heads[5]:>13}"]
+    heads = ("as drawn", "balanced", "drawing", "cell", "seat", "rows", "rows' sigma")
+    out = [
+        f"{'seed':>8}{heads[0]:>18}{heads[1]:>18}{heads[2]:>10}{heads[3]:>8}{heads[4]:>8}{heads[5]:>8}{heads[6]:>13}"
+    ]
     for seed, each in zip(seeds, told, strict=True):
         cells = "".join(f"{f'{one.error:+.2f} ± {one.half:.2f}' + ' !'[not one.inside]:>18}" for one in each)
         one = each[1]
-        out.append(f"{seed:8d}{cells}{one.drawing:+10.2f}{one.cell:+8.2f}{one.rows:+8.2f}{one.sigma:13.2f}")
+        out.append(
+            f"{seed:8d}{cells}{one.drawing:+10.2f}{one.cell:+8.2f}{one.seat:+8.2f}{one.rows:+8.2f}{one.sigma:13.2f}"
+        )
     for name, own in (("as drawn", [one for one, _ in told]), ("balanced", [one for _, one in told])):
         errors = np.array([one.error for one in own])
         rms, p95 = np.sqrt((errors**2).mean()), np.quantile(np.abs(errors), 0.95)
