@@ -118,22 +118,24 @@ def _identify_with(
 
 
 def _check_outputs(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> None:
-    from onboard.ground.identify import fitted_file
-
     if arguments.urdf and len(arguments.logs) > 1:
         raise ValueError("a URDF holds the result of one log; give --urdf with one log")
     if arguments.fit_drawing:
         if len(arguments.logs) > 1:
             raise ValueError("a drawing is fitted to one log; give --fit-drawing with one, or heft merge them first")
+        from onboard.ground.identify import fitted_file
+
         fitted_file.require_fittable(vehicle, arguments.fit_drawing)
 
 
 def _write_vehicles(vehicle: "config.Vehicle", found: "Identified", arguments: argparse.Namespace) -> None:
-    from onboard.ground.identify import fitted_file, identify
-
     if arguments.urdf:
+        from onboard.ground.identify import identify
+
         arguments.urdf.write_text(identify.urdf(vehicle, found), encoding="utf-8")
     if arguments.fit_drawing:
+        from onboard.ground.identify import fitted_file
+
         for path in fitted_file.write(vehicle, found, arguments.fit_drawing):
             print(path)
         print(f"note: for other recordings of this arm; by that file {arguments.logs[0]} would count twice")

@@ -124,6 +124,11 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
         Field(description="Relative 1 sigma of its gain with the payload against that without, recorded before."),
     ] = 0.0
 
+    @property
+    def changed_sigma(self) -> float:
+        """See ``TorqueKeys``."""
+        return self.between_recordings_sigma
+
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         si = {b"N m": 1.0, b"N": 1.0} | ({b"A": self.gain_N_m_A} if self.gain_N_m_A else {})

@@ -117,6 +117,11 @@ class TorqueKeys(Section):
         return self.scale_sigma
 
     @property
+    def changed_sigma(self) -> float:
+        """Relative 1 sigma of the gain with the payload against that without; 0: one gain."""
+        return 0.0
+
+    @property
     def shown(self) -> tuple[str, float]:
         """Unit in texts, and the factor from a reading to it."""
         return "N m", 1.0

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 from onboard import config
-from onboard.devices.recorded import RecordedTorque
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.bases import BaseKind
 from onboard.estimation.arrays import FloatArray
@@ -93,8 +92,8 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
 
 def _between(name: str, keys: LoadCellKeys | TorqueKeys) -> Iterator[Considered]:
     """A gain with the payload that is another than without it: they were recorded one after the other."""
-    if isinstance(keys, RecordedTorque) and keys.between_recordings_sigma:
-        what, sigma = f"scale of {name} with the payload", keys.between_recordings_sigma
+    if isinstance(keys, TorqueKeys) and keys.changed_sigma:
+        what, sigma = f"scale of {name} with the payload", keys.changed_sigma
         yield Considered(what, name, "held_scale", sigma, f"{name} between_recordings_sigma")
 
 
