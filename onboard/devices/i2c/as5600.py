@@ -36,7 +36,7 @@ class As5600Device(I2cDevice, JointDevice):
 sample_period_ms = 5
 noise_rad = 9e-4               # one sample: 0.043 degrees, and a count / sqrt(12)
 """
-    new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows: 5 to 10 % of the inertias
+    new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
     kind: Literal["as5600"]
     address: Annotated[Literal[0x36], Field(description="7-bit I2C address: it has no other.")] = 0x36
     counts_per_revolution: int = As5600Config.counts_per_revolution
