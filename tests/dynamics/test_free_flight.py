@@ -8,10 +8,10 @@ from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
 from onboard.dynamics.joint_errors import JOINT_ERRORS, JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion, link_motions
 from onboard.dynamics.model.errors import SignalError
+from tests.dynamics.derivatives import FIELDS, derivative
 from tests.dynamics.free_flyer_twin import BOX, twin
 
 PERIOD_s = 0.01
-FIELDS = ("rate", "acceleration", "specific_force")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_derivatives_are_finite_differences(flown, predict):
         up, down = predict(flown.chi + chi, start + momentum), predict(flown.chi - chi, start - momentum)
         for field in FIELDS:
             slope = (getattr(up, field) - getattr(down, field)) / 2e-5
-            ours = getattr(base, f"d_{field}")[:, :, column]
+            ours = derivative(base, field)[:, :, column]
             assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max(), (column, field)
 
 
@@ -73,7 +73,7 @@ def test_from_the_rate_it_is_the_same_motion_and_its_derivatives_are_finite_diff
         down = predict_base_from_rate(links, PERIOD_s, flown.chi - chi, rate - moved, ())
         for field in FIELDS:
             slope = (getattr(up, field) - getattr(down, field)) / 2e-5
-            ours = getattr(base, f"d_{field}")[:, :, column]
+            ours = derivative(base, field)[:, :, column]
             assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max() + 1e-9, (column, field)
 
 
@@ -106,7 +106,7 @@ def test_derivatives_by_errors_of_joints_are_finite_differences(flown):
         up, down = predicted(at + step), predicted(at - step)
         for name in FIELDS:
             slope = (getattr(up, name) - getattr(down, name)) / 2e-5
-            found = getattr(base, f"d_{name}")[:, :, 13 + column]
+            found = derivative(base, name)[:, :, 13 + column]
             label = f"{name} by {of}"
             assert np.abs(slope).max() > 1e-3, label
             assert np.abs(found - slope).max() < 2e-3 * np.abs(slope).max(), label

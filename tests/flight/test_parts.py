@@ -412,8 +412,9 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "joint_2": "upper",
         "joint_3": "elbow",
         "joint_4": "wrist_angle",
+        "joint_5": "tip",
     }
-    assert [cell.name for cell in roles.cells] == ["load_cell", "cell", "grip", "wrist_force"]
+    assert [cell.name for cell in roles.cells] == ["load_cell", "cell", "grip", "bridge", "wrist_force"]
     assert roles.signals.keys() == {"imu_base", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
         cell.channel for cell in roles.cells
     }
