@@ -71,7 +71,7 @@ def test_what_is_not_determined_is_named():
         ({"held_out": HeldOut(HeldOutFit(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
         ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
-        ({"away": {"payload": 6.0}}, "found for payload cannot exist: 6 sigmas from any body"),
+        ({"away": {"payload": 6.0}}, "the estimate of payload cannot exist: 6 sigmas from any body"),
         ({"away": {"payload": np.inf}}, "its mass is not positive"),
         (
             {"findings": Findings(("load_cell reads 2% of what was drawn",))},

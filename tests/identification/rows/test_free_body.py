@@ -68,7 +68,7 @@ def test_the_quantities_of_the_urdf_are_the_urdf(rng):
 
 
 def test_a_mass_that_nothing_holds_is_refused_with_the_remedy():
-    with pytest.raises(SignalError, match="give M_body in"):
+    with pytest.raises(SignalError, match="give M_body an absolute sigma"):
         quantities_of(held=0.05)
 
 

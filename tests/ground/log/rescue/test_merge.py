@@ -127,7 +127,7 @@ def test_a_damaged_log_is_merged_as_far_as_it_goes(tmp_path, two):
         (["merge", "a.mcap"], "two logs or more"),
         (["merge", "a.mcap", "b.mcap", "--align", "c=1"], "the logs are a, b"),
         (["merge", "a.mcap", "b.mcap", "--align", "b=soon"], "write LOG=SECONDS"),
-        (["recover", "a.mcap", "b.mcap"], "one by one"),
+        (["recover", "a.mcap", "b.mcap"], "each by itself"),
     ],
 )
 def test_what_cannot_be_done_is_said(two, tmp_path, monkeypatch, capsys, arguments, said):
