@@ -22,7 +22,7 @@ from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import SequenceStep, VehicleScenario
 from hil_sim.sensing.sensors import DriftingClock, ImuSensor, LoadCellSensor
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
@@ -39,8 +39,10 @@ class Mission:
         scenario: what is flown.
         seed: everything random comes from it.
         faults: besides those of the scenario.
+        linger_s: how long all devices stay on after the sequence, the arm at rest in the last phase.
 
     Attributes:
+        scenario: as above, with that rest as the last step of its sequence.
         plant: the world.
         sensors: what the devices measure with, by signal.
         faults: the scenario's ``[[fault]]`` tables, and those given.
@@ -54,8 +56,9 @@ class Mission:
         FaultError: a fault that would begin after the end of the mission.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, faults: Iterable[Fault] = ()) -> None:
-        self.scenario = scenario
+    def __init__(self, scenario: Scenario, seed: int, faults: Iterable[Fault] = (), *, linger_s: float = 0.0) -> None:
+        self.scenario = _lingering(scenario, linger_s) if linger_s else scenario
+        self._linger_s = linger_s
         self.seed = seed
         self._devices = emulators(scenario)
         self.plant = self._plant()
@@ -79,7 +82,7 @@ class Mission:
         self._resources = ExitStack()
 
     def _require_in_time(self) -> None:
-        duration_s = self.plant.program.duration_s
+        duration_s = self.duration_s
         for fault in self.faults:
             if fault.start_s >= duration_s:
                 said = f"Fault {fault.kind} of {fault.device} begins at {fault.start_s:g} s"
@@ -96,8 +99,13 @@ class Mission:
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(key,))))
 
     @property
+    def duration_s(self) -> float:
+        """Of the sequence."""
+        return self.plant.program.duration_s - self._linger_s
+
+    @property
     def end_ns(self) -> int:
-        """``CLOCK_MONOTONIC`` ns of the end of the sequence."""
+        """``CLOCK_MONOTONIC`` ns at which the devices end."""
         return self.start_ns + round(1e9 * self.plant.program.duration_s)
 
     @property
@@ -199,7 +207,7 @@ class Mission:
             "seed": self.seed,
             **self.plant.truth(),
             "phases": [span._asdict() for span in program.spans],
-            "duration_s": program.duration_s,
+            "duration_s": self.duration_s,
             "start_ns": self.start_ns,
             **{name: sensor.truth() for name, sensor in self.sensors.items()},
             "clock": {name: _clock_truth(clock) for name, clock in self._clocks.items()},
@@ -264,6 +272,13 @@ def open_in_process(
                 bus.know_ahead(mission.known_ns)
         mission.own(stack.pop_all())
     return mission, ports.urls
+
+
+def _lingering(scenario: Scenario, linger_s: float) -> Scenario:
+    if not isinstance(scenario, VehicleScenario):
+        return scenario
+    rest = SequenceStep(phase=scenario.sequence[-1].phase, action="hold", duration_s=linger_s)
+    return scenario.model_copy(update={"sequence": (*scenario.sequence, rest)})
 
 
 def _fault(table: dict[str, Any]) -> Fault:

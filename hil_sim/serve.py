@@ -9,8 +9,10 @@ the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`
 way, and how late the loop ever was).
 
 With ``--wait`` the first line has no ``start_ns``: the devices are powered up when a line comes on stdin, and a line
-with ``start_ns`` answers. They end when stdin does, which is when the process that started them is gone. With
-``--segments`` each later line, ``ask SEGMENT``, is a motion that the flight computer asks for.
+with ``start_ns`` answers. After ``duration_s`` the devices stay on for ``LINGER_S``, the arm at rest: a busy flight
+computer stops late, and a device that was gone before would be missing samples. They end when stdin does, which is when
+the process that started them is gone. With ``--segments`` each later line, ``ask SEGMENT``, is a motion that the flight
+computer asks for.
 """
 
 import argparse
@@ -44,6 +46,7 @@ from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, Puls
 _LEASH_PERIOD_S: Final = 0.1
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
 _USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often
+LINGER_S: Final = 30.0
 
 
 class _I2cPort(Port):
@@ -231,7 +234,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scenario = scenario_of(options.scenario, options.over)
         if options.segments is not None:
             scenario = with_segments(scenario, options.segments, options.most)
-        mission = Mission(scenario, options.seed, [parse(text) for text in options.fault])
+        faults = [parse(text) for text in options.fault]
+        mission = Mission(scenario, options.seed, faults, linger_s=LINGER_S if options.wait else 0.0)
     except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
     stops = stops_on_signals()
@@ -239,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open_sockets(mission.scenario.bus, options.directory, options.seed) as ports:
         gc.collect()
         gc.freeze()
-        about = {**ports.urls, "duration_s": mission.plant.program.duration_s}
+        about = {**ports.urls, "duration_s": mission.duration_s}
         asked: deque[str] = deque()
         if options.wait:
             signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a terminal is gone: whoever started this goes on, or ends it

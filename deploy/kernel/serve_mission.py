@@ -3,8 +3,8 @@
     serve_mission.py SCENARIO --seed N --directory DIR [--i2c i2c-9] [--can vcan0]
 
 One JSON line with the bus URLs when everything can be opened; the devices have no power then. They are powered up,
-mission time 0, when the flight computer has bound its pulse socket. At the end of the mission, or on SIGTERM or SIGINT,
-a second line gives ``produced``, ``truth`` and ``server``, as ``hil_sim.serve`` does.
+mission time 0, when the flight computer has bound its pulse socket, and stay on after the mission, as ``hil_sim.serve``
+has it with ``--wait``. On SIGTERM or SIGINT a second line gives ``produced``, ``truth`` and ``server``, as there.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from hil_sim.buses.realtime import MissionServer
 from hil_sim.kernel.server import open_nodes
 from hil_sim.mission import Mission
 from hil_sim.scenario.load import load
-from hil_sim.serve import say, stops_on_signals
+from hil_sim.serve import LINGER_S, say, stops_on_signals
 
 REALTIME_PRIORITY = 60  # above the flight computer's own: hardware waits for no program
 
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--can", default="vcan0")
     options = parser.parse_args()
     try:
-        mission = Mission(load(options.scenario), options.seed)
+        mission = Mission(load(options.scenario), options.seed, linger_s=LINGER_S)
     except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
     stops = stops_on_signals()

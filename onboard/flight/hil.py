@@ -38,7 +38,6 @@ from onboard.ring import RingReader
 
 Progress = Callable[[float], None]
 OVER_NS = 2_000_000_000  # after a goal is met, or given up
-EARLIER_S = 0.3  # before the devices end, a flight ends that no phase has ended
 ANSWER_S = 15.0  # devices that do not end then are killed
 _DIED = "the simulated devices died in flight, or hang: no counts and no truth; the log is {}"
 
@@ -173,8 +172,10 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
     Args:
         vehicle: what flies.
         serve: arguments to the interpreter that start the devices: with ``--wait`` they print one JSON line with the
-            bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end;
-            between them lines ``ask SEGMENT`` on stdin are the motions that the flight asks for.
+            bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end,
+            which is when they are told to: a flight that no phase has ended is stopped when the mission is over, and
+            devices that end by themselves then lose what a busy computer has not read. Lines ``ask SEGMENT`` on stdin
+            are the motions that the flight asks for.
         log: where to record; must not exist.
         progress: told the fraction flown.
 
@@ -215,7 +216,7 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
             flight = runner.fly(
                 vehicle.with_urls(urls),
                 log,
-                duration_s=mission_s - EARLIER_S,
+                duration_s=mission_s,
                 progress=watch,
                 ready=begin,
                 enough=lambda elapsed_s: asked is not None and asked.is_over(elapsed_s),

@@ -9,10 +9,12 @@ import re
 import struct
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 import smbus2
 
+from hil_sim.buses.in_process import in_process
 from hil_sim.faults import FaultError
 from hil_sim.mission import Mission, open_in_process
 from hil_sim.scenario.load import ScenarioError, load
@@ -149,6 +151,24 @@ def test_a_mission_is_attached_once_and_before_it_flies() -> None:
     opened, _ = open_in_process(load("rocksat", SHORT), 1)
     with opened, pytest.raises(RuntimeError, match="attached already"):
         opened.attach({})
+
+
+def test_devices_stay_on_after_the_sequence_where_that_is_asked(tmp_path) -> None:
+    mission = Mission(load("rocksat", SHORT), 1, linger_s=1.0)
+    with in_process(mission.scenario.bus, tmp_path, lambda: mission.now_ns) as ports:
+        channel = re.fullmatch(r"can\+virtual://([^?]+)\?.*", ports.urls["can_0"]).group(1)
+        with can.Bus(interface="virtual", channel=channel):
+            mission.attach(ports.buses)
+            of_the_sequence_ns = mission.start_ns + round(1e9 * mission.duration_s)
+            mission.advance(of_the_sequence_ns)
+            syncs = mission.produced()["can_sync"]
+            mission.advance(mission.end_ns)
+            assert mission.end_ns - of_the_sequence_ns == 1_000_000_000
+            assert mission.produced()["can_sync"] - syncs == pytest.approx(200, abs=3)
+    assert mission.truth()["duration_s"] == Mission(load("rocksat", SHORT), 1).duration_s
+    late = {"kind": "silent", "device": "load_cell", "start_s": mission.duration_s + 0.5}
+    with pytest.raises(FaultError, match="the mission ends at"):
+        Mission(load("rocksat", SHORT | {"fault": [late]}), 1, linger_s=1.0)
 
 
 def test_closing_gives_the_buses_back() -> None:

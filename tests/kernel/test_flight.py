@@ -59,7 +59,8 @@ class Mission:
         self.process.communicate()
 
     def end(self) -> dict[str, Any]:
-        """At the end of the mission: what was made, what was true, what the server lost."""
+        """End the devices: what was made, what was true, what the server lost."""
+        self.process.terminate()
         return self._line()
 
     def _line(self) -> dict[str, Any]:
@@ -113,8 +114,8 @@ def test_the_mission_flies_and_the_table_comes_out(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     app, log = fly()
+    assert app.wait(180) == 0
     end = mission.end()
-    assert app.wait(60) == 0
     result = table.result(Flown(log, end["produced"], end["truth"]))
     clocks_us = {
         channel: rms(solution_errors_us(log, end["truth"], channel, clock, grid_ns))
@@ -153,7 +154,8 @@ def test_the_mission_flies_and_the_table_comes_out(
     assert imu["recorded"] > 55_000
     sync = counted["can_sync"]
     after_the_end = sync["produced"] - sync["recorded"] - sync["missing"]
-    assert 0 <= after_the_end <= 1  # one may come between the driver's last look and its muting of the socket
+    # one may come between the driver's last look and its muting of the socket; a gap record may be an estimate
+    assert sync["accounted"] or after_the_end == 1, sync
     assert (np.diff(flown["can_sync"]["host_ns"]) > 0).all()
 
 
