@@ -104,6 +104,13 @@ class PulseOutputPort(Protocol):
         """Set the line low and release it."""
 
 
+class SerialAdapter(NamedTuple):
+    """A serial port that is there: a bus URL with a usual speed, and what the adapter says that it is."""
+
+    url: str
+    what: str
+
+
 class SerialPort(Protocol):
     """The part of ``serial.Serial`` that the drivers use."""
 

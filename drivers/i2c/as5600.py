@@ -76,6 +76,19 @@ def decode_reading(data: bytes) -> Reading:
     return Reading(data[1] << 8 | data[2], data[0])
 
 
+def identify(port: I2cPort, address: int) -> str | None:
+    """Name of the chip, where STATUS and RAW ANGLE can be an AS5600's; only these are read.
+
+    Raises:
+        OSError: The transfer failed.
+    """
+    try:
+        decode_reading(port.write_read(address, bytes([STATUS]), 3).data)
+    except FrameError:
+        return None
+    return "AS5600 (by its reserved bits: it has no identity)"
+
+
 class As5600(I2cSensor):
     """An AS5600 on an ``I2cPort``, as SCALAR rows in rad on the channel of its name.
 

@@ -22,6 +22,7 @@ from drivers.i2c.sensor import MS, I2cSensor, Watched
 from drivers.ports import I2cPort
 from drivers.records import SCALAR, SampleStatus, Severity
 
+IDENTITY = 0x0F  # low half of REVISION
 PU_CTRL, CTRL1, CTRL2, OCAL1, GCAL1, ADCO, ADC, PGA, PWR_CTRL, REVISION = 0, 1, 2, 3, 6, 0x12, 0x15, 0x1B, 0x1C, 0x1F
 RR, PUD, PUA, PUR, CS, CR, AVDDS = (1 << bit for bit in (0, 1, 2, 3, 4, 5, 7))  # PU_CTRL
 CALS, CAL_ERR = 1 << 2, 1 << 3  # CTRL2
@@ -90,6 +91,15 @@ def decode_sample(data: bytes) -> tuple[int, int]:
         raise FrameError(f"{len(data)} bytes are no sample of an NAU7802: read three from register 0x12")
     counts = int.from_bytes(data, "big", signed=True)
     return counts, int(SampleStatus.SATURATED if counts in (HIGHEST, LOWEST) else SampleStatus.OK)
+
+
+def identify(port: I2cPort, address: int) -> str | None:
+    """Name of the chip by its revision, which is all that is read; None: another one.
+
+    Raises:
+        OSError: The transfer failed.
+    """
+    return "NAU7802" if port.write_read(address, bytes([REVISION]), 1).data[0] & 0x0F == IDENTITY else None
 
 
 class ConversionCount:
@@ -208,7 +218,7 @@ class Nau7802(I2cSensor):
 
     def _set_up(self) -> Iterator[int]:
         revision = self._bus.byte(REVISION)
-        if revision & 0x0F != 0x0F:
+        if revision & 0x0F != IDENTITY:
             raise WrongDeviceError(
                 f"{self.name}: I2C {self._address:#x} has revision {revision:#04x}, NAU7802 has 0x0f: correct the bus"
             )

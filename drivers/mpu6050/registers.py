@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from drivers.errors import ConfigurationError
+from drivers.ports import I2cPort
 
 SELF_TEST_X = 0x0D  # and Y, Z, A behind it
 SMPLRT_DIV = 0x19
@@ -67,6 +68,16 @@ INCOMPATIBLE = {  # their FIFO has another order or count, or their registers li
     0xEA: "ICM-20948",
     0x47: "ICM-42688",
 }
+
+
+def identify(port: I2cPort, address: int) -> str | None:
+    """Name of the chip at an address by its WHO_AM_I, which is all that is read; None: it is none of ``CHIPS``.
+
+    Raises:
+        OSError: The transfer failed.
+    """
+    chip = CHIPS.get(port.write_read(address, bytes([WHO_AM_I]), 1).data[0])
+    return chip.name if chip else None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ decisions. Bus libraries are imported when a port is opened.
 
 from collections.abc import Callable
 
-from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialPort
+from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort
 from drivers.transports.url import BusUrl, parse
 
 Clock = Callable[[], int]
@@ -147,3 +147,10 @@ def open_serial(url: str) -> SerialPort:
     from drivers.transports.serial_port import open_port  # noqa: PLC0415
 
     return open_port(bus)
+
+
+def serial_adapters() -> list[SerialAdapter]:
+    """Serial ports of this computer, links of udev that keep their names included; none is opened."""
+    from drivers.transports.serial_port import adapters  # noqa: PLC0415
+
+    return adapters()

@@ -3,8 +3,10 @@
 import contextlib
 
 import serial
+from serial.tools import list_ports
 
 from drivers.errors import UrlError
+from drivers.ports import SerialAdapter
 from drivers.transports.url import BusUrl
 
 
@@ -31,3 +33,9 @@ def open_port(url: BusUrl) -> serial.Serial:
     with contextlib.suppress(ValueError, OSError, NotImplementedError):  # a pty, or a driver without the mode
         port.set_low_latency_mode(True)
     return port
+
+
+def adapters() -> list[SerialAdapter]:
+    """See ``drivers.transports.serial_adapters``."""
+    ports = sorted(list_ports.comports(include_links=True), key=lambda port: str(port.device))
+    return [SerialAdapter(f"serial://{port.device}?baud=115200", port.description) for port in ports]

@@ -7,7 +7,7 @@ and reports when it cannot.
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -21,6 +21,7 @@ from onboard.section import Positive
 from onboard.timebase.delays import Delay, on_wire_s
 from onboard.timebase.specs import ChannelClock, PolledChannel
 
+Identify = Callable[[I2cPort, int], str | None]
 OpenSerial = Callable[[], SerialPort]
 PollPeriod = Annotated[Positive, Field(description="How often the port is read.")]
 SamplePeriod = Annotated[
@@ -35,6 +36,8 @@ class I2cDevice(BusDevice):
     urls = transports.I2C_URLS
     shares_bus = True
     new_bus = "i2c_1"
+    addresses: ClassVar[tuple[int, ...]] = ()  # that it can have
+    identify: ClassVar[Identify | None] = None  # names the chip at an address by reads alone; None: it is another
     address: int
 
     @classmethod

@@ -7,11 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from drivers.mpu6050.device import Mpu6050
-from drivers.mpu6050.registers import Mpu6050Config
+from drivers.mpu6050.registers import Mpu6050Config, identify
 from drivers.ports import I2cPort
 from drivers.records import IMU, Rows
 from onboard.devices.base import ImuDevice, Surroundings
-from onboard.devices.buses import I2cDevice
+from onboard.devices.buses import I2cDevice, Identify
 from onboard.section import Positive
 from onboard.timebase.delays import Delay
 from onboard.timebase.specs import ChannelClock, FreeChannel, SampledChannel
@@ -46,6 +46,8 @@ accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2)
 gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
 """
     driver_configs = (Mpu6050Config,)
+    addresses: ClassVar[tuple[int, ...]] = (0x68, 0x69)
+    identify: ClassVar[Identify | None] = staticmethod(identify)
     kind: Literal["mpu6050"]
     kelvin_per_count: ClassVar[float] = 1.0 / 340.0  # register map, registers 65 and 66
     address: Annotated[int, Field(ge=0x68, le=0x69)] = Mpu6050Config.address

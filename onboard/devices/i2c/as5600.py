@@ -4,11 +4,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from drivers.i2c.as5600 import COUNTS, As5600, As5600Config
+from drivers.i2c.as5600 import COUNTS, As5600, As5600Config, identify
 from drivers.ports import I2cPort
 from drivers.records import SCALAR
 from onboard.devices.base import JointDevice, Surroundings
-from onboard.devices.buses import I2cDevice, SamplePeriod
+from onboard.devices.buses import I2cDevice, Identify, SamplePeriod
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative
 from onboard.timebase.delays import Delay
@@ -37,6 +37,8 @@ sample_period_ms = 5
 noise_rad = 9e-4               # one sample: 0.043 degrees, and a count / sqrt(12)
 """
     new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
+    addresses: ClassVar[tuple[int, ...]] = (0x36,)
+    identify: ClassVar[Identify | None] = staticmethod(identify)
     kind: Literal["as5600"]
     address: Annotated[Literal[0x36], Field(description="7-bit I2C address: it has no other.")] = 0x36
     counts_per_revolution: int = As5600Config.counts_per_revolution

@@ -5,11 +5,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.i2c.nau7802 import HIGHEST, Nau7802, Nau7802Config
+from drivers.i2c.nau7802 import HIGHEST, Nau7802, Nau7802Config, identify
 from drivers.ports import I2cPort
 from drivers.records import SCALAR
 from onboard.devices.base import LoadCellDevice, Problem, Surroundings
-from onboard.devices.buses import I2cDevice
+from onboard.devices.buses import I2cDevice, Identify
 from onboard.section import NotNegative, Positive
 from onboard.timebase.specs import ChannelClock, FreeChannel
 
@@ -38,6 +38,8 @@ rated_output_mV_V = 2.0        # yours: on the cell's label
 rated_load_N = 50.0            # yours: at which it gives that
 """
     new_delay: ClassVar[str] = ""  # that of its own filter
+    addresses: ClassVar[tuple[int, ...]] = (0x2A,)
+    identify: ClassVar[Identify | None] = staticmethod(identify)
     kind: Literal["nau7802"]
     address: Annotated[Literal[0x2A], Field(description="7-bit I2C address: it has no other.")] = 0x2A
     sample_rate_hz: Literal[10, 20, 40, 80, 320] = 80
