@@ -143,6 +143,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     if file.free_body and file.vehicle.base != "free":
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
     _check_realtime(vehicle, fail)
+    _check_telemetry(vehicle, fail)
     _check_planar(vehicle, fail)
     _check_pivot(vehicle, fail)
     _check_body(vehicle, fail)
@@ -218,6 +219,13 @@ def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
     if wanted.recording_priority and wanted.recording_priority >= wanted.acquisition_priority:
         text = f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it less, or 0"
         fail(["realtime", "recording_priority"], text)
+
+
+def _check_telemetry(vehicle: Vehicle, fail: Fail) -> None:
+    taken: dict[int, str] = {}
+    for kind, apid in vehicle.file.telemetry.apids.items():
+        if taken.setdefault(apid, kind) != kind:
+            fail(["telemetry", f"{kind}_apid"], f"APID {apid} is that of {taken[apid]} packets too; give it another")
 
 
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:

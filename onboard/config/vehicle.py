@@ -21,6 +21,7 @@ from onboard.config.estimation import Estimation
 from onboard.config.mission import MissionKeys
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
+from onboard.config.telemetry import Telemetry
 from onboard.config.text import read_urdf
 from onboard.devices.base import BusDevice, Channels, DeviceSection
 from onboard.devices.registry import DEVICES
@@ -118,6 +119,7 @@ class VehicleFile(Section):
     parabola: Parabola | None = None
     recording: Recording = Field(default_factory=Recording.model_construct)
     realtime: Realtime = Field(default_factory=Realtime.model_construct)
+    telemetry: Telemetry = Field(default_factory=Telemetry.model_construct)
     drive: Drive | None = None
     mission: MissionKeys | None = None
 

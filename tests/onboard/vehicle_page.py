@@ -34,6 +34,7 @@ from onboard.config.estimation import (
 )
 from onboard.config.keys.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
+from onboard.config.telemetry import Telemetry
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.ground.log.tables.columns import unit_of
 from onboard.section import LARGEST, Section
@@ -71,6 +72,7 @@ TABLES: dict[str, type[Section]] = {
     "[[pivot.balance]]": Balance,
     "[recording]": Recording,
     "[realtime]": Realtime,
+    "[telemetry]": Telemetry,
     "[drive]": Drive,
     "[mission]": MissionKeys,
 }

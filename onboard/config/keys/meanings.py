@@ -31,7 +31,9 @@ from onboard.config.estimation import (
 )
 from onboard.config.keys.bases import BALANCE, BODY, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
 from onboard.config.keys.drive_meanings import DRIVE, MISSION
+from onboard.config.keys.flight_meanings import REALTIME, TELEMETRY
 from onboard.config.mission import MissionKeys
+from onboard.config.telemetry import Telemetry
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
 
@@ -89,29 +91,6 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "reserve_mib": _M("Kept back for events and gaps when the disk is full."),
         "resume_s": _M("A start goes on with a flight that lost its power no longer ago; 0: never."),
-    },
-    Realtime: {
-        "acquisition_priority": _M(
-            "SCHED_FIFO priority of acquisition, 1 to 99; 0: none. Needs LimitRTPRIO.",
-            "the bus drivers' interrupt threads (50) have to come first: below 50",
-        ),
-        "acquisition_cpus": _M(
-            "Numbers of the cores that acquisition may run on; all where empty.",
-            "a core is kept for it (isolcpus, or CPUAffinity of other services)",
-        ),
-        "recording_priority": _M(
-            "The same of recording, below that of acquisition; 0: none.",
-            "other programs keep the computer busy for seconds",
-        ),
-        "recording_cpus": _M("The same of recording.", "acquisition has a separate core"),
-        "lock_memory": _M(
-            "Memory of acquisition and recording is never swapped out. Needs LimitMEMLOCK=infinity.",
-            "the computer swaps, or memory is short",
-        ),
-        "freeze_gc": _M(
-            "The garbage collectors of the workers leave alone what was there at the start.",
-            "never in flight; to look for leaks",
-        ),
     },
     Estimation: {
         "method": _M(
@@ -306,6 +285,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         section: {key: _M(*said) for key, said in of.items()}
         for section, of in (
             *((FreeBody, FREE_BODY), (Carrier, CARRIER), (Load, LOAD), (Parabola, PARABOLA), (Drive, DRIVE)),
+            *((Realtime, REALTIME), (Telemetry, TELEMETRY)),
             *((Planar, PLANAR), (Puck, PUCK), (Pivot, PIVOT), (Balance, BALANCE), (Body, BODY), (MissionKeys, MISSION)),
         )
     },

@@ -1,0 +1,159 @@
+"""The packets as a mission database: XTCE 1.2 (OMG 20180204), by Yamcs' PyMDB.
+
+Parameters are called by packet and field (``status_latched``). Where the names of a vehicle's quantities are given,
+each has a container and numbers of its own (``m_payload_value``); others come as ``answer_value``.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from yamcs.pymdb.containers import Container, ParameterEntry
+from yamcs.pymdb.datatypes import Epoch
+from yamcs.pymdb.encodings import (
+    Charset,
+    FloatEncoding,
+    IntegerEncoding,
+    IntegerEncodingScheme,
+    IntegerTimeEncoding,
+    StringEncoding,
+)
+from yamcs.pymdb.expressions import AndExpression, EqExpression, Expression, NeExpression
+from yamcs.pymdb.parameters import (
+    AbsoluteTimeParameter,
+    EnumeratedParameter,
+    FloatParameter,
+    IntegerParameter,
+    Parameter,
+    StringParameter,
+)
+from yamcs.pymdb.systems import System
+
+from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, VERSION, Field, Kind
+
+ROOT = "space_packet"  # container to begin with
+_NUMBERS = ("value", "low", "high", "sigma")
+
+
+def database(name: str, apids: Mapping[str, int], quantities: Sequence[str] = ()) -> str:
+    """The mission database, XML.
+
+    Args:
+        name: of the space system.
+        apids: by kind of packet.
+        quantities: that the vehicle answers, as far as they are known before a flight.
+    """
+    system = System(_name(name), short_description="Downlink of a heft flight")
+    apid, head = _head(system)
+    for kind in KINDS.values():
+        _kind(system, kind, head, EqExpression(apid, apids[kind.name]), quantities)
+    return str(system.dumps(top_comment=False))
+
+
+def _head(system: System) -> tuple[Parameter[Any], Container]:
+    """Primary and secondary header: the parameter that tells kinds apart, and their container."""
+
+    def number(name: str, bits: int, meaning: str) -> Parameter[Any]:
+        return IntegerParameter(
+            system, name, signed=False, bits=32, short_description=meaning, encoding=IntegerEncoding(bits)
+        )
+
+    apid = number("apid", 11, "Application process identifier: the kind of packet")
+    definitions = number("definitions", 8, "Number of the packets' definitions")
+    p_field = number("time_p_field", 8, "P-field of the CUC time code")
+    entries = [
+        number("packet_version", 3, "Packet version number"),
+        number("packet_type", 1, "0: telemetry"),
+        number("secondary_header", 1, "1: there is one"),
+        apid,
+        number("sequence_flags", 2, "3: unsegmented"),
+        number("sequence_count", 14, "Of this APID and session"),
+        number("packet_data_length", 16, "Bytes after this field, less one"),
+        p_field,
+        AbsoluteTimeParameter(
+            system,
+            "time",
+            Epoch.UNIX,
+            short_description="CUC time: 4 bytes of seconds, 3 of fraction",
+            encoding=IntegerTimeEncoding(56, scale=1.0 / FRACTION),
+        ),
+        definitions,
+        number("session", 16, "Drawn by each process that sends"),
+    ]
+    packet = Container(system, ROOT, [ParameterEntry(one) for one in entries], abstract=True)
+    ours = AndExpression(EqExpression(definitions, VERSION), EqExpression(p_field, P_FIELD))
+    return apid, Container(system, "heft_packet", base=packet, abstract=True, condition=ours)
+
+
+def _kind(system: System, kind: Kind, head: Container, is_kind: EqExpression, quantities: Sequence[str]) -> None:
+    fields = {field.name: _parameter(system, f"{kind.name}_{field.name}", field) for field in kind.fields}
+    error_control = Field("error_control", "H", "Packet error control: CRC-16")
+    check = _parameter(system, f"{kind.name}_error_control", error_control)
+    if kind is not ANSWER or not quantities:
+        _container(system, kind.name, [*fields.values(), check], head, is_kind, kind.meaning)
+        return
+    common = [one for name, one in fields.items() if name not in _NUMBERS]
+    base = Container(
+        system,
+        kind.name,
+        [ParameterEntry(one) for one in common],
+        base=head,
+        abstract=True,
+        condition=is_kind,
+        short_description=kind.meaning,
+    )
+    which = fields["quantity"]
+    numbers = [field for field in kind.fields if field.name in _NUMBERS]
+    for quantity, name in _names(quantities):
+        own = [_parameter(system, f"{name}_{field.name}", field) for field in numbers]
+        _container(system, f"answer_{name}", [*own, check], base, EqExpression(which, quantity), quantity)
+    others = [fields[name] for name in _NUMBERS]
+    known = [NeExpression(which, quantity) for quantity in quantities]
+    none = AndExpression(*known) if len(known) > 1 else known[0]
+    _container(system, "answer_other", [*others, check], base, none, "of a quantity that was not known before")
+
+
+def _container(
+    system: System,
+    name: str,
+    parameters: Iterable[Parameter[Any]],
+    base: Container,
+    condition: Expression,
+    meaning: str,
+) -> None:
+    entries = [ParameterEntry(one) for one in parameters]
+    Container(system, name, entries, base=base, condition=condition, short_description=meaning)
+
+
+def _parameter(system: System, name: str, field: Field) -> Parameter[Any]:
+    units, said, bits = field.unit or None, field.meaning, field.bits
+    if field.is_text:
+        coded = StringEncoding(bits, charset=Charset.UTF_8, termination=b"\0")
+        return StringParameter(system, name, short_description=said, encoding=coded)
+    if field.code == "f":
+        return FloatParameter(system, name, short_description=said, units=units, encoding=FloatEncoding(bits))
+    if field.choices:
+        choices = list(field.choices)
+        return EnumeratedParameter(system, name, choices, short_description=said, encoding=IntegerEncoding(bits))
+    signed = field.code.islower()
+    scheme = IntegerEncodingScheme.TWOS_COMPLEMENT if signed else IntegerEncodingScheme.UNSIGNED
+    encoding, wide = IntegerEncoding(bits, scheme=scheme), max(32, bits)
+    return IntegerParameter(
+        system, name, signed=signed, bits=wide, short_description=said, units=units, encoding=encoding
+    )
+
+
+def _name(text: str) -> str:
+    return re.sub(r"\W", "_", text, flags=re.ASCII) or "_"
+
+
+def _names(quantities: Iterable[str]) -> list[tuple[str, str]]:
+    """Each quantity with a name that XTCE allows, no two the same, none of a packet's."""
+    taken, found = {_name(kind) for kind in (*KINDS, "other")}, []
+    for quantity in quantities:
+        name = _name(quantity)
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        found.append((quantity, name))
+    return found

@@ -1,0 +1,12 @@
+"""A flown mission, and the packets of its downlink."""
+
+import pytest
+
+from tests.flight.conftest import flown_once
+from tests.flight.missions import SHORT, Result
+
+
+@pytest.fixture(scope="session")
+def short_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """RockSat-X, 16 s, flown once for all rooms' tests."""
+    return flown_once(tmp_path_factory, "short", sequence=SHORT)
