@@ -105,7 +105,7 @@ HEALTH = np.dtype(  # a second of a real flight; NaN and -1: unknown
         ("acquisition_cpu_percent", "<f4"),
         ("estimation_cpu_percent", "<f4"),
         ("recording_cpu_percent", "<f4"),
-        ("others_cpu_percent", "<f4"),  # fork servers, spare workers, the live server
+        ("others_cpu_percent", "<f4"),  # fork servers, spare workers, the live server, the page
         ("supervisor_pss_mb", "<f4"),  # one process a second is looked at
         ("acquisition_pss_mb", "<f4"),
         ("estimation_pss_mb", "<f4"),

@@ -124,7 +124,7 @@ LAYERS = {  # of a package: each room may import those before it, and itself; ev
     "onboard": (
         *("estimation", "dynamics", "regressor", "identification", "control"),
         *("section", "npz", "ring", "channels", "recording", "timebase", "devices", "config"),
-        *("flight", "ground", "live", "telemetry", "cli"),
+        *("flight", "ground", "live", "telemetry", "page", "cli"),
     ),
     "onboard.flight": (
         *("clocks", "store", "acquire", "estimate", "health", "supervise", "check"),

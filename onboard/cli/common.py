@@ -179,6 +179,57 @@ def add_live(command: Any) -> None:
     )
 
 
+def add_page(command: Any, shows: str = "the flight") -> None:
+    """The options ``--page`` and ``--page-address``."""
+    command.add_argument(
+        "--page", action="store_true", help=f"show {shows} on a page for a browser of this computer; prints its address"
+    )
+    command.add_argument(
+        "--page-address",
+        metavar="HOST:PORT",
+        help="serve the page there (default 127.0.0.1:8787); other computers need the token in the printed address",
+    )
+
+
+def page_address(arguments: Any) -> str | None:
+    """Where the page is wanted, checked; empty: anywhere on this computer. None: no page.
+
+    Raises:
+        ValueError: not an address.
+    """
+    if arguments.page_address is None:
+        return "" if arguments.page else None
+    from onboard.page import address
+
+    address.parse(arguments.page_address)
+    return str(arguments.page_address)
+
+
+def say_page(url: str, *, json_lines: bool = False) -> None:
+    """Print the page's address on stderr: what else a flight says there may be switched off."""
+    said = json.dumps({"level": "info", "code": "page", "text": url}) if json_lines else f"heft: page at {url}"
+    sys.stderr.write(f"{said}\n")
+    sys.stderr.flush()
+
+
+@contextmanager
+def serve_page(arguments: Any, log: Path) -> Iterator[None]:
+    """The page process of ``--page`` while a flight to ``log`` lasts; none without the option.
+
+    Raises:
+        ValueError: the address is not available.
+    """
+    address = page_address(arguments)
+    if address is None:
+        yield
+        return
+    from onboard.page.process import serving
+
+    with serving(log, address) as url:
+        say_page(url, json_lines=getattr(arguments, "json_lines", False))
+        yield
+
+
 def add_hand_over(command: Any) -> None:
     """The option ``--hand-over`` of a command that flies."""
     command.add_argument(

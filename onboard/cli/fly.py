@@ -12,6 +12,7 @@ from onboard.cli.common import (
     Commands,
     add_hand_over,
     add_live,
+    add_page,
     add_until,
     busy,
     complain,
@@ -19,6 +20,7 @@ from onboard.cli.common import (
     load_vehicle,
     next_log,
     serve_live,
+    serve_page,
     show,
     with_hand_over,
     with_urls,
@@ -50,6 +52,7 @@ def add(commands: Commands) -> None:
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
     add_live(fly)
+    add_page(fly)
     add_hand_over(fly)
     fly.set_defaults(command=_fly)
 
@@ -83,6 +86,7 @@ def _fly(arguments: argparse.Namespace) -> int:
             runner.Servers(vehicle, shared=True) as servers,  # before there are threads
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
             serve_live(arguments.live, log),
+            serve_page(arguments, log),
         ):
             flight = runner.fly(
                 vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan, servers=servers

@@ -13,12 +13,15 @@ from onboard.cli.common import (
     add_hand_over,
     add_json,
     add_live,
+    add_page,
     add_until,
     complain,
     console,
     next_log,
+    page_address,
     progress,
     serve_live,
+    serve_page,
     show,
     show_foreseen,
     with_hand_over,
@@ -55,6 +58,7 @@ def add(commands: Commands) -> None:
     add_until(hil)
     hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
     add_live(hil)
+    add_page(hil)
     add_hand_over(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
@@ -76,6 +80,8 @@ def _hil(arguments: argparse.Namespace) -> int:
 
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
+    if page_address(arguments) is not None and not arguments.realtime:
+        raise ValueError("--page shows a flight on the real clock: add --realtime, or heft watch LOG --page afterwards")
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
     asks = vehicle.segments_path
@@ -101,7 +107,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         if arguments.realtime:
             serve = _serving(flown_as, asks, arguments)
             try:
-                with serve_live(arguments.live, log):
+                with serve_live(arguments.live, log), serve_page(arguments, log):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
             except FlightError as error:
                 complain(error)

@@ -7,10 +7,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import DAMAGED, OK, Commands, console, warn
+from onboard.cli.common import (
+    DAMAGED,
+    OK,
+    Commands,
+    add_page,
+    busy,
+    console,
+    page_address,
+    say_page,
+    warn,
+)
 
 if TYPE_CHECKING:
+    from onboard.flight.store.manifest import Manifest
     from onboard.ground.log.views.watch import Board
+    from onboard.page.follow import Followed
+    from onboard.page.recorded import Recorded
+    from onboard.recording.reader import LogReader
     from onboard.ring import RingReader
 
 _FRAME_S = 0.2
@@ -26,6 +40,7 @@ def add(commands: Commands) -> None:
     watch.add_argument(
         "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as possible)"
     )
+    add_page(watch, "it")
     watch.set_defaults(command=_watch)
 
 
@@ -34,7 +49,44 @@ def _watch(arguments: argparse.Namespace) -> int:
         raise ValueError("watch what? Give a log to play, or --live for the flight that is running")
     if arguments.speed < 0:
         raise ValueError(f"--speed {arguments.speed:g}: give 0 or more")
+    if (address := page_address(arguments)) is not None:
+        return _page(arguments, address)
     return _live() if arguments.live else _play(arguments.log, arguments.speed)
+
+
+def _page(arguments: argparse.Namespace, address: str) -> int:
+    """Serve the page of a log, or of the flight that is running, until ^C or the flight's end."""
+    import asyncio
+
+    from onboard.page import address as addresses
+    from onboard.page.process import serve
+
+    log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(serve(source, addresses.parse(address), say_page))
+    except OSError as error:
+        place = address or addresses.DEFAULT_HOST
+        raise ValueError(f"--page-address {place}: {error.strerror or error}; give another address") from error
+    if log is None:
+        return OK
+    warn(log.damage)
+    return DAMAGED if log.damage else OK
+
+
+def _recorded(path: Path) -> "tuple[LogReader, Recorded]":
+    from onboard.page.recorded import Recorded
+    from onboard.recording.reader import LogReader
+
+    log = LogReader(path)
+    with busy(f"{path.name} is read") as told:
+        return log, Recorded(log, lambda done: told(f"{path.name} is read, {100 * done // max(1, log.size)} %"))
+
+
+def _followed() -> "Followed":
+    from onboard.page.follow import Followed
+
+    return Followed(_running().log)
 
 
 @contextlib.contextmanager
@@ -78,13 +130,9 @@ def _play(path: Path, speed: float) -> int:
 
 
 def _live() -> int:
-    from onboard.flight.store import manifest
     from onboard.ground.log.views.watch import Board
 
-    flights = manifest.running()
-    if not flights:
-        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays a recorded flight")
-    flight = flights[-1]
+    flight = _running()
     board = Board(f"{flight.vehicle}  {flight.log}")
     rings: dict[Path, RingReader] = {}
     with _screen(board) as show:
@@ -95,6 +143,20 @@ def _live() -> int:
                 break
             time.sleep(_FRAME_S)
     return OK
+
+
+def _running() -> "Manifest":
+    """The flight of this user that is running, the last by name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    from onboard.flight.store import manifest
+
+    flights = manifest.running()
+    if not flights:
+        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays a recorded flight")
+    return flights[-1]
 
 
 def look(board: "Board", directory: Path, rings: "dict[Path, RingReader]") -> None:

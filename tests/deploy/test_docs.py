@@ -142,7 +142,7 @@ def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
     levels = (tmp_path / "honesty.html").read_text(encoding="utf-8")
     assert levels.count('href="glossary.html#leans-on"') == 1  # the first use, and no other
     assert '<a id="leans-on">' in (tmp_path / "glossary.html").read_text(encoding="utf-8")
-    assert "<code>heft watch [LOG|--live]</code>" in (tmp_path / "commands.html").read_text(encoding="utf-8")
+    assert "<code>heft watch [LOG|--live] [--page]</code>" in (tmp_path / "commands.html").read_text(encoding="utf-8")
     theory = (tmp_path / "estimators.html").read_text(encoding="utf-8")
     assert "<math" in theory
     assert not re.search(r"\$[\\A-Za-z]", theory)  # no formula that was left as text

@@ -14,7 +14,7 @@ _ROOT = Path(__file__).parents[3]
 _ROOMS = ("drivers", "onboard", "hil_sim")
 _HERE = "onboard/ground/campaign/"
 _OTHERS = (
-    *("onboard/cli/", "onboard/live/", "onboard/ground/report/"),
+    *("onboard/cli/", "onboard/live/", "onboard/page/", "onboard/ground/report/"),
     *(f"{_HERE}{name}.py" for name in ("engine", "store", "statistics", "view", "plan_file")),
 )
 _KINDS = {".py", ".toml", ".urdf"}

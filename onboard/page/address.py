@@ -1,0 +1,138 @@
+"""Where the page is served, and who may ask for it.
+
+On the loopback interface anybody of this computer may. On another, of which the team says that it owns it, the paths
+begin with a token that only the printed address has.
+"""
+
+import contextlib
+import hmac
+import ipaddress
+import re
+import secrets
+import socket
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8787
+LONGEST_REQUEST = 8192  # bytes
+LOCAL = ("localhost", "127.0.0.1", "::1")
+
+
+class Address(NamedTuple):
+    """Host and port to bind to. ``fixed``: the port was asked for, so another one will not do."""
+
+    host: str
+    port: int
+    fixed: bool
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this computer reaches it."""
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(self.host).is_loopback
+        return self.host == "localhost"
+
+
+def parse(text: str) -> Address:
+    """``HOST:PORT``, ``HOST``, ``:PORT`` or ``[IPv6]:PORT``; empty: :data:`DEFAULT_HOST` and a port that is free.
+
+    Raises:
+        ValueError: not an address.
+    """
+    found = re.fullmatch(r"(\[[0-9a-fA-F:.]+\]|[^:\[\]\s/]*)(?::(\d{1,5}))?", text)
+    if found is None or (found[2] is not None and int(found[2]) > 65535):
+        raise ValueError(f"--page-address {text}: write HOST:PORT, e.g. {DEFAULT_HOST}:{DEFAULT_PORT}")
+    port = DEFAULT_PORT if found[2] is None else int(found[2])
+    return Address(found[1].strip("[]") or DEFAULT_HOST, port, fixed=found[2] is not None)
+
+
+def token_for(address: Address) -> str:
+    """A new token of 128 bits; empty where only this computer reaches the page."""
+    return "" if address.is_local else secrets.token_urlsafe(16)
+
+
+def url(address: Address, port: int, token: str) -> str:
+    """What a browser opens; for an address that means all interfaces, that of the one that leads elsewhere."""
+    host = address.host
+    with contextlib.suppress(ValueError):
+        if ipaddress.ip_address(host).is_unspecified:
+            host = _outward(ipaddress.ip_address(host).version)
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/{f'{token}/' if token else ''}"
+
+
+def _outward(version: int) -> str:
+    """This computer's address on the interface of its default route; its name where it has none. Sends nothing."""
+    family, elsewhere = (socket.AF_INET, "192.0.2.1") if version == 4 else (socket.AF_INET6, "2001:db8::1")
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as one:
+        one.connect((elsewhere, 9))
+        return str(one.getsockname()[0])
+    return socket.gethostname()
+
+
+class Request(NamedTuple):
+    """Path and query of a request that may be answered; or the status that refuses it."""
+
+    path: str
+    query: str = ""
+    refused: str = ""
+
+
+def judge(head: bytes, address: Address, token: str) -> Request:
+    """Read the head of a request and say whether it may be answered.
+
+    Refused are, by HTTP status: what is no GET (405); a Host that is a foreign name (403), which DNS can have point
+    here; a page of another origin (403), by Origin or Sec-Fetch-Site; a path without the token (404).
+
+    Args:
+        head: of the request, to the empty line.
+        address: that is served.
+        token: that paths begin with, or empty.
+    """
+    first, *lines = head.decode("latin-1").split("\r\n")
+    asked = re.fullmatch(r"([A-Z]+) (/[!-~]*) HTTP/1\.[01]", first)
+    headers: dict[str, list[str]] = {}
+    for line in lines:
+        name, _, value = line.partition(":")
+        headers.setdefault(name.strip().lower(), []).append(value.strip())
+    if asked is None or len(headers.get("host", [])) != 1 or len(headers.get("origin", [])) > 1:
+        return Request("", refused="400 Bad Request")
+    if refused := _refusal(asked[1], headers, address):
+        return Request("", refused=refused)
+    path, _, query = asked[2].partition("?")
+    if not token:
+        return Request(path, query)
+    given, separator, rest = path.removeprefix("/").partition("/")
+    if not separator or not hmac.compare_digest(given.encode("latin-1"), token.encode()):
+        return Request("", refused="404 Not Found")
+    return Request(f"/{rest}", query)
+
+
+def _refusal(method: str, headers: dict[str, list[str]], address: Address) -> str:
+    """The status, or nothing."""
+    [named] = headers["host"]
+    host = _host(f"//{named}")
+    if method != "GET":
+        return "405 Method Not Allowed"
+    if host is None or not _may_be_called(host, address):
+        return "403 Forbidden Host"
+    foreign = any(one in ("cross-site", "same-site") for one in headers.get("sec-fetch-site", []))
+    navigates = headers.get("sec-fetch-mode", [""])[0] == "navigate"  # a link elsewhere may lead here
+    if any(one != f"http://{named}" for one in headers.get("origin", [])) or (foreign and not navigates):
+        return "403 Forbidden Origin"
+    return ""
+
+
+def _may_be_called(host: str, address: Address) -> bool:
+    if host in LOCAL or host in (address.host.lower(), socket.gethostname().lower()):
+        return True
+    with contextlib.suppress(ValueError):
+        ipaddress.ip_address(host)
+        return True  # a number is not asked of DNS
+    return False
+
+
+def _host(text: str) -> str | None:
+    try:
+        return urlsplit(text).hostname
+    except ValueError:
+        return None

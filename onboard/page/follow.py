@@ -1,0 +1,140 @@
+"""A running flight, followed by its rings."""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.records import EVENT, GAP, Batch
+from onboard import channels
+from onboard.flight.store import manifest
+from onboard.flight.store.directories import is_free
+from onboard.page.state import State, is_device
+from onboard.ring import RingReader
+
+_MOST_ROWS = 4096  # per ring and look
+_READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST)
+
+
+class Followed:
+    """State of the flight that records to ``log``, from the time on when it has rings.
+
+    Args:
+        log: of the flight, absolute.
+
+    Attributes:
+        state: so far.
+        ended: whether the flight is over.
+    """
+
+    live = True
+
+    def __init__(self, log: Path) -> None:
+        self.log = log
+        self.state = State(log.name, live=True)
+        self.ended = False
+        self._directory: Path | None = None
+        self._rings: dict[Path, RingReader] = {}
+
+    def look(self) -> None:
+        """Take in what the flight has written since the last look.
+
+        Raises:
+            OSError: a ring cannot be read.
+        """
+        if self._directory is None:
+            self._find()
+        if self._directory is None:
+            return
+        self._open()
+        for reader in self._rings.values():
+            if is_device(reader.dtype):
+                self._count(reader)
+            else:
+                rows, lost = reader.read(_MOST_ROWS)
+                self.state.lost += lost
+                self.state.add(Batch(reader.name, rows))
+
+    def check_ended(self) -> bool:
+        """Whether the flight that was followed has no process any more."""
+        if self._directory is not None and (not self._directory.exists() or is_free(self._directory)):
+            self.ended = True
+        return self.ended
+
+    def close(self) -> None:
+        """Close the rings."""
+        for reader in self._rings.values():
+            reader.close()
+        self._rings = {}
+
+    def about(self) -> dict[str, Any]:
+        """What the page needs once: see :func:`about`."""
+        return about(self.state, steps=None)
+
+    def _find(self) -> None:
+        found = next((flight for flight in manifest.running() if flight.log == self.log), None)
+        if found is None:
+            return
+        self._directory = found.directory
+        files = {one.name: one.data for one in found.preamble.attachments}
+        self.state = State(f"{found.vehicle}: {self.log.name}", payload_of(found.preamble.metadata, files), live=True)
+
+    def _open(self) -> None:
+        assert self._directory is not None
+        for path in sorted(self._directory.glob("*.ring")):
+            if path in self._rings:
+                continue
+            try:
+                reader = RingReader(path)
+            except (OSError, ValueError):
+                continue  # under construction: retried in the next look
+            if is_device(reader.dtype) or reader.dtype in _READ or channels.is_quantity(reader.dtype):
+                # not from the oldest row, which is being overwritten
+                reader.position = max(0, reader.published - reader.capacity * 9 // 10)
+                self._rings[path] = reader
+            else:
+                reader.close()
+
+    def _count(self, reader: RingReader) -> None:
+        """Of a device's channel only the newest row is read."""
+        total = reader.published
+        reader.position = max(0, total - 1)
+        rows, _ = reader.read(1)
+        if len(rows):
+            self.state.count(reader.name, total, int(rows["host_ns"][-1]))
+
+
+def about(state: State, steps: list[float] | None) -> dict[str, Any]:
+    """What the page asks for once: title, events and courses so far, and of a log the times of its frames."""
+    return {
+        "title": state.title,
+        "live": steps is None,
+        "steps": steps,
+        "events": state.events(),
+        "history": state.history(),
+    }
+
+
+def payload_of(metadata: Mapping[str, Mapping[str, str]], files: Mapping[str, bytes]) -> str:
+    """``payload_link`` of the vehicle file that a log carries; empty where there is none, or it cannot be read."""
+    name = metadata.get("flight", {}).get("vehicle_file", "vehicle.toml")
+    try:
+        said = tomllib.loads(files[name].decode()).get("vehicle", {})
+    except (KeyError, ValueError):
+        return ""
+    link = said.get("payload_link", "") if isinstance(said, dict) else ""
+    return link if isinstance(link, str) else ""
+
+
+def packed(content: Any) -> str:
+    """JSON of plain values, in one line; NaN is refused, since it is none."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is no JSON value")

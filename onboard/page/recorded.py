@@ -1,0 +1,81 @@
+"""A log as the page shows it: the frames that a viewer of the flight would have had, kept compressed."""
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from onboard.page.follow import about, packed, payload_of
+from onboard.page.state import State
+from onboard.recording.reader import LogReader
+
+FRAMES = 2400  # at most: of twice as many every second is kept
+_STEP_NS = 100_000_000  # between two frames of a short log
+
+
+class Recorded:
+    """Frames of a log. Reads it once, from begin to end.
+
+    Args:
+        log: to show.
+        told: is given the number of bytes read, now and then.
+
+    Attributes:
+        state: at the end.
+
+    Raises:
+        OSError: the log cannot be read.
+        ValueError: it has no rows.
+    """
+
+    live = False
+
+    def __init__(self, log: LogReader, told: Callable[[int], None] = lambda _: None) -> None:
+        self.state = State(Path(log.path).name, live=False)
+        self._frames: list[tuple[int, bytes]] = []  # stamp, frame
+        self._step_ns = _STEP_NS
+        due_ns: int | None = None
+        files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
+        self.state = State(self._title(log), payload_of(log.metadata, files), live=False)
+        for batch in log.batches():
+            if not len(batch.rows):
+                continue
+            first_ns = int(batch.rows["host_ns"][0])
+            if due_ns is None:
+                due_ns = first_ns + self._step_ns
+            elif first_ns >= due_ns:  # all chunks before this are in
+                self._keep()
+                due_ns = self.state.now_ns + self._step_ns
+                told(log.position)
+            self.state.add(batch)
+        if self.state.start_ns is None:
+            raise ValueError(f"{log.path} has no rows: there is nothing to show; heft info says what it has")
+        self._keep()
+
+    @staticmethod
+    def _title(log: LogReader) -> str:
+        vehicle = log.metadata.get("flight", {}).get("vehicle", "")
+        return f"{vehicle}: {log.path.name}" if vehicle else log.path.name
+
+    def _keep(self) -> None:
+        self._frames.append((self.state.now_ns, zlib.compress(packed(self.state.frame()).encode(), 1)))
+        if len(self._frames) > FRAMES:
+            self._frames, self._step_ns = self._frames[::2], 2 * self._step_ns
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def frame(self, number: int) -> bytes:
+        """Frame ``number``, JSON.
+
+        Raises:
+            IndexError: there is none.
+        """
+        if not 0 <= number < len(self._frames):
+            raise IndexError(number)
+        return zlib.decompress(self._frames[number][1])
+
+    def about(self) -> dict[str, Any]:
+        """What the page needs once."""
+        start_ns = self.state.start_ns or 0
+        return about(self.state, [round((at_ns - start_ns) * 1e-9, 6) for at_ns, _ in self._frames])

@@ -1,0 +1,40 @@
+// Numbers as text. All of them end up in textContent, as every text does: nothing of a flight is ever read as HTML.
+const SUPER = {"-": "\u207b", 0: "\u2070", 1: "\u00b9", 2: "\u00b2", 3: "\u00b3", 4: "\u2074", 5: "\u2075", 6: "\u2076", 7: "\u2077", 8: "\u2078", 9: "\u2079"};
+const raised = number => [...String(number)].map(mark => SUPER[mark]).join("");
+
+export const unitText = unit => unit.replace(/\^(-?\d+)/g, (_, digits) => raised(digits));
+
+// Value and half interval to two digits of the latter: "0.0642 \u00b1 0.0019", "3.029 \u00b1 0.026 \u00d710\u207b\u00b3".
+export function withInterval(value, half) {
+  const size = Math.max(Math.abs(value), half);
+  if (!(size > 0)) return ["0", "\u00b1 0"];
+  const order = Math.floor(Math.log10(size)), shift = order < -2 || order > 5 ? order : 0;
+  const finest = half > 0 ? Math.floor(Math.log10(half)) - 1 : order - 5;
+  const digits = Math.min(12, Math.max(0, shift - finest)), scale = 10 ** shift;
+  const text = `\u00b1 ${(half / scale).toFixed(digits)}`;
+  return [(value / scale).toFixed(digits), shift ? `${text} \u00d710${raised(shift)}` : text];
+}
+
+// An end of an axis that is `span` long: to a hundredth of that.
+export function atScale(number, span) {
+  const [text, rest] = withInterval(number, Math.max(span, 1e-300) / 10);
+  return text + (rest.split(" ")[2] ?? "");
+}
+
+export const rate = number => number === null ? "-" : number >= 100 ? number.toFixed(0) : number >= 10 ? number.toFixed(1) : number.toFixed(2);
+
+export function age(seconds) {
+  if (seconds === null) return "-";
+  if (seconds > 0 && seconds < 1e-3) return `${(1e6 * seconds).toFixed(0)} \u00b5s`;
+  if (seconds < 1) return `${Math.max(0, 1e3 * seconds).toFixed(0)} ms`;
+  return seconds < 600 ? `${seconds.toFixed(1)} s` : `${(seconds / 60).toFixed(0)} min`;
+}
+
+export function clockText(seconds) {
+  if (seconds < 60) return `${seconds.toFixed(1)} s`;
+  const whole = Math.floor(seconds), pad = number => String(number).padStart(2, "0");
+  const hours = Math.floor(whole / 3600);
+  return `${hours ? `${hours}:` : ""}${hours ? pad(Math.floor(whole / 60) % 60) : Math.floor(whole / 60)}:${pad(whole % 60)}.${Math.floor(10 * (seconds % 1))}`;
+}
+
+export const count = number => number.toLocaleString("en-US");

@@ -1,0 +1,347 @@
+"""The page's server without a browser: who is answered, with which headers, and who waits for whom."""
+
+import contextlib
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import records
+from drivers.records import Batch
+from onboard import cli
+from onboard.page import address as addresses
+from onboard.page import process, web
+from onboard.page.recorded import Recorded
+from onboard.page.state import State
+from onboard.recording.reader import LogReader
+from tests.page.made import START, Rings, flight
+from tests.page.served import Served, Stream, ask, raw, served
+
+STATIC = Path(web.__file__).parent / "static"
+FOREIGN = "Origin: http://example.org"
+
+
+class Flying:
+    """A flight in this process."""
+
+    live = True
+
+    def __init__(self) -> None:
+        self.state = State("made", live=True)
+        for batch in flight():
+            self.state.add(batch)
+
+    def about(self) -> dict[str, object]:
+        return {"title": self.state.title, "live": True}
+
+
+@pytest.fixture(scope="module")
+def log(made_log: Path) -> Recorded:
+    return Recorded(LogReader(made_log))
+
+
+@pytest.fixture
+def page(log: Recorded) -> "contextlib.AbstractContextManager[Served]":
+    return served(log)
+
+
+class TestFiles:
+    def test_every_file_of_the_page_comes_with_its_type_and_the_policy(self, log: Recorded) -> None:
+        with served(log) as one:
+            names = [path.name for path in STATIC.iterdir()] + ["theme.css"]
+            assert {"index.html", "page.js", "page.css", "format.js", "course.js", "icon.svg"} <= set(names)
+            for name in names:
+                reply = ask(one.port, f"/{name}")
+                assert reply.status == 200
+                assert reply.headers["Content-Type"].split(";")[0] == web._TYPES[name.rpartition(".")[2]]
+                assert {key: reply.headers[key] for key in web.HEADERS} == web.HEADERS
+                assert int(reply.headers["Content-Length"]) == len(reply.body)
+            assert ask(one.port, "/").body == (STATIC / "index.html").read_bytes()
+            for path in ("/nothing", "/static/page.js", "/../address.py", "/%2e%2e/address.py", "/live", "/frame/x"):
+                assert ask(one.port, path).status == 404
+
+    def test_the_policy_allows_nothing_inline_and_nothing_from_elsewhere(self) -> None:
+        policy = dict(part.strip().split(" ", 1) for part in web.HEADERS["Content-Security-Policy"].split(";"))
+        assert policy["default-src"] == "'none'"
+        assert set(policy.values()) == {"'none'", "'self'"}
+        for path in STATIC.iterdir():
+            text = path.read_text()
+            assert not re.search(r"\bon\w+=[\"']|<style|style=|javascript:", text) or path.suffix == ".js"
+            found = re.findall(r"(?:https?:)?//[a-z][\w.-]+", text)
+            assert set(found) <= {"http://www.w3.org"}
+            assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|DOMParser|\beval\b", text)
+        scripts = re.findall(r"<script([^>]*)>(.*?)</script>", (STATIC / "index.html").read_text(), re.DOTALL)
+        assert scripts
+        assert all("src=" in attributes and not body.strip() for attributes, body in scripts)
+
+
+class TestWhoIsAnswered:
+    @pytest.mark.parametrize("path", ["/", "/page.js", "/flight", "/frame/0"])
+    def test_by_host_and_origin(self, log: Recorded, path: str) -> None:
+        with served(log) as one:
+            here = f"127.0.0.1:{one.port}"
+            for host in (here, f"localhost:{one.port}", "LOCALHOST", "[::1]:80", "192.168.1.7", socket.gethostname()):
+                assert ask(one.port, path, host=host).status == 200
+            for host in (
+                "example.org",
+                "127.0.0.1.example.org",
+                "localhost.example.org",
+                "[::1",
+                "a b",
+                "localhost@x.org",
+            ):
+                assert ask(one.port, path, host=host).status == 403
+            assert ask(one.port, path, f"Origin: http://{here}").status == 200
+            for line in (FOREIGN, "Origin: null", f"Origin: https://{here}", "Origin: http://127.0.0.1:1", "origin:"):
+                assert ask(one.port, path, line).status == 403
+            assert ask(one.port, path, "Sec-Fetch-Site: same-origin").status == 200
+            assert ask(one.port, path, "Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: no-cors").status == 403
+            assert ask(one.port, path, "Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: navigate").status == 200
+
+    def test_what_is_no_request(self, log: Recorded) -> None:
+        with served(log) as one:
+            assert ask(one.port, host_lines=0).status == 400
+            assert ask(one.port, host_lines=2).status == 400
+            assert ask(one.port, "/", f"Origin: http://127.0.0.1:{one.port}", FOREIGN).status == 400
+            for method in ("POST", "HEAD", "PUT", "DELETE", "OPTIONS", "TRACE"):
+                assert ask(one.port, "/flight", method=method).status == 405
+            for sent in (b"GET / HTTP/2\r\n\r\n", b"\r\n\r\n", b"GET http://x/ HTTP/1.1\r\nHost: localhost\r\n\r\n"):
+                assert raw(one.port, sent).status == 400
+            assert raw(one.port, bytes(range(256)) * 4 + b"\r\n\r\n").status == 400
+            assert ask(one.port, "/", f"X: {'x' * 9000}").status == 431
+            assert ask(one.port, "/frame/99999999").status == 404
+            assert ask(one.port, "/frame/-1").status == 404
+            assert ask(one.port, f"/frame/{'9' * 5000}").status == 404
+            assert ask(one.port, "/frame/\u00b2").status in (400, 404)
+            assert ask(one.port).status == 200  # it lives
+
+    def test_of_a_network_paths_begin_with_the_token(self, log: Recorded) -> None:
+        with served(log, "0.0.0.0:0") as one:
+            assert len(one.token) >= 20
+            for path in (
+                "/",
+                "/flight",
+                "/page.js",
+                "/x/",
+                "//",
+                f"/{one.token}",
+                f"/{one.token[:-1]}/",
+                "/\u00e9/flight",
+            ):
+                assert ask(one.port, path).status in (400, 404)
+                assert b"title" not in ask(one.port, path).body
+            assert ask(one.port, f"/{one.token}/").body == (STATIC / "index.html").read_bytes()
+            assert json.loads(ask(one.port, f"/{one.token}/flight").body)["title"] == "made: made.mcap"
+            assert ask(one.port, f"/{one.token}/flight", FOREIGN).status == 403
+
+    def test_a_token_is_new_each_time_and_not_for_this_computer(self) -> None:
+        every = addresses.parse("0.0.0.0:0")
+        assert addresses.token_for(every) != addresses.token_for(every)
+        for text in ("", "127.0.0.1", "localhost:9", "[::1]:9", "127.9.9.9:1"):
+            assert addresses.token_for(addresses.parse(text)) == ""
+        for text in ("0.0.0.0", "[::]:9", "192.168.1.7", "flight-computer"):
+            assert addresses.token_for(addresses.parse(text))
+
+
+class TestAddress:
+    @pytest.mark.parametrize(
+        ("text", "meant"),
+        [
+            ("", ("127.0.0.1", 8787, False)),
+            (":9000", ("127.0.0.1", 9000, True)),
+            ("0.0.0.0", ("0.0.0.0", 8787, False)),
+            ("host:1", ("host", 1, True)),
+            ("[::1]:80", ("::1", 80, True)),
+        ],
+    )
+    def test_what_is_one(self, text: str, meant: tuple[str, int, bool]) -> None:
+        assert addresses.parse(text) == meant
+
+    @pytest.mark.parametrize(
+        "text", ["host:port", "host:70000", "host:", "::1", "http://x:1", "a b:1", "x:1:2", "[x]:1"]
+    )
+    def test_what_is_none(self, text: str) -> None:
+        with pytest.raises(ValueError, match="write HOST:PORT"):
+            addresses.parse(text)
+
+    def test_what_is_printed_leads_here(self) -> None:
+        assert addresses.url(addresses.parse("[::1]:80"), 80, "") == "http://[::1]:80/"
+        assert re.fullmatch(r"http://(?!0\.0\.0\.0)[\w.-]+:7/T/", addresses.url(addresses.parse("0.0.0.0:7"), 7, "T"))
+
+    def test_one_that_is_taken(self, log: Recorded) -> None:
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", 0))
+            taken.listen()
+            port = taken.getsockname()[1]
+            with pytest.raises(ValueError, match="give another address"), process.serving(Path("x"), f":{port}"):
+                pytest.fail("it said it serves")
+
+
+def test_frames_of_a_log_are_those_it_has(log: Recorded) -> None:
+    with served(log) as one:
+        about = json.loads(ask(one.port, "/flight").body)
+        assert (about["live"], len(about["steps"]), len(about["events"])) == (False, len(log), 3)
+        for number in (0, len(log) - 1):
+            assert ask(one.port, f"/frame/{number}").body == log.frame(number)
+
+
+class TestViewers:
+    def test_a_frame_and_the_events_since_reach_every_viewer_once(self) -> None:
+        source = Flying()
+        with served(source) as one:
+            streams = [Stream(one.port, "/live?since=1"), Stream(one.port), Stream(one.port, "/live?since=x")]
+            for stream in streams:
+                assert b"text/event-stream" in stream.head()
+            one.send({"t": 1.0})
+            first = [stream.frame() for stream in streams]
+            assert [len(frame["events"]) for frame in first] == [2, 3, 3]
+            assert all((frame["t"], frame["skipped"]) == (1.0, 0) for frame in first)
+            event = np.zeros(1, records.EVENT)
+            event["host_ns"], event["text"] = START, b"new"
+            one.loop.call_soon_threadsafe(source.state.add, Batch("event", event))
+            one.send({"t": 2.0})
+            assert [[e["text"] for e in stream.frame()["events"]] for stream in streams] == [["new"]] * 3
+            for stream in streams:
+                stream.close()
+
+    def test_one_that_takes_nothing_loses_frames_and_no_event_and_nobody_waits(self) -> None:
+        source = Flying()
+        with served(source) as one:
+            slow, good = Stream(one.port, buffer=4096), Stream(one.port)
+            slow.head(), good.head()
+            event = np.zeros(1, records.EVENT)
+            event["host_ns"] = START
+            for step in range(200):
+                one.loop.call_soon_threadsafe(source.state.add, Batch("event", event))
+                one.send({"t": float(step), "filled": "x" * 8000})
+                assert good.frame()["t"] == step
+            seen, events, skipped = [], 0, 0
+            until = time.monotonic() + 60
+            while (not seen or seen[-1] < 1e6) and time.monotonic() < until:
+                one.send({"t": 1e6})
+                frame = slow.frame()
+                seen.append(frame["t"])
+                events += len(frame["events"])
+                skipped = max(skipped, frame["skipped"])
+            assert seen == sorted(seen)
+            assert 0 < skipped < 200
+            assert events == 3 + 200  # those of frames left out came with the next
+            slow.close(), good.close()
+
+    def test_one_that_stalls_is_disconnected_and_one_too_many_refused(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(web, "STALL_S", 0.2)
+        monkeypatch.setattr(web, "MOST_VIEWERS", 2)
+        with served(Flying()) as one:
+            stalled, other = Stream(one.port, buffer=4096), Stream(one.port)
+            stalled.head(), other.head()
+            assert ask(one.port, "/live").status == 503
+            until = time.monotonic() + 60
+            while one.web.viewers == 2 and time.monotonic() < until:
+                one.send({"filled": "x" * 100_000})
+                other.frame()
+                time.sleep(0.02)
+            assert one.web.viewers == 1
+            third = Stream(one.port)
+            assert b"200 OK" in third.head()
+            for stream in (stalled, other, third):
+                stream.close()
+
+    def test_sockets_that_say_nothing_keep_nobody_out(self, monkeypatch: pytest.MonkeyPatch, log: Recorded) -> None:
+        monkeypatch.setattr(web, "REQUEST_S", 0.5)
+        with served(log) as one, contextlib.ExitStack() as stack:
+            silent = [stack.enter_context(socket.create_connection(("127.0.0.1", one.port))) for _ in range(300)]
+            for connection in silent[::2]:
+                connection.sendall(b"GET / HT")
+            assert ask(one.port, "/flight").status == 200
+            for connection in silent:
+                connection.settimeout(60)
+                with contextlib.suppress(ConnectionResetError):
+                    assert connection.recv(10) == b""
+
+
+@pytest.mark.realtime
+class TestProcess:
+    def test_it_finds_its_flight_and_goes_with_it(self, rings: Rings) -> None:
+        command = [sys.executable, "-m", "onboard.page", str(rings.log), ":0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+            assert running.stdout is not None
+            ready, url = running.stdout.readline().split()
+            assert (ready, url.startswith("http://127.0.0.1:")) == ("ready", True)
+            port = int(url.rstrip("/").rpartition(":")[2])
+            rings.push(flight())
+            stream = Stream(port)
+            while not (frame := stream.frame())["held"]:
+                pass
+            assert frame["title"] == "made: made.mcap"
+            assert [event["n"] for event in json.loads(ask(port, "/flight").body)["events"]] == [0, 1, 2]
+            rings.manifest.remove()
+            while not (frame := stream.frame())["ended"]:
+                pass
+            assert frame["held"][0]["value"] == 5.0198378161508
+            stream.close()
+            assert running.wait(20) == 0
+
+    def test_before_its_flight_it_waits_and_ends_when_it_is_told(self, tmp_path: Path) -> None:
+        with process.serving(tmp_path / "none.mcap", ":0") as url:
+            port = int(url.rstrip("/").rpartition(":")[2])
+            stream = Stream(port)
+            frame = stream.frame()
+            assert (frame["go"]["word"], frame["title"], frame["t"]) == ("NO-GO", "none.mcap", 0.0)
+            stream.close()
+        with pytest.raises(OSError):  # noqa: PT011 refused, or reset
+            ask(port)
+
+    def test_it_holds_little_memory(self, rings: Rings) -> None:
+        """Neither Pinocchio nor SciPy nor rich is in it."""
+        code = "import sys, onboard.page.process; print(*sys.modules)"
+        ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
+        assert not {"scipy", "pinocchio", "rich", "pydantic", "foxglove"} & set(ran.stdout.split())
+
+
+@pytest.mark.realtime
+class TestCommand:
+    def test_a_log_is_shown_until_it_is_interrupted(self, made_log: Path) -> None:
+        command = [sys.executable, "-m", "onboard.cli", "watch", str(made_log), "--page-address", ":0"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+            assert running.stderr is not None
+            found = re.fullmatch(r"heft: page at http://127\.0\.0\.1:(\d+)/\n", running.stderr.readline())
+            assert found is not None
+            about = json.loads(ask(int(found[1]), "/flight").body)
+            assert (about["live"], about["title"]) == (False, "made: made.mcap")
+            running.send_signal(signal.SIGINT)
+            assert (running.wait(60), running.stderr.read()) == (0, "")
+
+    def test_a_damaged_log_is_shown_and_said(self, made_log: Path, tmp_path: Path) -> None:
+        short = tmp_path / "short.mcap"
+        short.write_bytes(made_log.read_bytes()[:-5000])
+        command = [sys.executable, "-m", "onboard.cli", "watch", str(short), "--page-address", "127.0.0.1:0"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+            assert running.stderr is not None
+            assert running.stderr.readline().startswith("heft: page at ")
+            running.send_signal(signal.SIGINT)
+            assert running.wait(60) == 3
+            assert "warning: " in running.stderr.read()
+
+    @pytest.mark.parametrize(
+        ("words", "remedy"),
+        [
+            (["hil", "rocksat", "--page"], "add --realtime, or heft watch LOG --page afterwards"),
+            (["watch", "LOG", "--page-address", "host:port"], "write HOST:PORT"),
+            (["watch", "LOG", "--page-address", "192.0.2.1:1"], "give another address"),
+            (["watch", "--page"], "watch what?"),
+            (["fly", "rocksat", "--page-address", "x y:1"], "write HOST:PORT"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_with_the_remedy(
+        self, words: list[str], remedy: str, made_log: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert cli.main([str(made_log) if word == "LOG" else word for word in words]) == 2
+        assert remedy in capsys.readouterr().err
