@@ -33,7 +33,7 @@ CLOCKS = {
 }
 RUNNERS = (
     *("onboard/flight/supervise/runner*.py", "onboard/flight/supervise/workers.py"),
-    *("hil_sim/serve*.py", "onboard/cli/*", "bench/*"),
+    *("onboard/telemetry/process.py", "hil_sim/serve*.py", "onboard/cli/*", "bench/*"),
 )
 CLOCK_READERS = ("drivers/transports/*", "drivers/transports/can/*", *RUNNERS)
 PRINTERS = ("onboard/cli/*", "bench/*")

@@ -230,6 +230,15 @@ def serve_page(arguments: Any, log: Path) -> Iterator[None]:
         yield
 
 
+def add_telemetry(command: Any) -> None:
+    """The option ``--telemetry`` of a command that flies."""
+    command.add_argument(
+        "--telemetry",
+        metavar="LINK",
+        help="send CCSDS packets to udp://HOST:PORT, serial:///dev/ttyS0?baud=19200 or file://PATH (docs/ground.md)",
+    )
+
+
 def add_hand_over(command: Any) -> None:
     """The option ``--hand-over`` of a command that flies."""
     command.add_argument(
@@ -270,6 +279,21 @@ def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | N
     except ImportError as error:
         raise ValueError(f"--live needs the Foxglove SDK ({error}): pip install 'heft-flight[live]'") from error
     return serving(log, address)
+
+
+def send_telemetry(link: str | None, log: Path, vehicle: "config.Vehicle") -> AbstractContextManager[None]:
+    """The process of ``--telemetry``; none without the option.
+
+    Raises:
+        ValueError: the link is none, or the library of the packets is not installed.
+    """
+    if link is None:
+        return nullcontext()
+    try:
+        from onboard.telemetry.process import sending
+    except ImportError as error:
+        raise ValueError(f"--telemetry needs spacepackets ({error}): pip install 'heft-flight[telemetry]'") from error
+    return sending(log, link, vehicle.file.telemetry)
 
 
 def bus_and_url(text: str, option: str = "--url") -> tuple[str, str]:

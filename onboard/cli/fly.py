@@ -13,12 +13,14 @@ from onboard.cli.common import (
     add_hand_over,
     add_live,
     add_page,
+    add_telemetry,
     add_until,
     busy,
     complain,
     console,
     load_vehicle,
     next_log,
+    send_telemetry,
     serve_live,
     serve_page,
     show,
@@ -53,6 +55,7 @@ def add(commands: Commands) -> None:
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
     add_live(fly)
     add_page(fly)
+    add_telemetry(fly)
     add_hand_over(fly)
     fly.set_defaults(command=_fly)
 
@@ -87,6 +90,7 @@ def _fly(arguments: argparse.Namespace) -> int:
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
             serve_live(arguments.live, log),
             serve_page(arguments, log),
+            send_telemetry(arguments.telemetry, log, vehicle),
         ):
             flight = runner.fly(
                 vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan, servers=servers

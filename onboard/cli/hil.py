@@ -14,12 +14,14 @@ from onboard.cli.common import (
     add_json,
     add_live,
     add_page,
+    add_telemetry,
     add_until,
     complain,
     console,
     next_log,
     page_address,
     progress,
+    send_telemetry,
     serve_live,
     serve_page,
     show,
@@ -59,6 +61,7 @@ def add(commands: Commands) -> None:
     hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
     add_live(hil)
     add_page(hil)
+    add_telemetry(hil)
     add_hand_over(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
@@ -82,6 +85,8 @@ def _hil(arguments: argparse.Namespace) -> int:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
     if page_address(arguments) is not None and not arguments.realtime:
         raise ValueError("--page shows a flight on the real clock: add --realtime, or heft watch LOG --page afterwards")
+    if arguments.telemetry is not None and not arguments.realtime:
+        raise ValueError("--telemetry sends a flight on the real clock: add --realtime")
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
     asks = vehicle.segments_path
@@ -107,7 +112,11 @@ def _hil(arguments: argparse.Namespace) -> int:
         if arguments.realtime:
             serve = _serving(flown_as, asks, arguments)
             try:
-                with serve_live(arguments.live, log), serve_page(arguments, log):
+                with (
+                    serve_live(arguments.live, log),
+                    serve_page(arguments, log),
+                    send_telemetry(arguments.telemetry, log, vehicle),
+                ):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
             except FlightError as error:
                 complain(error)

@@ -13,24 +13,13 @@ import numpy as np
 
 from drivers.records import EVENT, GAP, Batch, Rows
 from onboard import channels
-from onboard.flight.health.status import MEANINGS, Status, words
+from onboard.flight.health.status import CAUTION, MEANINGS, Status, words
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
 LEVELS = ("good", "weak", "do not use")  # onboard.identification.standing, which takes 30 MB to import
 KINDS = {"kg": "mass", "m": "centre", "kg m^2": "inertia"}  # by unit; others belong to the instruments
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-CAUTION = (  # shown, and no reason against going on: the numbers of the flight are not touched by them
-    Status.ROWS_MISSING
-    | Status.RECORDER_BEHIND
-    | Status.TICKS_MISSED
-    | Status.CLOCK_FLYWHEEL
-    | Status.MEMORY_LOW
-    | Status.CPU_BUSY
-    | Status.HOT
-    | Status.THROTTLED
-    | Status.NOT_REALTIME
-)
 SILENT_NS = 3_000_000_000  # without a health record, of which there is one a second
 EVENTS = 2000  # the newest are kept
 POINTS = 400  # of a quantity's history at most: of twice as many every second is left

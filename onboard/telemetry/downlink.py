@@ -10,14 +10,13 @@ import math
 import re
 from collections import deque
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from drivers.records import EVENT as EVENT_ROW
 from drivers.records import Batch, Severity
 from onboard import channels
-from onboard.config.telemetry import Telemetry
 from onboard.recording.format.texts import printable
 from onboard.telemetry.packets import COUNTS, KINDS, LONGEST, MODES, NO_HEALTH, UNKNOWN_MODE, UNKNOWN_PHASE, encode
 
@@ -33,6 +32,38 @@ _MODES = {word: number for number, word in MODES}
 _NUMBERS = ("value", "low", "high", "sigma")
 _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
+
+
+class Rates(Protocol):
+    """What ``[telemetry]`` of a vehicle file says: :class:`onboard.config.telemetry.Telemetry`."""
+
+    @property
+    def bytes_s(self) -> float:
+        """Budget."""
+
+    @property
+    def status_hz(self) -> float:
+        """Of the status."""
+
+    @property
+    def answers_hz(self) -> float:
+        """Of each answer."""
+
+    @property
+    def phase_hz(self) -> float:
+        """Of mode and phase."""
+
+    @property
+    def flight_hz(self) -> float:
+        """Of what flight it is."""
+
+    @property
+    def reasons_hz(self) -> float:
+        """Of each reason."""
+
+    @property
+    def apids(self) -> dict[str, int]:
+        """By kind of packet."""
 
 
 class Flight(NamedTuple):
@@ -97,7 +128,7 @@ class Downlink:
     """
 
     def __init__(
-        self, settings: Telemetry, session: int, flight: Flight, now_ns: int, bytes_s: float | None = None
+        self, settings: Rates, session: int, flight: Flight, now_ns: int, bytes_s: float | None = None
     ) -> None:
         self._settings, self._session, self._flight = settings, session, flight
         self._bytes_s = settings.bytes_s if bytes_s is None else min(bytes_s, settings.bytes_s)
@@ -130,8 +161,8 @@ class Downlink:
 
     @property
     def waiting(self) -> int:
-        """Events and changes that wait."""
-        return self._waiting_events + self._changed
+        """Events, changes and answers that wait."""
+        return self._waiting_events + self._changed + sum(not one.sent for one in self._answers.values())
 
     @property
     def _waiting_events(self) -> int:
@@ -188,6 +219,17 @@ class Downlink:
             packet = self._make(kind, what, now_ns)
             self._room -= len(packet)
             yield packet
+
+    def finish(self, now_ns: int) -> None:
+        """The flight is over: what is newest is due."""
+        for one in self._answers.values():
+            one.due_ns = now_ns
+
+    def last(self, now_ns: int) -> Iterator[bytes]:
+        """The last packet, which says how it ended: the status."""
+        self._due["status"], self._room = now_ns, float(KINDS["status"].length)
+        self._at_ns = now_ns
+        return self.packets(now_ns)
 
     def _choose(self, now_ns: int) -> tuple[str, Any] | None:
         """The kind that is next, and of what."""

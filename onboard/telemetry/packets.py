@@ -20,8 +20,6 @@ from typing import Any, NamedTuple
 from spacepackets.ccsds.spacepacket import SequenceFlags, SpacePacketHeader
 
 from drivers.records import Severity
-from onboard.flight.supervise.modes import Mode
-from onboard.identification.standing import LEVELS
 
 VERSION = 1  # of these definitions: another one for every change of a field
 P_FIELD = 0x2F  # 0, level 2 (010), 4 bytes of seconds (11), 3 bytes of fraction (11)
@@ -32,7 +30,10 @@ _LARGEST = 3.4028234e38  # of single precision
 UNKNOWN_MODE, UNKNOWN_PHASE = 255, -1
 NO_HEALTH = 1 << 31  # in the status words: no health record for three seconds, what they say is old
 
-MODES = (*enumerate(mode.value for mode in Mode), (UNKNOWN_MODE, "unknown"))
+# Words of onboard.flight.supervise.modes and onboard.identification.standing, without what those import: a process that
+# only sends stays small. A test compares them.
+MODES = (*enumerate(("boot", "checkout", "armed", "run", "safe", "stopped")), (UNKNOWN_MODE, "unknown"))
+LEVELS = tuple(enumerate(("good", "weak", "do not use")))
 
 
 class PacketError(ValueError):
@@ -81,7 +82,7 @@ STATUS = Kind(
     "status",
     "health of the flight and of this downlink",
     (
-        Field("latched", "I", "status word, all bits since the start; 0: go; bit 31: health not known"),
+        Field("latched", "I", "status word, all bits since the start; 0: nothing failed; bit 31: health not known"),
         Field("word", "I", "status word of the last second"),
         Field("health_age", "f", "since the health record that these are of; NaN: there was none", "s"),
         Field("mode", "B", "mode of the flight", choices=MODES),
@@ -118,7 +119,7 @@ ANSWER = Kind(
         Field("quantity", "33s", "what it is of, as in the log"),
         Field("unit", "16s", "of the numbers"),
         Field("supported", "B", "0: not determined (yet), or not to be used", choices=((0, "no"), (1, "yes"))),
-        Field("level", "B", "how good it is", choices=tuple(enumerate(str(level) for level in LEVELS))),
+        Field("level", "B", "how good it is", choices=LEVELS),
         Field("value", "f", "estimate"),
         Field("low", "f", "lower end of the interval"),
         Field("high", "f", "upper end"),
@@ -149,7 +150,7 @@ REASON = Kind(
     "why an answer is no better: when it changes, and now and then",
     (
         Field("quantity", "33s", "which answer"),
-        Field("level", "B", "how good it is", choices=tuple(enumerate(str(level) for level in LEVELS))),
+        Field("level", "B", "how good it is", choices=LEVELS),
         Field("why", "129s", "it is no better"),
     ),
 )
@@ -265,14 +266,14 @@ def _value(field: Field, value: Any) -> Any:
 
 
 def plain(packet: Packet) -> dict[str, Any]:
-    """A packet as values that JSON has: NaN is None."""
+    """A packet as values that JSON has: a number that is none, or infinite, is None."""
     return {
         "packet": packet.kind.name,
         "time_ns": packet.at_ns,
         "session": packet.session,
         "count": packet.count,
         **{
-            name: None if isinstance(value, float) and math.isnan(value) else value
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in packet.values.items()
         },
     }

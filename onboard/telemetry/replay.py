@@ -1,11 +1,12 @@
 """A recorded flight as the packets that its downlink would have sent."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
-from onboard.config.telemetry import Telemetry
-from onboard.recording.reader import LogReader
-from onboard.telemetry.downlink import Downlink, Flight
+from onboard.telemetry.downlink import Downlink, Flight, Rates
+
+if TYPE_CHECKING:  # the process that sends reads no log
+    from onboard.recording.reader import LogReader
 
 STEP_NS = 50_000_000
 END_NS = 2_000_000_000  # after the last row: what waits is sent
@@ -18,14 +19,14 @@ class Sent(NamedTuple):
     packet: bytes
 
 
-def flight_of(metadata: dict[str, dict[str, str]], flight: str, log: str) -> Flight:
+def flight_of(metadata: Mapping[str, Mapping[str, str]], flight: str, log: str) -> Flight:
     """Which flight it is, by a log's metadata; without a wall clock (virtual time) its time is that since 1970."""
     facts = metadata.get("flight", {})
     wall, monotonic = (int(facts.get(f"{name}_ns", "0")) for name in ("wall_clock", "monotonic"))
     return Flight(flight, facts.get("vehicle", ""), log, wall, monotonic)
 
 
-def packets_of(log: LogReader, settings: Telemetry, session: int = 0) -> Iterator[Sent]:
+def packets_of(log: "LogReader", settings: Rates, session: int = 0) -> Iterator[Sent]:
     """Packets of a log, by its own time, which is not waited for.
 
     Args:

@@ -17,7 +17,7 @@ from onboard.cli import common, lines
 ROOM = Path(cli.__file__).parent
 PARTS = {"__init__", "__main__", "common", "controller", "lines", "messages"}
 COMMANDS = sorted(path.stem for path in ROOM.glob("*.py") if path.stem not in PARTS)
-FILES = {"dump", "fly", "report"}  # their answer is what they write; of fly, --json-lines
+FILES = {"dump", "fly", "report", "telemetry"}  # their answer is what they write; of fly and telemetry, --json-lines
 AT_ONCE = {"completion", "init", "schema"}
 LIVE = {"watch"}
 

@@ -2,8 +2,10 @@
 
 import pytest
 
-from tests.flight.conftest import flown_once
+from tests.flight.conftest import flown_once, own_rings
 from tests.flight.missions import SHORT, Result
+
+__all__ = ["own_rings"]
 
 
 @pytest.fixture(scope="session")

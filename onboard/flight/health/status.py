@@ -27,6 +27,17 @@ class Status(IntFlag):
     NOT_REALTIME = 1 << 18
 
 
+CAUTION = (  # shown, and no reason against going on: the numbers of the flight are not touched by them
+    Status.ROWS_MISSING
+    | Status.RECORDER_BEHIND
+    | Status.TICKS_MISSED
+    | Status.CLOCK_FLYWHEEL
+    | Status.MEMORY_LOW
+    | Status.CPU_BUSY
+    | Status.HOT
+    | Status.THROTTLED
+    | Status.NOT_REALTIME
+)
 SILENT_S = 5.0  # after the start: a device may take so long to be set up
 SLOW = 0.9  # of the nominal rate
 BACKLOG = 0.5  # of a ring

@@ -1,0 +1,185 @@
+"""``heft telemetry`` writes the mission database of the downlink, reads its packets, and sends those of a log."""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from onboard.cli.common import DAMAGED, OK, Commands, busy, console, load_vehicle, warn
+
+if TYPE_CHECKING:
+    from onboard import config
+    from onboard.telemetry.link import Address
+
+_FRAME_S = 0.25
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    telemetry = commands.add_parser(
+        "telemetry",
+        help="mission database and packets of the downlink",
+        description="Packets of heft fly --telemetry; docs/ground.md tells how.",
+    )
+    telemetry.add_argument(
+        "of", nargs="?", metavar="VEHICLE|LOG", help="whose [telemetry] it is (default: that of an empty file)"
+    )
+    what = telemetry.add_mutually_exclusive_group(required=True)
+    what.add_argument("--xtce", type=Path, metavar="DIR", help="write the mission database (XTCE 1.2) into DIR")
+    what.add_argument("--decode", metavar="FILE|LINK", help="read packets of a file, udp://HOST:PORT or serial:///...")
+    what.add_argument("--send", metavar="LINK", help="send what the downlink of LOG would have sent")
+    telemetry.add_argument("--json-lines", action="store_true", help="with --decode: every packet as JSON, one a line")
+    telemetry.add_argument("--duration", type=float, metavar="S", help="with --decode of a port: end after S seconds")
+    telemetry.set_defaults(command=_telemetry)
+
+
+def _telemetry(arguments: argparse.Namespace) -> int:
+    try:
+        import spacepackets  # noqa: F401
+        import yamcs.pymdb  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"heft telemetry needs more ({error}): pip install 'heft-flight[telemetry]'") from error
+    if arguments.json_lines and not arguments.decode:
+        raise ValueError("--json-lines goes with --decode")
+    if arguments.send is not None:
+        return _send(arguments.of, arguments.send)
+    with _vehicle(arguments.of) as vehicle:
+        if arguments.xtce is not None:
+            return _database(vehicle, arguments.xtce)
+        return _decode(vehicle, arguments)
+
+
+@contextmanager
+def _vehicle(of: str | None) -> "Iterator[config.Vehicle | None]":
+    """The vehicle named, or that of a log; None where none is."""
+    from onboard.ground.log.tables.vehicle_file import vehicle_of
+    from onboard.recording.reader import LogReader
+
+    if of is None or not of.endswith(".mcap"):
+        yield None if of is None else load_vehicle(of)
+        return
+    with tempfile.TemporaryDirectory() as directory:
+        yield vehicle_of(LogReader(Path(of)), Path(directory))
+
+
+def _apids(vehicle: "config.Vehicle | None") -> dict[str, int]:
+    from onboard.config.telemetry import Telemetry
+
+    return (Telemetry() if vehicle is None else vehicle.file.telemetry).apids
+
+
+def _database(vehicle: "config.Vehicle | None", directory: Path) -> int:
+    from onboard.telemetry.xtce import database
+
+    name, quantities = "heft", tuple[str, ...]()
+    if vehicle is not None:
+        from onboard.flight.estimate.estimator import Estimator
+
+        with busy("the estimator is built, for the names of its answers"):
+            name, quantities = vehicle.file.vehicle.name, Estimator(vehicle).online.quantity_names
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / "heft.xml"
+    path.write_text(database(name, _apids(vehicle), quantities), encoding="utf-8")
+    print(path)
+    return OK
+
+
+def _link(text: str) -> "Address":
+    """A link, or a path."""
+    from onboard.telemetry.link import parse
+
+    return parse(text if "://" in text else f"file://{text}")
+
+
+def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> int:
+    from onboard.telemetry.board import Board
+    from onboard.telemetry.link import received
+    from onboard.telemetry.packets import Packet, plain
+    from onboard.telemetry.stream import Series, Stream
+
+    address = _link(arguments.decode)
+    stream, series = Stream(_apids(vehicle)), Series()
+    board = Board(stream, series)
+    until = None if arguments.duration is None else time.monotonic() + arguments.duration
+
+    def take(packets: list[Packet]) -> None:
+        for packet in packets:
+            place = series.place(packet)
+            if not place.new:
+                continue
+            board.add(packet)
+            if arguments.json_lines:
+                print(json.dumps(plain(packet) | {"missing_before": place.missing}), flush=address.kind != "file")
+
+    with _screen(board, quiet=arguments.json_lines) as show, suppress(KeyboardInterrupt):
+        for piece in received(address):
+            take(stream.feed(piece))
+            show()
+            if until is not None and time.monotonic() >= until:
+                break
+    take(stream.finish())
+    if not board.packets:
+        said = "; ".join(board.losses()[1:]) or "it is empty"
+        raise ValueError(f"{arguments.decode}: no packet of this downlink: {said}")
+    if arguments.json_lines:
+        for line in board.losses():
+            sys.stderr.write(f"heft: {line}\n")
+    else:
+        console().print(board.render())
+    return OK if board.is_whole else DAMAGED
+
+
+@contextmanager
+def _screen(board: Any, *, quiet: bool) -> Iterator[Any]:
+    """Shows the board while packets come, on a terminal."""
+    from rich.live import Live
+
+    shown = console()
+    if quiet or not shown.is_terminal:
+        yield lambda: None
+        return
+    drawn = time.monotonic()
+
+    def draw() -> None:
+        nonlocal drawn
+        if time.monotonic() - drawn > _FRAME_S:
+            drawn = time.monotonic()
+            view.update(board.render(), refresh=True)
+
+    with Live(board.render(), console=shown, screen=True, auto_refresh=False) as view:
+        yield draw
+
+
+def _send(of: str | None, link: str) -> int:
+    """Packets of a log: into a file at once, over a port at the pace of the flight."""
+    from onboard.recording.reader import LogReader
+    from onboard.telemetry.link import parse, sink
+    from onboard.telemetry.replay import packets_of
+
+    if of is None or not of.endswith(".mcap"):
+        raise ValueError("--send sends what was flown: name a log, heft telemetry LOG --send LINK")
+    address = parse(link)
+    with _vehicle(of) as vehicle:
+        assert vehicle is not None
+        log, opened = LogReader(Path(of)), sink(address)
+        first_ns, started, count = 0, time.monotonic(), 0
+        with closing(opened), busy("packets are sent") as told:
+            for at_ns, packet in packets_of(log, vehicle.file.telemetry):
+                first_ns = first_ns or at_ns
+                if address.kind != "file":
+                    time.sleep(max(0.0, started + (at_ns - first_ns) * 1e-9 - time.monotonic()))
+                while not opened.ready():
+                    time.sleep(0.01)
+                opened.send(packet)
+                count += 1
+                told(f"{count} packets are sent, {(at_ns - first_ns) * 1e-9:.0f} s of the flight")
+            while not opened.ready():
+                time.sleep(0.01)
+    print(f"{count} packets")
+    warn(log.damage)
+    return DAMAGED if log.damage else OK
