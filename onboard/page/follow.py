@@ -12,10 +12,12 @@ from drivers.records import EVENT, GAP, Batch
 from onboard import channels
 from onboard.flight.store import manifest
 from onboard.flight.store.directories import is_free
+from onboard.page.arm import tree_of
 from onboard.page.state import State, is_device
 from onboard.ring import RingReader
 
 _MOST_ROWS = 4096  # per ring and look
+_FEW = 32  # rows of the regression, the last of which may lack a joint
 _READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST)
 
 
@@ -51,8 +53,8 @@ class Followed:
             return
         self._open()
         for reader in self._rings.values():
-            if is_device(reader.dtype):
-                self._count(reader)
+            if is_device(reader.dtype) or _is_row(reader.dtype):
+                self._newest(reader)
             else:
                 rows, lost = reader.read(_MOST_ROWS)
                 self.state.lost += lost
@@ -80,7 +82,8 @@ class Followed:
             return
         self._directory = found.directory
         files = {one.name: one.data for one in found.preamble.attachments}
-        self.state = State(f"{found.vehicle}: {self.log.name}", payload_of(found.preamble.metadata, files), live=True)
+        payload = payload_of(found.preamble.metadata, files)
+        self.state = State(f"{found.vehicle}: {self.log.name}", payload, tree_of(files, payload), live=True)
 
     def _open(self) -> None:
         assert self._directory is not None
@@ -91,26 +94,39 @@ class Followed:
                 reader = RingReader(path)
             except (OSError, ValueError):
                 continue  # under construction: retried in the next look
-            if is_device(reader.dtype) or reader.dtype in _READ or channels.is_quantity(reader.dtype):
+            if is_device(reader.dtype) or _is_row(reader.dtype) or _is_read(reader.dtype):
                 # not from the oldest row, which is being overwritten
                 reader.position = max(0, reader.published - reader.capacity * 9 // 10)
                 self._rings[path] = reader
             else:
                 reader.close()
 
-    def _count(self, reader: RingReader) -> None:
-        """Of a device's channel only the newest row is read."""
+    def _newest(self, reader: RingReader) -> None:
+        """Of a device's channel only the newest row is read, of the rows of the regression the newest few."""
         total = reader.published
-        reader.position = max(0, total - 1)
-        rows, _ = reader.read(1)
-        if len(rows):
+        reader.position = max(0, total - (1 if is_device(reader.dtype) else _FEW))
+        rows, _ = reader.read(_FEW)
+        if not len(rows):
+            return
+        if is_device(reader.dtype):
             self.state.count(reader.name, total, int(rows["host_ns"][-1]))
+        else:
+            self.state.add(Batch(reader.name, rows))
+
+
+def _is_row(dtype: np.dtype[np.void]) -> bool:
+    return "joint_rad" in (dtype.names or ())
+
+
+def _is_read(dtype: np.dtype[np.void]) -> bool:
+    return dtype in _READ or channels.is_quantity(dtype)
 
 
 def about(state: State, steps: list[float] | None) -> dict[str, Any]:
     """What the page asks for once: title, events and courses so far, and of a log the times of its frames."""
     return {
         "title": state.title,
+        "arm": state.arm,
         "live": steps is None,
         "steps": steps,
         "events": state.events(),

@@ -2,9 +2,9 @@
 
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+from onboard.page.arm import tree_of
 from onboard.page.follow import about, packed, payload_of
 from onboard.page.state import State
 from onboard.recording.reader import LogReader
@@ -31,12 +31,12 @@ class Recorded:
     live = False
 
     def __init__(self, log: LogReader, told: Callable[[int], None] = lambda _: None) -> None:
-        self.state = State(Path(log.path).name, live=False)
         self._frames: list[tuple[int, bytes]] = []  # stamp, frame
         self._step_ns = _STEP_NS
         due_ns: int | None = None
         files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
-        self.state = State(self._title(log), payload_of(log.metadata, files), live=False)
+        payload = payload_of(log.metadata, files)
+        self.state = State(self._title(log), payload, tree_of(files, payload), live=False)
         for batch in log.batches():
             if not len(batch.rows):
                 continue

@@ -89,6 +89,7 @@ class State:
     Args:
         title: of the flight.
         payload: link whose body is asked for; empty where the vehicle file names none.
+        arm: what the page draws of the vehicle, see :func:`onboard.page.arm.tree_of`.
         live: whether the flight goes on: then the age of its health records counts.
 
     Attributes:
@@ -98,8 +99,8 @@ class State:
         event_count: events so far.
     """
 
-    def __init__(self, title: str, payload: str = "", *, live: bool) -> None:
-        self.title, self.live = title, live
+    def __init__(self, title: str, payload: str = "", arm: dict[str, Any] | None = None, *, live: bool) -> None:
+        self.title, self.live, self.arm = title, live, arm
         self._body = [f"{kind}_{payload}" for kind in BODY] if payload else []
         self.start_ns: int | None = None
         self.now_ns = 0
@@ -111,6 +112,7 @@ class State:
         self._health: np.void | None = None
         self._pss = dict.fromkeys(_PROCESSES, math.nan)
         self._request: np.void | None = None
+        self._row: np.void | None = None
 
     def add(self, batch: Batch) -> None:
         """Take in rows of any channel; those that the page shows nothing of count as time alone."""
@@ -130,6 +132,9 @@ class State:
             self._take_health(rows)
         elif "channel" in fields:
             self._about_streams(rows, fields)
+        elif "joint_rad" in fields:
+            known = np.isfinite(np.asarray(rows["joint_rad"], float).reshape(len(rows), -1)).all(axis=1)
+            self._row = rows[known][-1] if known.any() else self._row
         elif {"act", "ratio", "segment"} <= fields:
             self._request = rows[-1]
         elif is_device(rows.dtype):
@@ -215,6 +220,7 @@ class State:
             "devices": self._devices(now_ns),
             "processes": self._processes(),
             "computer": self._computer(),
+            "joints": self._joints(),
             "asked": self._asked(),
             "event_count": self.event_count,
             "lost": self.lost,
@@ -308,6 +314,12 @@ class State:
         numbers = {name: _known(row[name]) for name in _COMPUTER if name in (row.dtype.names or ())}
         word, latched = int(row["status_word"]), int(row["status_latched"])
         return numbers | {"status": words(word), "before": words(latched & ~word) if latched & ~word else ""}
+
+    def _joints(self) -> list[float] | None:
+        """Positions of the newest row of the regression that has them, rad or m, in the model's order."""
+        if self._row is None:
+            return None
+        return [round(float(value), 5) for value in np.atleast_1d(self._row["joint_rad"])]
 
     def _asked(self) -> dict[str, Any] | None:
         """The motion that the flight asked for last, of ``--until``."""

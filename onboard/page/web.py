@@ -27,7 +27,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
 
@@ -123,9 +122,12 @@ class Web:
         until_s = loop.time() + 1.0
         while loop.time() < until_s and any(one.writer.transport.get_write_buffer_size() for one in self._viewers):
             await asyncio.sleep(0.02)
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await _turns()  # connections that were just taken have a task from then on
+        while self._tasks:
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.wait(self._tasks, timeout=0.1)
+        await _turns()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
@@ -137,11 +139,12 @@ class Web:
                 return
             request = await self._request(reader)
             if request is not None:
-                await asyncio.wait_for(self._answer(request, reader, writer), None)
+                await self._answer(request, reader, writer)
         except OSError:
             pass  # it went
         except asyncio.CancelledError:
-            writer.close()
+            if writer.transport.get_write_buffer_size():
+                writer.transport.abort()  # a close would wait for who takes nothing
         finally:
             self._tasks.discard(task)
             writer.close()
@@ -196,6 +199,12 @@ class Web:
                 pass
         finally:
             self._viewers.discard(viewer)
+
+
+async def _turns() -> None:
+    """The loop's next turns, in which connections that were closed are."""
+    for _ in range(3):
+        await asyncio.sleep(0)
 
 
 def _static() -> dict[str, bytes]:

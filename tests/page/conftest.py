@@ -7,7 +7,7 @@ import pytest
 
 from onboard.flight.store import manifest
 from onboard.recording.writer import LogWriter
-from tests.page.made import SECOND, START, VEHICLE, Rings, flight
+from tests.page.made import FILES, SECOND, START, Rings, flight
 
 
 @pytest.fixture(scope="session")
@@ -16,7 +16,8 @@ def made_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = tmp_path_factory.mktemp("page") / "made.mcap"
     made = flight()
     with LogWriter.create(log, durable=False) as writer:
-        writer.attach("vehicle.toml", "text/plain", VEHICLE)
+        for name, data in FILES.items():
+            writer.attach(name, "text/plain", data)
         writer.add_metadata("flight", {"vehicle": "made", "vehicle_file": "vehicle.toml"})
         for batch in made:
             writer.register(batch.channel, batch.rows.dtype)

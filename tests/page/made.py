@@ -15,7 +15,12 @@ from onboard.ring import RingWriter
 SECOND = 1_000_000_000
 START = 5 * SECOND
 MARKUP = b"<img src=x onerror=alert(1)>&amp;</script>"
+URDF = (
+    b'<robot name="made"><link name="base"/><link name="payload"/><joint name="joint_1" type="revolute">'
+    b'<parent link="base"/><child link="payload"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/></joint></robot>'
+)
 VEHICLE = b'[vehicle]\nname = "made"\npayload_link = "payload"\n'
+FILES = {"vehicle.toml": VEHICLE, "made.urdf": URDF}
 
 
 def _rows(dtype: np.dtype[np.void], at_ns: list[int]) -> np.ndarray:
@@ -50,7 +55,10 @@ def flight() -> list[Batch]:
     event = _rows(records.EVENT, [START, START + 2 * SECOND, START + 3 * SECOND])
     event["code"], event["source"] = [b"mode", b"phase", b"no_answer"], [b"flight", b"estimation", MARKUP[:31]]
     event["text"], event["severity"] = [b"run: all answered", b"phase <b>1</b>", MARKUP], [0, 0, 1]
-    named = {"joint_1": joint, "gap": gap, "quantity": quantity, "health": health, "clock": clock}
+    row = _rows(channels.row_dtype(1, 1), ms[::10])
+    row["joint_rad"][:, 0] = np.linspace(0.0, 1.0, len(row))
+    row["joint_rad"][-3:] = np.nan
+    named = {"joint_1": joint, "gap": gap, "quantity": quantity, "health": health, "clock": clock, "row": row}
     return [Batch(name, rows) for name, rows in (named | {"health_stream": stream, "event": event}).items()]
 
 
@@ -62,7 +70,7 @@ class Rings:
         self.writers = {
             batch.channel: RingWriter(directory / f"{batch.channel}.ring", batch.rows.dtype, 2048) for batch in flight()
         }
-        files = (Attachment("vehicle.toml", "text/plain", VEHICLE, 0),)
+        files = tuple(Attachment(name, "text/plain", data, 0) for name, data in FILES.items())
         preamble = Preamble("made", files, {"flight": {"vehicle_file": "vehicle.toml"}})
         self.manifest = manifest.Manifest(directory, log, "made", manifest.Storage(1, 1, 1, 0), preamble)
 

@@ -1,5 +1,6 @@
 """The page in Chromium: its numbers are those of the log, nothing of a log is markup, and it finds a flight again."""
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,8 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from onboard.config.loader import packaged
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.skeleton import skeleton
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.page import process
+from onboard.page.arm import tree_of
 from onboard.page.recorded import Recorded
+from onboard.page.state import BODY
 from onboard.recording.reader import LogReader
 from tests.page.browser import BROWSER, Tab, browser
 from tests.page.made import MARKUP, SECOND, START, Rings, flight
@@ -77,7 +84,7 @@ def test_nothing_of_a_log_is_markup(tab: Tab, made_log: Path) -> None:
         assert MARKUP.decode() in tab.text("#events")
         assert "phase <b>1</b>" in tab.text("#phase")
         assert tab.run("document.querySelectorAll('main img, main b, main script').length") == 0
-        assert tab.run("document.querySelectorAll('.answer').length") == 3
+        assert tab.run("document.querySelectorAll('.answer[data-name]').length") == 3
 
 
 def test_events_are_found(tab: Tab, made_log: Path) -> None:
@@ -151,3 +158,58 @@ def test_an_hour_does_not_grow_in_the_browser(tab: Tab, made_log: Path) -> None:
     assert 200 <= count <= 400
     assert first == 0
     assert last > 3580
+
+
+@pytest.mark.parametrize("name", ["dymaflex", "dymaflex_wheels", "rocksat", "workshop"])
+def test_the_arm_is_where_the_model_has_it(tab: Tab, made_log: Path, name: str, rng: np.random.Generator) -> None:
+    path = next(packaged(name).parent.glob("*.urdf"))
+    tree = tree_of({path.name: path.read_bytes()})
+    assert tree is not None
+    model = VehicleModel(path.read_text(), VehicleSpec(BaseKind.FIXED, tree["root"]))
+    q = rng.uniform(-1.0, 1.0, len(model.joints))
+    points = skeleton(model, q[None])
+    with served(Recorded(LogReader(made_log))) as one:
+        tab.open(f"http://127.0.0.1:{one.port}/")
+        script = f"import('./arm.js').then(({{links}}) => links({json.dumps(tree)}, {json.dumps(q.tolist())}))"
+        found = tab.run(script)
+    child = {joint["name"]: joint["child"] for joint in tree["joints"]}
+    compared = [
+        (found[child.get(key, key)]["p"], at) for key, at in zip(points.names, points.p_m[0], strict=True) if key
+    ]
+    assert len(compared) > len(model.joints)
+    for mine, theirs in compared:
+        np.testing.assert_allclose(mine, theirs, atol=1e-9)
+
+
+def test_the_ellipsoid_has_the_inertia_that_is_held(tab: Tab, made_log: Path, rng: np.random.Generator) -> None:
+    """A uniform ellipsoid of semi-axes a, b, c: m/5 (b^2 + c^2), and so on, turned."""
+    mass, semi = 3.0, np.array([0.1, 0.2, 0.35])
+    R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    tensor = R @ np.diag(mass / 5.0 * (np.sum(semi**2) - semi**2)) @ R.T
+    numbers = [mass, 0.01, 0.02, -0.03, *(tensor[at] for at in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
+    held = [
+        {"name": f"{kind}_x", "value": value, "low": value - 0.5, "high": value + 0.5, "supported": True}
+        for kind, value in zip(BODY, numbers, strict=True)
+    ]
+    with served(Recorded(LogReader(made_log))) as one:
+        tab.open(f"http://127.0.0.1:{one.port}/")
+        call = f"import('./arm.js').then(({{bodyOf}}) => bodyOf({json.dumps(held)}, 'x'))"
+        body = tab.run(call)
+        assert tab.run(call.replace("true", "false")) is None
+    assert sorted(body["semi"]) == pytest.approx(sorted(semi))
+    axes = np.array(body["axes"])
+    np.testing.assert_allclose(axes @ np.diag(np.square(body["semi"])) @ axes.T, R @ np.diag(semi**2) @ R.T, atol=1e-9)
+    assert body["centre"] == [0.01, 0.02, -0.03]
+    assert body["half"] == pytest.approx([0.5] * 3)
+
+
+def test_the_arm_is_drawn_and_turns(tab: Tab, made_log: Path) -> None:
+    with served(Recorded(LogReader(made_log))) as one:
+        tab.open(f"http://127.0.0.1:{one.port}/")
+        tab.wait(f"{CARD} !== null")
+        picture = "document.querySelector('#arm canvas').toDataURL()"
+        tab.wait("!document.getElementById('arm').hidden && document.querySelector('#arm canvas').width > 100")
+        tab.run("new Promise(requestAnimationFrame).then(() => new Promise(requestAnimationFrame)).then(() => 1)")
+        before = tab.run(picture)
+        tab.run("document.querySelector('#arm canvas').onkeydown({key: 'ArrowLeft', preventDefault() {}})")
+        tab.wait(f"{picture} !== {before!r}")

@@ -40,7 +40,7 @@ def test_its_levels_and_the_body_are_those_of_the_estimator() -> None:
 
 def test_numbers_of_a_frame_are_those_of_the_log_to_the_last_bit(made_log: Path) -> None:
     found, log = Recorded(LogReader(made_log)), LogReader(made_log)
-    quantity, joint = log.read("quantity"), log.read("joint_1")
+    quantity, joint, row = log.read("quantity"), log.read("joint_1"), log.read("row")
     frames = [json.loads(found.frame(number)) for number in range(len(found))]
     assert len(frames) > 15
     assert [frame["t"] for frame in frames] == found.about()["steps"]
@@ -55,6 +55,8 @@ def test_numbers_of_a_frame_are_those_of_the_log_to_the_last_bit(made_log: Path)
             compared += 1
         [device] = frame["devices"]
         assert device["rows"] == np.count_nonzero(joint["host_ns"] <= now_ns)
+        measured = row[(row["host_ns"] <= now_ns) & np.isfinite(row["joint_rad"][:, 0])]
+        assert frame["joints"] == pytest.approx(measured[-1]["joint_rad"].tolist(), abs=1e-5)
     assert compared >= 3 * 15
     assert frames[-1]["t"] == 10.0
 
@@ -160,7 +162,7 @@ def test_rings_say_what_the_log_says(rings: Rings) -> None:
     followed.look()
     shown, logged = followed.state.frame(START + 10 * SECOND), whole(live=True).frame(START + 10 * SECOND)
     assert shown["title"] == "made: made.mcap"
-    for key in ("held", "processes", "computer", "mode", "phase", "event_count", "go", "t"):
+    for key in ("held", "processes", "computer", "mode", "phase", "event_count", "go", "t", "joints"):
         assert shown[key] == logged[key]
     [mine], [theirs] = shown["devices"], logged["devices"]
     assert {key: mine[key] for key in ("rows", "missing", "age_s")} == {

@@ -33,7 +33,7 @@ export function drawing() {
 }
 
 // The scale: all of it, but at most four of the last half intervals to each side. What was wider is cut off at the edge.
-export function draw(to, points, from, until) {
+export function draw(to, points, until) {
   to.box.hidden = points.length < 2;
   if (to.box.hidden) return;
   const [, value, below, above] = points.at(-1), reach = 2 * (above - below);
@@ -41,12 +41,13 @@ export function draw(to, points, from, until) {
   let high = Math.min(value + reach, Math.max(...points.map(point => point[3])));
   const space = 0.08 * (high - low) || Math.abs(high) || 1;
   low -= space; high += space;
+  const from = points[0][0];
   const x = seconds => (WIDE * (seconds - from) / Math.max(1e-9, until - from)).toFixed(1);
   const y = value => Math.min(2 * HIGH, Math.max(-HIGH, HIGH * (high - value) / (high - low))).toFixed(1);
   const trace = (column, of = points) => of.map(point => `${x(point[0])},${y(point[column])}`).join("L");
   to.band.setAttribute("d", `M${trace(3)}L${trace(2, [...points].reverse())}Z`);
   to.line.setAttribute("d", `M${trace(1)}`);
-  to.top.textContent = atScale(high, high - low);
-  to.bottom.textContent = atScale(low, high - low);
-  to.svg.setAttribute("aria-label", `its course: between ${atScale(low, high - low)} and ${atScale(high, high - low)}`);
+  to.top.textContent = atScale(high, low, high);
+  to.bottom.textContent = atScale(low, low, high);
+  to.svg.setAttribute("aria-label", `its course: between ${atScale(low, low, high)} and ${atScale(high, low, high)}`);
 }

@@ -1,10 +1,11 @@
 // The page of a flight, or of a log. Frames are complete: one that is left out costs nothing but its place in a course.
 import {age, clockText, count, rate, unitText, withInterval} from "./format.js";
 import {Course, draw, drawing} from "./course.js";
+import {Arm} from "./arm.js";
 
 const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200;
 const at = id => document.getElementById(id);
-const cards = new Map(), courses = new Map();
+const arm = new Arm(at("arm")), cards = new Map(), courses = new Map();
 let flight = null, frame = null, events = [], stream = null, lastMs = 0, again = null;
 
 const put = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -43,6 +44,7 @@ function show(next) {
   fill(at("reasons"), reasons, () => make("li"), (node, reason) => { put(node, reason.text); node.className = reason.kind; });
   answers(next);
   health(next);
+  arm.show(next.joints, next.held, flight.live);
 }
 
 function answers(next) {
@@ -83,7 +85,7 @@ function answer(one, now) {
   courses.set(one.name, course);
   if (told && flight.live) course.add([now, one.value, one.low, one.high]);
   const points = flight.live ? course.points : course.until(now);
-  draw(its.course, points, 0, Math.max(now, 1));
+  draw(its.course, points, now);
 }
 
 function card(one) {
@@ -185,6 +187,7 @@ async function begin() {
   for (const [name, points] of Object.entries(flight.history)) courses.set(name, new Course(points));
   for (const card of cards.values()) card.box.remove();
   cards.clear();
+  arm.begin(flight.arm);
   put(at("title"), flight.title);
   at("player").hidden = flight.live;
   if (flight.live) follow(); else played();
@@ -196,6 +199,7 @@ function follow() {
   stream.onmessage = message => {
     lastMs = performance.now();
     const next = JSON.parse(message.data);
+    if (next.title !== flight.title) { begin(); return; }  // the flight that was waited for
     events.push(...next.events);
     if (events.length > MOST_EVENTS) events = events.slice(-MOST_EVENTS);
     show(next);
