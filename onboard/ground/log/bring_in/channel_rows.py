@@ -54,10 +54,22 @@ def times_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: s
 def _ns(values: Values, time: Time) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Times (n,), as floats and as whole ns; what is no time is any number of the latter."""
     per_unit = NS_PER[time.unit]
+    if time.wraps is not None:
+        values = unwrapped(values, time.wraps)
     approximate = (values.astype(np.float64) + time.offset) * per_unit
     if values.dtype.kind == "f":
         return approximate, np.rint(np.where(_is_time(approximate), approximate, 0.0)).astype(np.int64)
     return approximate, values.astype(np.int64) * per_unit + round(time.offset * per_unit)
+
+
+def unwrapped(values: Values, modulus: int) -> Values:
+    """A counter that starts at 0 again after ``modulus`` - 1, (n,), without that; what is no number stays as it is."""
+    known = np.flatnonzero(np.isfinite(values))
+    steps = np.diff(values[known].astype(np.float64))
+    turns = np.cumsum((steps < -0.5 * modulus).astype(np.int64) - (steps > 0.5 * modulus))
+    whole = values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
+    whole[known[1:]] += modulus * turns
+    return whole
 
 
 def _is_time(approximate: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -145,11 +145,14 @@ class Time(_Section):
     unit: Literal["ns", "us", "ms", "s"] = "s"
     rate_Hz: _Positive | None = None  # noqa: N815  (a key ends in its SI symbol)
     offset: float = 0
+    wraps: Annotated[int, Field(gt=1, le=1 << 53)] | None = None  # floats hold whole numbers up to that
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
         if (self.column is None) == (self.rate_Hz is None):
             raise ValueError("give either `column`, the name of the times, or `rate_Hz`, where there are none")
+        if self.wraps is not None and self.column is None:
+            raise ValueError("`wraps` is of a `column` that counts and starts at 0 again; leave it out")
         return self
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.ground.log.bring_in.channel_rows import rising
+from onboard.ground.log.bring_in.channel_rows import rising, unwrapped
 from onboard.ground.log.bring_in.mapping import NS_PER
 from onboard.ground.log.bring_in.text_rows import Values
 
@@ -14,6 +14,9 @@ _SINCE_1970_s = 5e8, 4e9  # 1985 to 2096
 _SLOWEST_Hz, _FASTEST_Hz = 0.01, 50e3
 _USUAL_Hz, _DECADES = 200.0, 0.8  # of recordings: middle and spread of their rates
 _SURE = 2.5  # nats between the likeliest unit and the next one
+_LONGEST_STEP = 20.0  # median steps: where a counter starts again, it has gone on by no more
+_FEWEST_KNOWN = 0.5  # of the cells, that have to be times
+_MOST_STARTS = 9  # of recordings in one file; where times fall more often they are mixed
 _MOST_LEFT_OUT = 0.1  # of the rows, so that times rise
 
 
@@ -29,6 +32,8 @@ class Clock(NamedTuple):
         rate_Hz: of the samples, by the median interval.
         gaps: intervals of more than 1.5 medians, and the longest, s.
         left_out: rows that have to be left out so that times rise.
+        wraps: the column starts at 0 again after so many units; 0: it does not.
+        offset: to be added to the column, so that no time is before 0.
     """
 
     column: str
@@ -39,6 +44,8 @@ class Clock(NamedTuple):
     rate_Hz: float  # noqa: N815  (a unit's own letters)
     gaps: tuple[int, float]
     left_out: int
+    wraps: int = 0
+    offset: float = 0.0
 
     def in_unit(self, unit: str, why: str) -> "Clock":
         """The same in another unit, which is known."""
@@ -62,14 +69,18 @@ def clock(column: str, values: Values, named: str) -> Clock | None:
         values: (n,).
         named: unit by its name or the kind of file; or "".
     """
+    wraps = _wraps(values)
+    if wraps:
+        values = unwrapped(values, wraps)
     number = values.astype(np.float64)
-    known = np.flatnonzero(np.isfinite(number) & (number >= 0))
-    if len(known) < 3:
+    known = np.flatnonzero(np.isfinite(number))
+    if len(known) < max(3, _FEWEST_KNOWN * len(number)):
         return None
     kept = known[rising(values[known])] if values.dtype.kind in "iu" else known[rising(number[known])]
-    left_out = len(number) - len(kept)
-    if left_out > _MOST_LEFT_OUT * len(number) or len(kept) < 3:
+    if len(known) - len(kept) > _MOST_LEFT_OUT * len(known) or len(kept) < 3:
         return None
+    left_out = len(number) - len(kept)
+    offset = float(np.ceil(max(0.0, -number[kept[0]])))
     steps = np.diff(number[kept])
     step, middle = float(np.median(steps)), float(np.median(number[kept]))
     whole = bool((number[kept] == np.rint(number[kept])).all())
@@ -79,7 +90,34 @@ def clock(column: str, values: Values, named: str) -> Clock | None:
     seconds[kept] = (number[kept] - number[kept[0]]) * scale
     wide = steps > 1.5 * step
     gaps = int(wide.sum()), float(steps.max() * scale) if wide.any() else 0.0
-    return Clock(column, found, why, doubt, seconds, 1.0 / (step * scale), gaps, left_out)
+    return Clock(column, found, why, doubt, seconds, 1.0 / (step * scale), gaps, left_out, wraps, offset)
+
+
+def refused(column: str, values: Values) -> str:
+    """Why a column that is a time by its name is none, with the remedy."""
+    number = values.astype(np.float64)
+    bad = int((~np.isfinite(number)).sum())
+    if len(number) - bad < _FEWEST_KNOWN * len(number):
+        return f"{column!r} is a time by its name, and {bad} of its {len(number)} cells are no number: give them times"
+    back = np.flatnonzero(np.diff(number) < 0.0)
+    if len(back) and len(back) <= _MOST_STARTS:
+        rows = ", ".join(str(one + 2) for one in back.tolist())
+        return f"{column!r} starts again in row {rows}: cut the recordings apart, and import one after the other"
+    return f"{column!r} is a time by its name and does not rise: sort the recording"
+
+
+def _wraps(values: Values) -> int:
+    """Modulus of a counter of 16, 24 or 32 bits that went on where it started at 0 again; 0 of another column."""
+    number = values[np.isfinite(values)].astype(np.float64)
+    if len(number) < 3 or number.min() < 0.0:
+        return 0
+    steps = np.diff(number)
+    back = steps[steps < -0.5 * number.max()]
+    usual = float(np.median(steps))
+    for modulus in (1 << 16, 1 << 24, 1 << 32):
+        if len(back) and number.max() < modulus and ((on := back + modulus) > 0.0).all() and usual > 0.0:
+            return modulus if (on < _LONGEST_STEP * usual).all() else 0
+    return 0
 
 
 def _unit(step: float, middle: float, named: str, *, whole: bool) -> tuple[str, str, str]:

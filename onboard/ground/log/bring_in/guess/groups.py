@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.ground.log.bring_in.guess import names
-from onboard.ground.log.bring_in.guess.clock import Clock, clock
+from onboard.ground.log.bring_in.guess.clock import Clock, clock, refused
 from onboard.ground.log.bring_in.guess.names import Name
+from onboard.ground.log.bring_in.mapping import NS_PER
 from onboard.ground.log.bring_in.messages import TIMES
 from onboard.ground.log.bring_in.text_rows import Values
 
@@ -62,7 +63,7 @@ class Table(NamedTuple):
     clock: Clock | None
     rest: tuple[Column, ...]  # of no kind that is known
     taken_for_time: str = ""  # why, where no name says it
-    out_of_order: str = ""  # a column that is a time by its name and does not rise, where there is no other
+    no_clock: str = ""  # why a column that is a time by its name is none, where there is no other
 
 
 def tables(path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[str, str]) -> list[Table]:
@@ -96,16 +97,17 @@ def _table(name: str, kind: str, columns: list[Column]) -> Table:
     found = None
     taken = ""
     for one in clocks:
-        named = {"bag": "ns", "mcap": "ns", "ulog": "us"}.get(kind, one.of.unit)
+        named = {"bag": "ns", "mcap": "ns", "ulog": "us"}.get(kind, one.of.unit or names.known_unit(one.name))
         if (found := clock(one.name, one.values, named)) is not None and _goes_on(one.values):
             break
         found = None
-    lost = next((one.name for one in clocks if found is None and _goes_on(one.values)), "")
+    lost = next((refused(one.name, one.values) for one in clocks if found is None and _goes_on(one.values)), "")
     if found is None and not lost and kind in ("csv", "npz", "mat"):
         for one in usable:
             if not set(one.of.stem) & _BESIDE and _rises(one.values):
                 found = clock(one.name, one.values, one.of.unit)
-                taken = "it rises from row to row; no name says that it is a time" if found is not None else ""
+                unnamed = found is not None and one.of.unit not in NS_PER
+                taken = "it rises from row to row; no name says that it is a time" if unnamed else ""
                 break
     used = {one.name for one in clocks} | ({found.column} if found else set())
     groups, rest = _groups([one for one in usable if one.name not in used])
@@ -119,6 +121,12 @@ def _goes_on(values: Values) -> bool:
 
 def _rises(values: Values) -> bool:
     return len(values) > 10 and bool((np.diff(values) > 0).all()) and bool(values[0] >= 0)
+
+
+def _of_motion_capture(columns: Mapping[tuple[tuple[str, ...], str], object]) -> bool:
+    """Whether T stands beside R, as translation beside rotation: RX, RY, RZ, TX, TY, TZ."""
+    stems = {stem for stem, _ in columns}
+    return ("t",) in stems and ("r",) in stems
 
 
 def _groups(columns: list[Column]) -> tuple[list[Group], list[Column]]:
@@ -141,8 +149,13 @@ def _groups(columns: list[Column]) -> tuple[list[Group], list[Column]]:
             kind = "quaternion"
         if kind == "angle" and stem[-1:] == ("a",) and len(found) < 3:
             kind = ""
+        if stem == ("t",) and kind == "moment" and _of_motion_capture(together):
+            kind = "position"
+        doubt = doubts.get((stem, unit), "")
+        if not kind and all(label.isdigit() for label in found) and (kind := names.BY_UNIT.get(unit, "")):
+            doubt = doubt or f"its unit, {unit}, is all that says what it is"
         if kind:
-            groups.append(Group(kind, stem, unit, found, names.commanded(stem), doubts.get((stem, unit), "")))
+            groups.append(Group(kind, stem, unit, found, names.commanded(stem), doubt))
         else:
             rest += found.values()
     return groups, rest

@@ -195,7 +195,8 @@ def count_of(values: FloatArray) -> float:
     """A size of counts that loses nothing: the decimals that are written, and a millionth of the rms or less."""
     good = values[np.isfinite(values)]
     some = good[:: max(1, len(good) // 20_000)]
-    size = float(np.sqrt(np.mean(some**2))) if some.size else 0.0
+    most = float(np.abs(some).max(initial=0.0))
+    size = most * float(np.sqrt(np.mean((some / most) ** 2))) if most else 0.0
     if not size > 0.0:
         return 1e-6
     fine = 6 - int(np.floor(np.log10(size)))

@@ -53,7 +53,7 @@ _TIME = {
         "times",
         "timestamps",
     ),
-    *("rosbagtimestamp", "timestep", "utc", "millis", "micros", "date", "datetime"),
+    *("rosbagtimestamp", "timestep", "utc", "millis", "micros", "date", "datetime", "ms", "us", "ns"),
 }
 _COMMANDED = {
     *("target", "desired", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "goal", "d", "c"),
@@ -68,7 +68,7 @@ _WORDS = {  # by kind, those of which one says it
     "force": {"force", "forces", "f", "frc", "ft", "wrench"},
     "moment": {"torque", "torques", "moment", "moments", "t", "m", "mu", "tau", "trq", "ft", "wrench"},
     "current": {"current", "currents", "cur", "curr", "i", "amp", "amps", "motorcurrent"},
-    "torque": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments", "tq", "tauj"},
+    "torque": {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "moments", "tq", "tauj"},
     "rate": {"qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "rate", "dtheta", "omega", "qp", "w"},
     "acceleration": {"qdd", "ddq", "qddot", "acc", "acceleration", "accelerations"},
     "angle": {
@@ -93,6 +93,10 @@ _WORDS = {  # by kind, those of which one says it
         *("scaling", "speed_scaling", "counter", "seq", "index", "execution", "safety", "covariance"),
     },
 }
+
+
+# of columns with a number each and no word that is known, in another language say
+BY_UNIT = {"rad": "angle", "deg": "angle", "rad/s": "rate", "deg/s": "rate", "N m": "torque", "N mm": "torque"}
 
 
 class Name(NamedTuple):

@@ -73,8 +73,8 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     main = max(some, key=lambda one: sum(len(g.columns) for g in one.groups), default=None)
     if main is None:
         raise SourceError(f"{path} has no columns of two numbers or more")
-    if main.out_of_order:
-        raise SourceError(f"{path}: {main.out_of_order!r} is a time by its name and does not rise: sort the recording")
+    if main.no_clock:
+        raise SourceError(f"{path}: {main.no_clock}")
     for one in (main, *(other for other in some if other is not main)):
         made.add(one, main)
     if not made.parts:
@@ -127,7 +127,14 @@ def _time(main: Table, made: "_Maker") -> str:
     return (
         f"\n[time]\ncolumn = {text.quoted(own.column)}\n"
         + text.Key(f"unit = {text.quoted(own.unit)}", doubt, own.why).lines
+        + "".join(text.Key(key, "", why).lines for key, why in _of_count(own))
     )
+
+
+def _of_count(own: Clock) -> list[tuple[str, str]]:
+    """Keys of a column that is no rising count from 0 on, and why."""
+    wraps = [(f"wraps = {own.wraps}", "it starts at 0 again")] if own.wraps else []
+    return wraps + ([(f"offset = {own.offset:g}", "it begins before 0")] if own.offset else [])
 
 
 class _Maker:
@@ -151,7 +158,8 @@ class _Maker:
         time = ""
         if one is not main and one.clock is not None:
             own = self.clocks[one.name]
-            time = f"time = {{ column = {text.quoted(own.column)}, unit = {text.quoted(own.unit)} }}\n"
+            keys = [f"column = {text.quoted(own.column)}", f"unit = {text.quoted(own.unit)}"]
+            time = f"time = {{ {', '.join([*keys, *(key for key, _ in _of_count(own))])} }}\n"
         if one is not main and one.clock is None:
             self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
             return

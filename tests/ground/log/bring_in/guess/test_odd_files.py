@@ -1,5 +1,6 @@
 """Proposals for recordings as people keep them: layouts of text, units by size, clocks; what cannot be a recording."""
 
+import re
 import struct
 import zlib
 
@@ -184,6 +185,64 @@ def test_times_out_of_order_are_no_even_samples(tmp_path, capsys):
     path = made.text(tmp_path / "a.csv", IMU_NAMES, [one[order] for one in imu_columns(body())])
     assert main(["import", "--guess", str(path)]) == BAD_INPUT
     assert "'time' is a time by its name and does not rise: sort the recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("unit", "modulus"), [("us", 1 << 32), ("ms", 1 << 16), ("us", 1 << 24)])
+def test_a_counter_that_starts_at_0_again_goes_on(tmp_path, unit, modulus):
+    """Of a microcontroller, 0.9 s before its end as the recording begins."""
+    per_s = {"us": 1e6, "ms": 1e3}[unit]
+    count = np.mod(np.rint(T * per_s) + modulus - np.rint(0.9 * per_s), modulus)
+    path = made.text(tmp_path / "a.csv", (unit, *IMU_NAMES[1:]), [count, *imu_columns(body())[1:]], digits=7)
+    log, found, left_out = brought_in(path)
+    assert f"wraps = {modulus}    # it starts at 0 again" in found.text
+    assert found.doubts == left_out == ()
+    stamps = log.read("imu_base")["host_ns"].astype(np.int64)
+    assert 1e-9 * (stamps - stamps[0]) == pytest.approx(np.rint(T * per_s) / per_s, abs=1e-9)
+    (tmp_path / "m.toml").write_text(re.sub(r"(?m)^wraps.*\n", "", found.text), encoding="utf-8")
+    with pytest.raises(SourceError, match="does not increase after row"):
+        import_recordings(tmp_path / "m.toml", path, tmp_path / "without")
+
+
+def test_times_that_begin_before_0(tmp_path):
+    path = made.text(tmp_path / "a.csv", IMU_NAMES, [T - 1.3, *imu_columns(body())[1:]])
+    log, found, left_out = brought_in(path)
+    assert "offset = 2    # it begins before 0" in found.text
+    assert left_out == ()
+    assert log.read("imu_base")["host_ns"][0] == 700_000_000
+
+
+@pytest.mark.parametrize(
+    ("times", "why"),
+    [
+        (np.tile(T[: COUNT // 2], 2), f"'time' starts again in row {COUNT // 2 + 1}: cut the recordings apart"),
+        (np.where(np.arange(COUNT) % 3, np.nan, T), "cells are no number: give them times"),
+    ],
+)
+def test_times_that_are_none_are_told_with_the_remedy(tmp_path, times, why):
+    path = made.text(tmp_path / "a.csv", IMU_NAMES, [times, *imu_columns(body())[1:]])
+    with pytest.raises(SourceError, match=re.escape(why)):
+        propose(path, Names())
+
+
+def test_names_in_another_language_by_their_units(tmp_path):
+    names = ("Zeit [ms]", "Gelenk 1 [°]", "Gelenk 2 [°]", "Drehmoment 1 [Nm]", "Drehmoment 2 [Nm]")
+    own = arm(2)
+    columns = [1e3 * T, *(DEG * own.q).T, np.sin(T), np.cos(T)]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", names, columns, between=";", decimal=","))
+    held(log, {"joint_1": own.q[:, 0], "joint_2": own.q[:, 1], "joint_1_torque": np.sin(T)})
+    assert found.doubts == ("its unit, deg, is all that says what it is", "its unit, N m, is all that says what it is")
+
+
+def test_translations_beside_rotations_are_no_moments(tmp_path):
+    names = ("time", "RX", "RY", "RZ", "TX", "TY", "TZ")
+    log, _, _ = brought_in(made.text(tmp_path / "a.csv", names, [T, T, T, T, 900.0 + T, T, T]))
+    held(log, {"position_x": 0.9 + 1e-3 * T})
+
+
+def test_numbers_beyond_all_measure_are_refused_at_the_import(tmp_path):
+    path = made.text(tmp_path / "a.csv", ("time", "q1", "q2"), [T, 1e200 * np.sin(T), T])
+    with pytest.raises(ValueError, match="cannot be stored; correct the scale"):
+        brought_in(path)
 
 
 def test_names_that_stand_twice(tmp_path):
