@@ -1,12 +1,14 @@
 """What a flight in real time costs and how late its answers are.
 
-    python -m bench.flight [--vehicle dymaflex] [--minutes 1] [--load 0] [--nice 0] [--quick] [--json FILE]
+    python -m bench.flight [--vehicle dymaflex] [--minutes 1] [--load 0] [--nice 0] [--quick] [--telemetry]
+        [--json FILE]
 
 Prints CPU time and memory (PSS) of each process, the latency from sample to estimate, what is lost, and the answers.
 Latency: a row of the regression is due ``lag_ms`` after its instant of vehicle time, and steps that make rows come
 every ``step_ms``; the two are the stated lag. How much later than that the row stands in its ring is printed, seen by a
 process that looks every 2 ms. ``--load N``: N processes that only compute, beside it. ``--minutes`` lengthens the
-mission's longest motion. ``--quick``: 20 s, and no bar is judged.
+mission's longest motion. ``--quick``: 20 s, and no bar is judged. ``--telemetry``: the flight sends its packets over a
+serial line (a pty) at 19,200 baud, which is read all the time, and what came is printed.
 
 Bars (exit code 1 where one is missed): p99 beyond the stated lag 20 ms without load, 1 s with it; no row lost by the
 recorder, none missing without a gap record; the answers hold the truth in their 95 % intervals; without load PSS of all
@@ -16,9 +18,15 @@ recorder, none missing without a gap record; the answers hold the truth in their
 import argparse
 import json
 import os
+import pty
 import sys
 import tempfile
+import threading
 import time
+import tty
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +37,7 @@ from onboard import config
 from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
+from onboard.telemetry.stream import Series, Stream
 
 LOOK_S = 0.002
 WARM_UP_S = 4.0
@@ -68,6 +77,46 @@ def watch(flight: RealFlight, seconds: float, lag_ms: float) -> tuple[np.ndarray
     return np.concatenate([np.empty(0), *late]), said
 
 
+class Ground:
+    """What came over the line."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def told(self, apids: dict[str, int]) -> str:
+        """Packets by kind, and bytes a second."""
+        stream, series = Stream(apids), Series()
+        found = stream.feed(self.data) + stream.finish()
+        kinds = Counter(packet.kind.name for packet in found if series.place(packet).new)
+        of = ", ".join(f"{name} {count}" for name, count in sorted(kinds.items()))
+        times_ns = [packet.at_ns for packet in found if packet.kind.name == "status"]
+        seconds = max(1.0, (times_ns[-1] - times_ns[0]) * 1e-9) if times_ns else 1.0
+        said = f"{len(self.data) / seconds:.0f} bytes/s; missing {sum(series.missing.values())}"
+        last = [packet.values for packet in found if packet.kind.name == "status"][-1:]
+        unsent = {name: value for one in last for name, value in one.items() if name.startswith(("unsent", "overdue"))}
+        return f"telemetry: {of}; {said}, bytes of no packet {stream.skipped}; {unsent}"
+
+
+@contextmanager
+def serial_line() -> Iterator[tuple[str, Ground]]:
+    """The link of a line at 19,200 baud, and what comes over it."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    ground = Ground()
+
+    def read() -> None:
+        while True:
+            try:
+                ground.data += os.read(master, 4096)
+            except OSError:
+                return  # it was closed
+
+    threading.Thread(target=read, daemon=True).start()
+    yield f"serial://{os.ttyname(slave)}?baud=19200", ground
+    os.close(slave)
+    os.close(master)
+
+
 def answers(log: Path, truth: dict[str, Any]) -> list[dict[str, Any]]:
     """The last answers of a log that have a unit, and what is true of the payload's mass."""
     rows = LogReader(log).read("quantity")
@@ -93,6 +142,7 @@ def main() -> int:
     parser.add_argument("--load", type=int, default=0)
     parser.add_argument("--nice", type=int, default=0)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--telemetry", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     seconds = QUICK_S if options.quick else 60.0 * options.minutes
@@ -101,7 +151,18 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as directory:
         place = Path(directory)
         over = longer(options.vehicle, seconds + WARM_UP_S + 20.0, place)
-        with busy(options.load), flying(options.vehicle, place, name="bench", over=over, nice=options.nice) as flight:
+        with (
+            serial_line() as (link, ground),
+            busy(options.load),
+            flying(
+                options.vehicle,
+                place,
+                name="bench",
+                over=over,
+                nice=options.nice,
+                also=["--telemetry", link] if options.telemetry else [],
+            ) as flight,
+        ):
             time.sleep(WARM_UP_S)
             late_ms, used = watch(flight, seconds, stated_ms)
             load = os.getloadavg()[0]
@@ -129,6 +190,8 @@ def main() -> int:
             "answers": answers(flight.log, said["truth"]),
         }
     show(result, stated_ms)
+    if options.telemetry:
+        print(ground.told(config.named(options.vehicle).file.telemetry.apids))
     if options.json:
         options.json.write_text(json.dumps(result), encoding="utf-8")
     missed = [] if options.quick else judge(result, at_load=bool(options.load))

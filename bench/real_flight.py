@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -123,7 +123,14 @@ def longer(vehicle: str, seconds: float, place: Path) -> Path:
 
 @contextmanager
 def flying(
-    vehicle: str | Path, place: Path, *, name: str, scenario: str = "", over: Path | None = None, nice: int = 0
+    vehicle: str | Path,
+    place: Path,
+    *,
+    name: str,
+    scenario: str = "",
+    over: Path | None = None,
+    nice: int = 0,
+    also: Sequence[str] = (),
 ) -> Iterator[RealFlight]:
     """Simulated devices and a flight of them in a session of its own, every worker at work.
 
@@ -134,6 +141,7 @@ def flying(
         scenario: packaged; that of the vehicle's name if not given.
         over: a scenario file whose tables lie over it.
         nice: level of the flight; where sessions share the CPU equally, theirs is set too.
+        also: options of ``heft fly``.
     """
     log = place / f"{name}.mcap"
     sockets = Path(tempfile.mkdtemp(prefix="devices-", dir=place))
@@ -155,7 +163,7 @@ def flying(
         served = json.loads(devices.stdout.readline())
         urls = [f"--url={bus}={served[bus]}" for bus in config.named(vehicle).buses if bus in served]
         command = ["nice", f"-n{nice}", sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--log", str(log)]
-        flight = subprocess.Popen([*command, *urls, "--quiet"], start_new_session=True)
+        flight = subprocess.Popen([*command, *urls, *also, "--quiet"], start_new_session=True)
         stack.callback(flight.wait)
         stack.callback(flight.kill)
         group = Path(f"/proc/{flight.pid}/autogroup")

@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import DAMAGED, OK, Commands, busy, console, load_vehicle, warn
+from onboard.cli.common import DAMAGED, OK, Commands, busy, complain, console, load_vehicle, warn
 
 if TYPE_CHECKING:
     from onboard import config
@@ -107,7 +107,11 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
     board = Board(stream, series)
     until = None if arguments.duration is None else time.monotonic() + arguments.duration
 
+    heard = time.monotonic()
+
     def take(packets: list[Packet]) -> None:
+        nonlocal heard
+        heard = time.monotonic() if packets else heard
         for packet in packets:
             place = series.place(packet)
             if not place.new:
@@ -117,11 +121,17 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
                 print(json.dumps(plain(packet) | {"missing_before": place.missing}), flush=address.kind != "file")
 
     with _screen(board, quiet=arguments.json_lines) as show, suppress(KeyboardInterrupt):
-        for piece in received(address):
-            take(stream.feed(piece))
-            show()
-            if until is not None and time.monotonic() >= until:
-                break
+        try:
+            for piece in received(address):
+                take(stream.feed(piece))
+                show(time.monotonic() - heard)
+                if until is not None and time.monotonic() >= until:
+                    break
+        except OSError as error:
+            if not board.packets or isinstance(error, BrokenPipeError):
+                raise
+            complain(f"{arguments.decode}: {error}")  # what came is shown
+    silent_s = 0.0 if address.kind == "file" else time.monotonic() - heard
     take(stream.finish())
     if not board.packets:
         said = "; ".join(board.losses()[1:]) or "it is empty"
@@ -130,7 +140,7 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
         for line in board.losses():
             sys.stderr.write(f"heft: {line}\n")
     else:
-        console().print(board.render())
+        console().print(board.render(silent_s))
     return OK if board.is_whole else DAMAGED
 
 
@@ -141,15 +151,15 @@ def _screen(board: Any, *, quiet: bool) -> Iterator[Any]:
 
     shown = console()
     if quiet or not shown.is_terminal:
-        yield lambda: None
+        yield lambda silent_s: None
         return
     drawn = time.monotonic()
 
-    def draw() -> None:
+    def draw(silent_s: float) -> None:
         nonlocal drawn
         if time.monotonic() - drawn > _FRAME_S:
             drawn = time.monotonic()
-            view.update(board.render(), refresh=True)
+            view.update(board.render(silent_s), refresh=True)
 
     with Live(board.render(), console=shown, screen=True, auto_refresh=False) as view:
         yield draw

@@ -13,7 +13,9 @@ from onboard.flight.health.status import CAUTION, standing
 from onboard.telemetry.packets import NO_HEALTH, Packet
 from onboard.telemetry.stream import Series, Stream
 
+SILENT_S = 5.0  # without a packet, of which some come every second
 _EVENTS = 8
+_OLD_NS = 10_000_000_000  # an answer that so much has come after
 _BODY_UNITS = ("kg", "m", "kg m^2")  # of what is held; others belong to the instruments
 _STYLES = {"good": "", "weak": "yellow", "do not use": "dim"}
 
@@ -32,11 +34,12 @@ class Board:
         self._answers: dict[str, Packet] = {}
         self._why: dict[str, tuple[str, str]] = {}  # level, reason
         self._events: deque[Packet] = deque(maxlen=_EVENTS)
-        self.packets = 0
+        self.packets = self._newest_ns = 0
 
     def add(self, packet: Packet) -> None:
         """Take a packet that is new; an older one than is shown changes nothing."""
         self.packets += 1
+        self._newest_ns = max(self._newest_ns, packet.at_ns)
         kind, values = packet.kind.name, packet.values
         if kind == "event":
             self._events.append(packet)
@@ -49,9 +52,9 @@ class Board:
         elif (last := self._last.get(kind)) is None or last.at_ns <= packet.at_ns:
             self._last[kind] = packet
 
-    def render(self) -> RenderableType:
-        """The screen."""
-        parts: list[RenderableType] = [self._head(), *self._status()]
+    def render(self, silent_s: float = 0.0) -> RenderableType:
+        """The screen; ``silent_s``: nothing has come for so long."""
+        parts: list[RenderableType] = [self._head(), *self._status(silent_s)]
         if self._answers:
             parts += [Text(), self._answer_table(), *self._reasons()]
         if self._events:
@@ -83,12 +86,14 @@ class Board:
             head.append(f"   phase {phase}" if phase >= 0 else "", "not bold")
         return head
 
-    def _status(self) -> list[Text]:
+    def _status(self, silent_s: float) -> list[Text]:
         status = self._last.get("status")
         if status is None:
             return [Text("no status yet", "yellow")]
         values = status.values
         said = verdict(values, [packet.values for packet in self._answers.values()])
+        if silent_s > SILENT_S:
+            said = f"NO-GO: nothing has come for {silent_s:.0f} s; before: {said}"
         lines = [Text(said, "bold green" if said.startswith("GO") else "bold red")]
         told = (
             f"{values['rows']:,} rows, {values['gaps']} gaps, {values['missing']} missing; estimator lag "
@@ -114,6 +119,8 @@ class Board:
             level = (
                 values["level"] if values["supported"] == "yes" or values["level"] != "weak" else "not determined yet"
             )
+            late_ns = self._newest_ns - packet.at_ns
+            level += f", {late_ns * 1e-9:.0f} s old" if late_ns > _OLD_NS else ""
             table.add_row(Text(name), *shown, Text(values["unit"]), Text(level, _STYLES[values["level"]]))
         return table
 

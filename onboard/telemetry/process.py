@@ -78,6 +78,8 @@ def main(arguments: Sequence[str]) -> int:
     for ignored in (signal.SIGINT, signal.SIGHUP):  # a terminal's: they end the flight, which ends this process
         signal.signal(ignored, signal.SIG_IGN)
     with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text("heft-telemetry", encoding="ascii")  # as ps shows it
+    with contextlib.suppress(OSError):
         os.nice(_NICENESS)
     try:
         opened = sink(address)
@@ -97,7 +99,7 @@ class _Sender:
     def __init__(self, log: Path, address: Address, opened: Sink, settings: Rates) -> None:
         self._log, self._address, self._settings = log, address, settings
         self._sink: Sink | None = opened
-        self._again_ns = 0
+        self._again_ns, self._failed = 0, False
         self._downlink: Downlink | None = None
         self._rings: dict[str, RingReader] = {}
         self._others: set[str] = set()
@@ -109,7 +111,13 @@ class _Sender:
             now_ns = time.monotonic_ns()
             if now_ns >= ask_ns:
                 ask_ns = now_ns + _ASK_NS
-                found = next((flight for flight in manifest.running() if flight.log == self._log), None)
+                try:
+                    found = next((flight for flight in manifest.running() if flight.log == self._log), None)
+                except (
+                    OSError,
+                    ValueError,
+                ):  # of another flight, which is just being made or removed: looked for again
+                    continue
                 if found is None and directory is not None:
                     break
                 if found is not None and directory is None:
@@ -171,15 +179,19 @@ class _Sender:
         try:
             if self._sink is None and now_ns >= self._again_ns:
                 self._sink = sink(self._address)
-                self._say("works again")
             if self._sink is not None and self._sink.ready():
                 for packet in packets:
                     self._sink.send(packet)
+                    if self._failed:
+                        self._failed = False
+                        self._say("works again")
                     if not self._sink.ready():
                         break
         except OSError as error:
-            if self._sink is not None:
+            if not self._failed:
+                self._failed = True
                 self._say(f"{error.strerror or error}; it is tried again every second, the flight goes on")
+            if self._sink is not None:
                 with contextlib.suppress(OSError):
                     self._sink.close()
             self._sink, self._again_ns = None, now_ns + _AGAIN_NS

@@ -1,6 +1,7 @@
 """``heft telemetry``, and ``--telemetry`` of the commands that fly."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,13 @@ from space_packet_parser.generators.ccsds import ccsds_generator
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 
 from onboard import cli
+from onboard.cli.common import console
 from onboard.config.telemetry import Telemetry
 from onboard.flight.supervise.modes import Mode
 from onboard.identification.standing import LEVELS
-from onboard.telemetry import packets, xtce
-from onboard.telemetry.board import verdict
+from onboard.telemetry import link, packets, xtce
+from onboard.telemetry.board import Board, verdict
+from onboard.telemetry.stream import Series, Stream
 from tests.flight.missions import Result
 from tests.telemetry.rows import START_NS, downlink, estimates, health, said
 
@@ -26,15 +29,15 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
 @pytest.fixture
 def sent(tmp_path: Path) -> Path:
     """Packets of a few seconds, in a file."""
-    link, path = downlink(), tmp_path / "down.bin"
+    sender, path = downlink(), tmp_path / "down.bin"
     data = b""
     for step in range(200):
         now_ns = START_NS + step * 50_000_000
-        link.add(health(now_ns, rows=1000 + step, status_latched=4))
-        link.add(estimates(now_ns, ("m_[payload]", "c_x"), supported=[1, 0], level=[0, 2], why=[b"", b"[bold]signs"]))
+        sender.add(health(now_ns, rows=1000 + step, status_latched=4))
+        sender.add(estimates(now_ns, ("m_[payload]", "c_x"), supported=[1, 0], level=[0, 2], why=[b"", b"[bold]signs"]))
         if step == 30:
-            link.add(said(now_ns, "run: every device answers", code="mode"))
-        data += b"".join(link.packets(now_ns))
+            sender.add(said(now_ns, "run: every device answers", code="mode"))
+        data += b"".join(sender.packets(now_ns))
     path.write_bytes(data)
     return path
 
@@ -159,3 +162,34 @@ def test_two_kinds_of_one_apid_are_refused(tmp_path: Path, capsys: pytest.Captur
     assert code == cli.OK
     assert Telemetry().event_apid == 259
     assert "300" in (tmp_path / "db/heft.xml").read_text()
+
+
+def test_a_silent_line_is_never_a_go(sent: Path) -> None:
+    stream, series = Stream(Telemetry().apids), Series()
+    board = Board(stream, series)
+    for packet in stream.feed(sent.read_bytes()):
+        assert series.place(packet).new
+        board.add(packet)
+
+    def shown(silent_s: float) -> str:
+        screen = console()
+        with screen.capture() as captured:
+            screen.print(board.render(silent_s))
+        return captured.get()
+
+    assert "nothing has come" not in shown(2.0)
+    assert "NO-GO: nothing has come for 31 s; before:" in shown(31.0)
+
+
+def test_a_line_that_is_pulled_ends_with_what_came(
+    sent: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def pulled(address: link.Address) -> Iterator[bytes]:
+        yield sent.read_bytes()
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(link, "received", pulled)
+    code, out, err = run(["telemetry", "--decode", "serial:///dev/ttyUSB0?baud=19200"], capsys)
+    assert code == cli.OK
+    assert "m_[payload]" in out
+    assert "serial:///dev/ttyUSB0?baud=19200: [Errno 5] Input/output error" in err
