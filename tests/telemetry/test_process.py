@@ -19,17 +19,18 @@ import pytest
 
 from drivers.records import EVENT as EVENT_ROW
 from drivers.records import Severity
-from onboard import channels
+from onboard import channels, cli
 from onboard.config.telemetry import Telemetry
 from onboard.flight.store import directories, manifest
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingWriter
+from onboard.telemetry import link
 from onboard.telemetry.packets import Packet
 from onboard.telemetry.process import sending
 from onboard.telemetry.stream import Series, Stream
-from tests.flight.missions import SHORT_REAL, inline
+from tests.flight.missions import SHORT_REAL, Result, inline
 from tests.telemetry.rows import estimates, health, said
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
@@ -180,7 +181,7 @@ def test_a_line_that_fails_is_tried_again_and_the_gap_is_told(
 
 
 @pytest.mark.parametrize(
-    ("link", "why"),
+    ("given", "why"),
     [
         ("serial:///dev/nowhere?baud=19200", "--telemetry serial:///dev/nowhere?baud=19200: "),
         ("serial:///dev/null", "lacks baud"),
@@ -191,8 +192,8 @@ def test_a_line_that_fails_is_tried_again_and_the_gap_is_told(
         ("file:///nowhere/at/all", "No such file or directory; give another link"),
     ],
 )
-def test_a_link_that_cannot_be_used_is_refused_before_the_flight(link: str, why: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError) as refused, sending(tmp_path / "flight.mcap", link, FAST):  # noqa: PT011
+def test_a_link_that_cannot_be_used_is_refused_before_the_flight(given: str, why: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError) as refused, sending(tmp_path / "flight.mcap", given, FAST):  # noqa: PT011
         pytest.fail("it was opened")
     assert why in str(refused.value)
 
@@ -202,10 +203,10 @@ def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
     """What comes down is what the log says, and the flight loses nothing."""
     line, log, over = Line(tmp_path / "tty"), tmp_path / "flight.mcap", tmp_path / "over.toml"
     over.write_text(f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n")
-    link = f"serial://{tmp_path}/tty?baud=19200"
+    to = f"serial://{tmp_path}/tty?baud=19200"
     command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(over), "--realtime"]
     done = subprocess.run(
-        [*command, "--log", str(log), "--telemetry", link], capture_output=True, text=True, timeout=200, check=False
+        [*command, "--log", str(log), "--telemetry", to], capture_output=True, text=True, timeout=200, check=False
     )
     assert "every sample accounted for" in done.stdout, done.stderr
     line.pull()
@@ -232,6 +233,62 @@ def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
     assert found[-1].values["mode"] == "stopped"
     assert found[-1].values["unsent_events"] + len(of("event", found)) <= len(rows[EVENT_ROW])
     assert found[-1].values["unread"] == 0
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_port:
+        any_port.bind(("127.0.0.1", 0))
+        return int(any_port.getsockname()[1])
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("kind", ["udp", "serial"])
+def test_what_one_end_sends_of_a_log_the_other_shows(
+    kind: str, short_mission: Result, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received = link.received
+
+    def until_some_came(address: link.Address) -> Iterator[bytes]:
+        stream, whole, got = Stream(Telemetry().apids), 0, 0
+        for piece in received(address):
+            yield piece
+            got += len(piece)
+            whole += sum(packet.kind.length for packet in stream.feed(piece))
+            if whole == got >= 400:
+                return
+
+    monkeypatch.setattr(link, "received", until_some_came)
+    master, slave = pty.openpty()
+    near, far = pty.openpty()
+    for end in (slave, far):
+        tty.setraw(end)
+    port = free_port()
+    to = f"udp://127.0.0.1:{port}" if kind == "udp" else f"serial://{os.ttyname(slave)}?baud=115200"
+    at = to if kind == "udp" else f"serial://{os.ttyname(far)}?baud=115200"
+    over = threading.Event()
+
+    def cable() -> None:
+        while not over.is_set():
+            if select.select([master], [], [], 0.05)[0]:
+                os.write(near, os.read(master, 4096))
+
+    wire = threading.Thread(target=cable)
+    wire.start()
+    command = [sys.executable, "-m", "onboard.cli", "telemetry", str(short_mission.path), "--send", to]
+    sender = subprocess.Popen(command)
+    try:
+        code = cli.main(["telemetry", "--decode", at, "--duration", "100"])
+    finally:
+        sender.kill()
+        sender.wait()
+        over.set()
+        wire.join()
+        for end in (master, slave, near, far):
+            os.close(end)
+    shown = capsys.readouterr().out
+    assert code == cli.OK, shown
+    assert "rocksat" in shown
+    assert "missing none" in shown
 
 
 _DTYPES = (channels.QUANTITY, channels.HEALTH, EVENT_ROW)

@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry.packets import ANSWER, COUNTS, HEADER_BYTES, KINDS, PHASE, Packet, encode
@@ -98,6 +100,35 @@ def test_after_a_long_silence_packets_are_new() -> None:
     """More than half of all counts were missed."""
     _, places = placed([*phases(0), *phases(9000)])
     assert places == [(True, 0), (True, 8999)]
+
+
+JUNK = st.one_of(
+    st.binary(max_size=40),
+    st.builds(lambda data, size: data[:size], st.sampled_from(series_of(1)), st.integers(1, 80)),  # a packet cut off
+)
+
+
+@given(st.lists(st.one_of(JUNK, st.sampled_from(series_of(2)))), st.integers(1, 300))
+def test_every_whole_packet_between_any_bytes_is_found(pieces: list[bytes], size: int) -> None:
+    whole = set(series_of(2))
+    found, stream = fed(b"".join(pieces), size)
+    # each is a packet that was put in, or one that the junk makes up by itself: of its own bytes
+    assert len(found) >= sum(piece in whole for piece in pieces)
+    assert sum(packet.kind.length for packet in found) + stream.skipped == sum(map(len, pieces))
+
+
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=80), st.integers(0, COUNTS - 1))
+def test_counts_in_any_order_are_placed_as_a_set_of_them_says(order: list[int], first: int) -> None:
+    """Drops, repeats and late packets; what came before the first is not known to be missing."""
+    order = [order[0], *(n for n in order if n >= order[0])]
+    series = Series()
+    packets = fed(b"".join(phases(*(first + n for n in order))), 4096)[0]
+    seen: set[int] = set()
+    for number, packet in zip(order, packets, strict=True):
+        assert series.place(packet).new == (number not in seen)
+        seen.add(number)
+    assert series.missing["phase"] == max(seen) - min(seen) + 1 - len(seen)
+    assert series.repeated == len(order) - len(seen)
 
 
 def damaged(rng: np.random.Generator, sent: list[bytes]) -> tuple[bytes, set[int]]:
