@@ -1,5 +1,6 @@
 """A running flight, followed by its rings."""
 
+import contextlib
 import json
 import tomllib
 from collections.abc import Mapping
@@ -77,7 +78,9 @@ class Followed:
         return about(self.state, steps=None)
 
     def _find(self) -> None:
-        found = next((flight for flight in manifest.running() if flight.log == self.log), None)
+        found = None
+        with contextlib.suppress(OSError, manifest.ManifestError):  # of another flight, that comes or goes: tried again
+            found = next((flight for flight in manifest.running() if flight.log == self.log), None)
         if found is None:
             return
         self._directory = found.directory

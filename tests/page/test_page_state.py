@@ -10,6 +10,7 @@ from drivers import records
 from drivers.records import Batch
 from onboard import channels
 from onboard.flight.health.status import Status
+from onboard.flight.store import manifest
 from onboard.identification import quantities, standing
 from onboard.page import state as states
 from onboard.page.follow import Followed, packed, payload_of
@@ -168,6 +169,18 @@ def test_rings_say_what_the_log_says(rings: Rings) -> None:
     assert {key: mine[key] for key in ("rows", "missing", "age_s")} == {
         key: theirs[key] for key in ("rows", "missing", "age_s")
     }
+    followed.close()
+
+
+def test_a_flight_of_another_version_beside_it_does_not_end_the_page(rings: Rings, tmp_path: Path) -> None:
+    with manifest.new_flight(tmp_path / "aaa.mcap", "other") as directory:
+        (directory / "manifest.json").write_text("{}")
+        followed = Followed(rings.log)
+        followed.look()
+        assert followed.state.title == "made.mcap"
+        (directory / "manifest.json").unlink()
+        followed.look()
+        assert followed.state.title == "made: made.mcap"
     followed.close()
 
 

@@ -319,6 +319,21 @@ class TestCommand:
             running.send_signal(signal.SIGINT)
             assert (running.wait(60), running.stderr.read()) == (0, "")
 
+    def test_a_running_flight_is_shown_until_it_is_interrupted_or_has_ended(self, rings: Rings) -> None:
+        command = [sys.executable, "-m", "onboard.cli", "watch", "--live", "--page-address", ":0"]
+        for interrupted in (True, False):
+            with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+                assert running.stderr is not None
+                port = int(running.stderr.readline().rstrip("/\n").rpartition(":")[2])
+                stream = Stream(port)
+                assert stream.frame()["title"] == "made: made.mcap"
+                if interrupted:
+                    running.send_signal(signal.SIGINT)
+                else:
+                    rings.manifest.remove()
+                assert (running.wait(60), running.stderr.read()) == (0, "")
+                stream.close()
+
     def test_a_damaged_log_is_shown_and_said(self, made_log: Path, tmp_path: Path) -> None:
         short = tmp_path / "short.mcap"
         short.write_bytes(made_log.read_bytes()[:-5000])

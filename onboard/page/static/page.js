@@ -93,7 +93,7 @@ function card(one) {
   const its = {box, number, level: make("span", "level"), value: make("span"), interval: make("small"), why: make("p", "why"), course: drawing()};
   box.dataset.name = one.name;
   its.why.tabIndex = 0;
-  head.append(make("span", "", one.name), its.level);
+  head.append(make("span", "", one.name.replace(/([_+])/g, "$1\u200b")), its.level);
   number.append(its.value, its.interval);
   box.append(head, number, its.course.box, its.why);
   at(one.kind === "other" ? "others" : "held").append(box);
