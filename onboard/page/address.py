@@ -80,8 +80,8 @@ class Request(NamedTuple):
 def judge(head: bytes, address: Address, token: str) -> Request:
     """Read the head of a request and say whether it may be answered.
 
-    Refused are, by HTTP status: what is no GET (405); a Host that is a foreign name (403), which DNS can have point
-    here; a page of another origin (403), by Origin or Sec-Fetch-Site; a path without the token (404).
+    Refused are, by HTTP status: what is no GET (405); without a token a Host that is a foreign name (403), which
+    DNS can have point here; a page of another origin (403), by Origin or Sec-Fetch-Site; no token in the path (404).
 
     Args:
         head: of the request, to the empty line.
@@ -96,7 +96,7 @@ def judge(head: bytes, address: Address, token: str) -> Request:
         headers.setdefault(name.strip().lower(), []).append(value.strip())
     if asked is None or len(headers.get("host", [])) != 1 or len(headers.get("origin", [])) > 1:
         return Request("", refused="400 Bad Request")
-    if refused := _refusal(asked[1], headers, address):
+    if refused := _refusal(asked[1], headers, None if token else address):
         return Request("", refused=refused)
     path, _, query = asked[2].partition("?")
     if not token:
@@ -107,13 +107,13 @@ def judge(head: bytes, address: Address, token: str) -> Request:
     return Request(f"/{rest}", query)
 
 
-def _refusal(method: str, headers: dict[str, list[str]], address: Address) -> str:
-    """The status, or nothing."""
+def _refusal(method: str, headers: dict[str, list[str]], address: Address | None) -> str:
+    """The status, or nothing. Without an address any name will do: a page that has DNS point here has no token."""
     [named] = headers["host"]
     host = _host(f"//{named}")
     if method != "GET":
         return "405 Method Not Allowed"
-    if host is None or not _may_be_called(host, address):
+    if host is None or not (address is None or _may_be_called(host, address)):
         return "403 Forbidden Host"
     foreign = any(one in ("cross-site", "same-site") for one in headers.get("sec-fetch-site", []))
     navigates = headers.get("sec-fetch-mode", [""])[0] == "navigate"  # a link elsewhere may lead here

@@ -5,7 +5,6 @@ and one that takes nothing for ``stall_s`` is disconnected.
 """
 
 import asyncio
-import contextlib
 import socket
 from importlib.resources import files
 from typing import Any, Protocol
@@ -195,8 +194,7 @@ class Web:
         writer.write(_head("200 OK", "text/event-stream", None) + b"retry: 2000\n\n")
         self._viewers.add(viewer)
         try:
-            while await reader.read(1024):  # until it goes; what it sends is dropped
-                pass
+            await reader.read(1)  # until it goes; a viewer has nothing to say
         finally:
             self._viewers.discard(viewer)
 
@@ -244,6 +242,9 @@ def _head(status: str, kind: str, length: int | None) -> bytes:
 
 
 async def _reply(writer: asyncio.StreamWriter, status: str, kind: str, body: bytes) -> None:
+    writer.transport.set_write_buffer_limits(high=0)  # else a small rest would be waited for by nobody
     writer.write(_head(status, kind, len(body)) + body)
-    with contextlib.suppress(TimeoutError):
+    try:
         await asyncio.wait_for(writer.drain(), STALL_S)
+    except TimeoutError:
+        writer.transport.abort()

@@ -1,6 +1,8 @@
 """The page in Chromium: its numbers are those of the log, nothing of a log is markup, and it finds a flight again."""
 
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -160,12 +162,24 @@ def test_an_hour_does_not_grow_in_the_browser(tab: Tab, made_log: Path) -> None:
     assert last > 3580
 
 
-@pytest.mark.parametrize("name", ["dymaflex", "dymaflex_wheels", "rocksat", "workshop"])
+def turned() -> str:
+    """A URDF of joints that turn about axes in general directions, and slide."""
+    joints = ""
+    for number, kind in enumerate(("revolute", "prismatic", "fixed", "revolute", "revolute")):
+        joints += (
+            f'<link name="link_{number + 1}"/><joint name="joint_{number}" type="{kind}"><parent link="link_{number}"/>'
+            f'<child link="link_{number + 1}"/><origin xyz="0.{number} -0.2 0.3" rpy="0.4 -0.{number + 5} 1"/>'
+            f'<axis xyz="{number - 1} 2 0.5"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        )
+    return f'<robot name="turned"><link name="link_0"/>{joints}</robot>'
+
+
+@pytest.mark.parametrize("name", ["dymaflex", "dymaflex_wheels", "rocksat", "workshop", "turned"])
 def test_the_arm_is_where_the_model_has_it(tab: Tab, made_log: Path, name: str, rng: np.random.Generator) -> None:
-    path = next(packaged(name).parent.glob("*.urdf"))
-    tree = tree_of({path.name: path.read_bytes()})
+    text = turned() if name == "turned" else next(packaged(name).parent.glob("*.urdf")).read_text()
+    tree = tree_of({"vehicle.urdf": text.encode()})
     assert tree is not None
-    model = VehicleModel(path.read_text(), VehicleSpec(BaseKind.FIXED, tree["root"]))
+    model = VehicleModel(text, VehicleSpec(BaseKind.FIXED, tree["root"]))
     q = rng.uniform(-1.0, 1.0, len(model.joints))
     points = skeleton(model, q[None])
     with served(Recorded(LogReader(made_log))) as one:
@@ -213,3 +227,21 @@ def test_the_arm_is_drawn_and_turns(tab: Tab, made_log: Path) -> None:
         before = tab.run(picture)
         tab.run("document.querySelector('#arm canvas').onkeydown({key: 'ArrowLeft', preventDefault() {}})")
         tab.wait(f"{picture} !== {before!r}")
+
+
+def test_it_comes_back_after_a_page_process_that_was_killed(tab: Tab, rings: Rings) -> None:
+    rings.push(flight())
+    command = [sys.executable, "-m", "onboard.page", str(rings.log)]
+    port = 0
+    for _ in range(2):
+        with subprocess.Popen([*command, f":{port}"], stdout=subprocess.PIPE, text=True) as running:
+            assert running.stdout is not None
+            url = running.stdout.readline().split()[1]
+            if not port:
+                port = int(url.rstrip("/").rpartition(":")[2])
+                tab.open(url)
+            tab.wait("document.getElementById('link').textContent === 'live'")
+            assert "5.020" in tab.run(f"{CARD}.innerText")
+            running.kill()
+        tab.wait("document.getElementById('link').textContent === 'no connection: trying again'")
+        tab.run("new Promise(later => setTimeout(later, 3000)).then(() => 1)")  # tried again, in vain

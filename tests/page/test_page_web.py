@@ -141,6 +141,8 @@ class TestWhoIsAnswered:
             assert ask(one.port, f"/{one.token}/").body == (STATIC / "index.html").read_bytes()
             assert json.loads(ask(one.port, f"/{one.token}/flight").body)["title"] == "made: made.mcap"
             assert ask(one.port, f"/{one.token}/flight", FOREIGN).status == 403
+            assert ask(one.port, f"/{one.token}/flight", host="flight.local:80").status == 200  # whatever leads here
+            assert ask(one.port, "/flight", host="flight.local:80").status == 404
 
     def test_a_token_is_new_each_time_and_not_for_this_computer(self) -> None:
         every = addresses.parse("0.0.0.0:0")
@@ -265,6 +267,31 @@ class TestViewers:
                 connection.settimeout(60)
                 with contextlib.suppress(ConnectionResetError):
                     assert connection.recv(10) == b""
+
+    @pytest.mark.parametrize("size", [90_000, 200_000])  # less, and more, than asyncio keeps before it waits
+    def test_answers_that_nobody_takes_keep_no_connection(self, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(web, "STALL_S", 0.3)
+        source = Flying()
+        source.state.title = "x" * size
+        with served(source) as one, contextlib.ExitStack() as stack:
+            before = len(list(Path("/proc/self/fd").iterdir()))
+            asked = [Stream(one.port, "/flight", buffer=4096) for _ in range(30)]
+            for stream in asked:
+                stack.callback(stream.close)
+            until = time.monotonic() + 20
+            while len(list(Path("/proc/self/fd").iterdir())) > before + len(asked) and time.monotonic() < until:
+                time.sleep(0.05)
+            assert len(list(Path("/proc/self/fd").iterdir())) <= before + len(asked)  # this side's alone
+            assert len(ask(one.port, "/flight").body) > size
+
+    def test_one_that_talks_is_disconnected(self) -> None:
+        with served(Flying()) as one:
+            stream = Stream(one.port)
+            stream.head()
+            stream.connection.sendall(b"hello")
+            with pytest.raises((EOFError, ConnectionResetError)):
+                stream.frame()
+            stream.close()
 
 
 @pytest.mark.realtime
