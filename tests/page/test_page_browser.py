@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drivers import records
+from onboard import channels
 from onboard.config.loader import packaged
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.skeleton import skeleton
@@ -20,6 +22,7 @@ from onboard.page.arm import tree_of
 from onboard.page.recorded import Recorded
 from onboard.page.state import BODY
 from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
 from tests.page.browser import BROWSER, Tab, browser
 from tests.page.made import MARKUP, SECOND, START, Rings, flight
 from tests.page.served import served
@@ -115,6 +118,27 @@ def test_on_a_screen(tab: Tab, made_log: Path, tmp_path: Path, size: tuple[int, 
         grey = np.asarray(Image.open(tmp_path / "page.png").convert("L"))
         assert (np.median(grey) > 230) == (scheme == "light")
         assert (np.median(grey) < 50) == (scheme == "dark")
+
+
+def test_many_reasons_and_long_texts_leave_room_for_what_is_held(tab: Tab, tmp_path: Path) -> None:
+    rows, event = np.zeros(40, channels.QUANTITY), np.zeros(1, records.EVENT)
+    rows["host_ns"], rows["unit"], rows["value"], rows["supported"], rows["level"] = START, b"kg", 3e5, 1, 1
+    rows["name"] = [b"m_[red]<b>%02d%s" % (number, b"W" * 20) for number in range(40)]
+    rows["why"] = [b"reason %d %s" % (number, b"W" * 100) for number in range(40)]
+    event["host_ns"], event["code"], event["text"] = START, b"phase", b"W" * 160
+    with LogWriter.create(tmp_path / "long.mcap", durable=False) as writer:
+        for name, content in (("quantity", rows), ("event", event)):
+            writer.register(name, content.dtype)
+            writer.write(name, content)
+    with served(Recorded(LogReader(tmp_path / "long.mcap"))) as one:
+        tab.screen(360, 740)
+        tab.open(f"http://127.0.0.1:{one.port}/")
+        tab.wait("document.querySelectorAll('.answer[data-name]').length === 40")
+        assert tab.run("document.querySelectorAll('#reasons li').length") == 4
+        assert tab.text("#further-count") == "36 more reasons"
+        assert tab.run("document.querySelectorAll('#further-reasons li').length") == 36
+        assert tab.run("document.documentElement.scrollWidth") <= 360
+        assert tab.run("document.querySelector('.held').getBoundingClientRect().top") < 1.4 * 740
 
 
 def test_what_has_no_name_for_who_does_not_see(tab: Tab, made_log: Path) -> None:

@@ -3,7 +3,7 @@ import {age, clockText, count, rate, unitText, withInterval} from "./format.js";
 import {Course, draw, drawing} from "./course.js";
 import {Arm} from "./arm.js";
 
-const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200;
+const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200, REASONS = 5;
 const at = id => document.getElementById(id);
 const arm = new Arm(at("arm")), cards = new Map(), courses = new Map();
 let flight = null, frame = null, events = [], stream = null, lastMs = 0, again = null;
@@ -41,7 +41,12 @@ function show(next) {
   put(at("word"), next.go.word);
   at("word").className = `word ${next.go.word === "GO" ? "go" : worst}`;
   const order = ["against", "open", "note"], reasons = [...next.go.reasons].sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind));
-  fill(at("reasons"), reasons, () => make("li"), (node, reason) => { put(node, reason.text); node.className = reason.kind; });
+  const tell = (id, those) => fill(at(id), those, () => make("li"), (node, reason) => { put(node, reason.text); node.className = reason.kind; });
+  const split = reasons.length > REASONS ? REASONS - 1 : REASONS;
+  tell("reasons", reasons.slice(0, split));
+  tell("further-reasons", reasons.slice(split));
+  at("further").hidden = reasons.length <= split;
+  put(at("further-count"), `${reasons.length - split} more reasons`);
   answers(next);
   health(next);
   arm.show(next.joints, next.held, flight.live);
