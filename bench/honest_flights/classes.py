@@ -129,6 +129,13 @@ def _late(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     return {}, [fault("delayed", str(rng.choice(JOINTS)), 0.0, 0.0025)]
 
 
+def _stuck(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    del size
+    starts_s = float(rng.uniform(10.0, 24.0))
+    stuck = fault("stuck", str(rng.choice(JOINTS)), starts_s, 0.0)
+    return {}, [stuck | {"end_s": starts_s + float(rng.uniform(1.0, 3.0))}]
+
+
 def _cross_talk(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     del rng, size
     axes = {"cross_axis_sigma": 0.01}
@@ -194,6 +201,7 @@ CLASSES = {
     "leak": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _LEAK_WRENCH),
     "drag, no cell": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _DRAG_WRENCH, without="load_cell"),
     "mild: joint 2.5 ms late": Class("mild", "dymaflex", JOINTS, _late),
+    "a joint stuck for a while": Class("mild", "dymaflex", JOINTS, _stuck),
     "mild: cross-talk 1 %": Class("mild", "dymaflex", ("imu",), _cross_talk),
     "mild: backlash 1.5 mrad": Class("mild", "dymaflex", JOINTS, _backlash),
     "mild: gyro 1 %": Class("mild", "dymaflex", ("imu",), _scale("imu_base"), 1.0),

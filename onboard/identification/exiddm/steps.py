@@ -7,15 +7,21 @@ linear systems, 1976). With the whitened innovations e the information of t is `
 ``d = sum G'e``; evidence, mean and covariance follow as those of every hypothesis (:mod:`..evidence.bank`). The
 filter's state does not grow.
 
-A window that begins anew has constants that do not change, and steps begin after it. One that replaces the filter's
-steps solves the same ticks: what they have told of a step stays.
+Of a window, which is solved as a whole with constants that do not change, they follow from its normal equations: with
+the unknowns at its first tick, their covariance P after it, whitened derivatives H by these and G by a step, residuals
+r of the solution and the transition F to its end,
+
+    D = step - F P H'G,   J = G'G - G'H P H'G,   d = G'r
+
+A time that is no longer kept leaves its odds to the one after it.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Changed, Suspect
 from onboard.identification.evidence.bodies import EACH
 from onboard.identification.evidence.policy import LIKELY_SIZE, STEPS_PER_HOUR
@@ -23,8 +29,30 @@ from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
-_EVERY = 10  # batches between candidate times of a step: the motion changes in no less than a second
-_TIMES = 8  # candidate times that are kept: the newest, and the likeliest of the others
+_EVERY = 2  # batches between times of a step: 0.25 s beside it, a step of 2 % had half of its 60 nats within a second
+_TIMES = 8  # that are kept; of twelve, eight flights with a step told the same
+
+
+class Inside(NamedTuple):
+    """Steps of one sigma each at times inside a window."""
+
+    lines: IndexArray  # of the load cells
+    at: IndexArray  # (m,) places in the state
+    size: FloatArray  # (m,)
+    first: IndexArray  # (m,) ticks of the window from which on they are there
+
+    def seen(self, rows: FloatArray, tick: int) -> FloatArray:
+        """What they do to the cells' readings, (n, lines, m); ``rows``: derivatives of these from a tick on."""
+        there = np.arange(tick, tick + len(rows))[:, None] >= self.first
+        return np.asarray(rows[..., self.at] * (self.size * there)[:, None], np.float64)
+
+    def changed(self, size: int) -> FloatArray:
+        """What they do to a state of so many elements, (p, m)."""
+        return np.asarray((np.arange(size)[:, None] == self.at) * self.size, np.float64)
+
+
+_NONE: IndexArray = np.zeros(0, np.intp)
+NO_STEPS = Inside(_NONE, _NONE, np.zeros(0), _NONE)
 
 
 class Steps:
@@ -39,19 +67,37 @@ class Steps:
 
     def __init__(self, predictor: ImuPredictor) -> None:
         self._predictor, self._every_s = predictor, _EVERY * BATCH_TICKS * predictor.period_s
-        self._what, self._batches = tuple(_steps_of(predictor, self._every_s)), 0
+        self._what = tuple(_steps_of(predictor, self._every_s))
         self.forget()
 
     def forget(self) -> None:
-        """The filter goes on from a window, after which they may be others."""
-        self._batches, self._numbers = 0, np.zeros(0, np.intp)  # of each step among what they are of
-        self.changed = Changed.none(len(self._predictor.names))
+        """Nothing is known of any before now."""
+        self.begin(Changed.none(len(self._predictor.names)))
+
+    def inside(self, ticks: int) -> Inside:
+        """Those that are looked for in a window of so many ticks, in the order in which :meth:`begin` takes them."""
+        times = np.arange(0, ticks, _EVERY * BATCH_TICKS)[1:]
+        at = np.array([one.at[0] for one in self._what], np.intp)
+        size = np.array([one.along[0, 0] for one in self._what], np.float64)
+        predictor = self._predictor
+        lines = [
+            own.start
+            for one, own in zip(predictor.further, predictor.lines[1:], strict=True)
+            if isinstance(one, FurtherCell)
+        ]
+        steps = np.tile(at, len(times)), np.tile(size, len(times)), np.repeat(times, len(at))
+        return Inside(np.array(lines, np.intp), *steps)
+
+    def begin(self, inside: Changed) -> None:
+        """The filter goes on from a window with these steps."""
+        self._batches, self.changed = 0, inside
+        self._stands = np.ones(len(inside.d) // max(len(self._what), 1))  # times that each time stands for
         self._may_be()
 
     @property
     def suspects(self) -> list[Suspect]:
         """What each step is of."""
-        return [self._what[k] for k in self._numbers.tolist()]
+        return [one._replace(odds=one.odds * times) for times in self._stands.tolist() for one in self._what]
 
     def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
@@ -70,17 +116,21 @@ class Steps:
             self._may_be()
 
     def _may_be(self) -> None:
+        """From now on, too; of too many times the least likely but the newest is left to the one after it."""
         (D, d, J), each = self.changed, len(self._what)
-        kept = np.ones(len(d), np.bool_)
-        if each and len(d) == _TIMES * each:
-            least = int(self.changed.nats.reshape(-1, each).max(axis=1)[:-1].argmin())
-            kept[least * each : (least + 1) * each] = False
-        new = np.zeros((len(D), each))
+        if not each:
+            return
+        nats, kept = self.changed.nats.reshape(-1, each).max(axis=1), np.arange(len(self._stands))
+        while len(kept) >= _TIMES:
+            least = int((nats[kept] + np.log(self._stands[kept]))[:-1].argmin())
+            self._stands[kept[least + 1]] += self._stands[kept[least]]
+            kept = np.delete(kept, least)
+        steps, new = (each * kept[:, None] + np.arange(each)).ravel(), np.zeros((len(D), each))
         for k, one in enumerate(self._what):
             new[one.at, k] = one.along[:, 0]
         none = np.zeros(each)
-        self.changed = Changed(np.hstack([D[:, kept], new]), np.append(d[kept], none), np.append(J[kept], none))
-        self._numbers = np.append(self._numbers[kept], np.arange(each))
+        self.changed = Changed(np.hstack([D[:, steps], new]), np.append(d[steps], none), np.append(J[steps], none))
+        self._stands = np.append(self._stands[kept], 1.0)
 
 
 def _steps_of(predictor: ImuPredictor, every_s: float) -> Iterator[Suspect]:

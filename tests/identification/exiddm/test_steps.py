@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from onboard.identification.evidence.bank import Bank, Known, Suspect
+from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect
 from onboard.identification.evidence.policy import ODDS_OF_PART
 from onboard.identification.exiddm import steps as steps_module
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
@@ -131,17 +131,20 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
     assert not steps.changed.J.any()
 
 
-def test_one_may_begin_every_second_and_of_a_minute_eight_are_kept_as_likely_as_a_wrong_part() -> None:
-    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, further=(CELL,), changing=np.array([0]))
+def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as_likely_as_a_wrong_part() -> None:
+    further: Any = {"further": (CELL,), "lines": (slice(6), slice(6, 7))}
+    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, changing=np.array([0]), **further)
     steps, counts = Steps(predictor), list[int]()
     for _ in range(600):  # batches of ten ticks
         m = steps.changed.D.shape[1]
         steps.step((np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))), np.eye(5)[:1])
         counts.append(len(steps.suspects))
     scales_and_zeros = 2
-    assert counts[8] == scales_and_zeros
-    assert counts[9] == counts[18] == 2 * scales_and_zeros
-    assert counts[19] == 3 * scales_and_zeros
-    assert max(counts) == 8 * scales_and_zeros  # right-hand sides of a batch: 2 % of what a flight's estimate costs
-    in_a_minute = 60 * steps.suspects[0].odds
+    assert counts[0] == scales_and_zeros
+    assert counts[1] == counts[2] == 2 * scales_and_zeros
+    assert max(counts) == 8 * scales_and_zeros  # right-hand sides of a batch: 2 % of what an estimate costs
+    in_a_minute = sum(one.odds for one in steps.suspects[::2])  # each has the odds of those that are left to it
     assert abs(np.log(in_a_minute / ODDS_OF_PART)) < np.log(1.5)
+    steps.begin(Changed(np.zeros((5, 80)), np.zeros(80), np.zeros(80)))  # of a window of eight seconds
+    assert len(steps.suspects) == 8 * scales_and_zeros
+    assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)

@@ -13,6 +13,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.steps import NO_STEPS, Inside
 
 PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
 
@@ -24,19 +25,25 @@ class Pieces:
         state: (p,) at the first of them.
         active: the unknowns, (a,), by their place in the state; the others stay as they are.
         ticks: n.
+        lines: of each.
+        steps: that may be inside.
 
     Attributes:
         normal: of what has been predicted, by the unknowns at the first tick.
+        of_steps: of what the steps do to it, their squares and their products with the residuals, (m,), and with the
+            derivatives, (m, a).
         residual: whitened, predicted less measured, (n, lines); zero for lines that are not used.
         state: (p,) at the last tick predicted.
         transition: (p, a) derivative of that by the unknowns at the first tick.
         over: all ticks are predicted.
     """
 
-    def __init__(self, state: FloatArray, active: IndexArray, ticks: int, lines: int) -> None:
+    def __init__(self, state: FloatArray, active: IndexArray, ticks: int, lines: int, steps: Inside = NO_STEPS) -> None:
         self.state, self.transition, self._active = state, np.eye(len(state))[:, active], active
         self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
-        self.residual = np.zeros((ticks, lines))
+        self.residual, self._steps = np.zeros((ticks, lines)), steps
+        m = len(steps.at)
+        self.of_steps: tuple[FloatArray, ...] = np.zeros(m), np.zeros(m), np.zeros((m, len(active)))
         self._done, self._left, self._first = 0, -(-ticks // PIECE), True  # ticks, pieces
 
     @property
@@ -72,8 +79,14 @@ class Pieces:
         stays = ~np.isin(self._active, changing)
         half = self._by_first(piece.information, changing, stays)
         by_first = self._by_first(half.T, changing, stays), self._by_first(piece.gradient, changing, stays)
-        seen = Normal(*by_first, piece.squares)
-        self.normal = self.normal.plus(seen)
+        self.normal = self.normal.plus(Normal(*by_first, piece.squares))
+        if self._steps.at.size:
+            rows, left = jacobian[:, self._steps.lines], residual[:, self._steps.lines]
+            seen = self._steps.seen(rows, first)
+            across = np.einsum("nlm,nlp->mp", seen, rows, optimize=True)
+            told = (seen**2).sum(axis=(0, 1)), np.einsum("nlm,nl->m", seen, left)
+            both = zip(self.of_steps, (*told, self._by_first(across, changing, stays)), strict=True)
+            self.of_steps = tuple(known + more for known, more in both)
         self.residual[first : self._done] = residual
         self.state, self.transition[changing] = predicted.state, predicted.transition @ self.transition
         self._first = False

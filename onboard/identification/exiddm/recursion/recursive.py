@@ -118,7 +118,8 @@ class RecursiveExiddm(Holding):
         prior, start = self._innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
-        return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu)
+        steps = self.rivals.steps.inside(len(seen.time_s) - 2)
+        return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu, steps)
 
     def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
@@ -196,6 +197,7 @@ class RecursiveExiddm(Holding):
                 self._stepped, self._start = stepped.after(found), found.start
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
                 self.lines.begin(found.residual)
+                self.rivals.steps.begin(found.steps)
             assert self.state is not None
             self._snapshots.append(self.state, self.covariance)
             return
@@ -263,6 +265,7 @@ class RecursiveExiddm(Holding):
         self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
         self.lines.begin(solved.residual)
+        self.rivals.steps.begin(solved.steps)
         self.ticks_used, self._hypotheses, self.unexplained.wait, self._pending = solved.used, (hypothesis,), 0, ticks
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1

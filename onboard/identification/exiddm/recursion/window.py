@@ -22,6 +22,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
+from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.exiddm.prediction.imu_prediction import (
     PAYLOAD,
@@ -30,6 +31,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import (
 )
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.pieces import Pieces
+from onboard.identification.exiddm.steps import NO_STEPS, Inside
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40  # predictions
@@ -78,6 +80,7 @@ class Solved(NamedTuple):
     cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
     residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
     kept: FloatArray  # (p, p) covariance with which a filter goes on
+    steps: Changed  # inside it
 
     @property
     def mass_sigma(self) -> float:
@@ -122,6 +125,7 @@ class WindowSolve:
         hypotheses: in the order in which they are tried.
         start: (p,) the state at the first tick as it was found before; None: guesses are made.
         imu: the one of which guesses are made.
+        steps: that may be inside.
     """
 
     def __init__(
@@ -133,8 +137,9 @@ class WindowSolve:
         hypotheses: tuple[Hypothesis, ...],
         start: FloatArray | None,
         imu: int = 0,
+        steps: Inside = NO_STEPS,
     ) -> None:
-        self._predictor, self._payload_sigma = predictor, payload_sigma
+        self._predictor, self._payload_sigma, self._steps = predictor, payload_sigma, steps
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self._prior, self._given = ticks, prior, start
         self._sigma = ticks.sigma
@@ -195,7 +200,8 @@ class WindowSolve:
     def _predict(self, x: FloatArray) -> None:
         """Begin to predict the window with these values of what is active."""
         self._at = x
-        self._pieces = Pieces(self._problem.state(x), self._problem.active, *self._use.shape)
+        ticks, lines = self._use.shape
+        self._pieces = Pieces(self._problem.state(x), self._problem.active, ticks, lines, self._steps)
 
     # ------------------------------------------------------------------ a hypothesis
 
@@ -353,9 +359,17 @@ class WindowSolve:
         kept = covariance
         if self._predictor.bends.size:  # what drives them is not exact: hardly a window's period counts
             active = self._problem.active
-            told = whole.normal.information / _DRIVEN + self._problem.information[np.ix_(active, active)]
-            kept = F @ np.asarray(np.linalg.inv(told), np.float64) @ F.T
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost, residual, kept)
+            informed = whole.normal.information / _DRIVEN + self._problem.information[np.ix_(active, active)]
+            kept = F @ np.asarray(np.linalg.inv(informed), np.float64) @ F.T
+        squares_of, along, across = whole.of_steps
+        moves = fitted.covariance @ across.T
+        steps = Changed(
+            self._steps.changed(len(start)) - F @ moves,
+            -along - across @ (fitted.x - self._at),
+            squares_of - (across * moves.T).sum(axis=1),
+        )
+        told = strained, cost, residual, kept, steps
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

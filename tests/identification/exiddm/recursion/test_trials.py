@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
+from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.trials import CellTrials, WindowFits, WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
-HYPOTHESES = (Hypothesis.SAME,)
+HYPOTHESES, NONE = (Hypothesis.SAME,), Changed.none(0)
 
 
 def solved(strained: float) -> Solved:
     return Solved(
-        Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0, np.zeros((98, 6)), np.eye(3)
+        Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0, np.zeros((98, 6)), np.eye(3), NONE
     )
 
 
@@ -54,7 +55,7 @@ def of_payload(hypothesis: Hypothesis, cost: float, mass_kg: float = 0.5) -> Sol
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
     return Solved(
-        hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost, np.zeros((98, 6)), np.eye(PAYLOAD.stop)
+        hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost, np.zeros((98, 6)), np.eye(PAYLOAD.stop), NONE
     )
 
 

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from onboard.estimation.maximum_likelihood import Descent
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.evidence.bank import Changed
+from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
 from onboard.identification.exiddm.recursion.pieces import Pieces
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve, _Problem
+from onboard.identification.exiddm.steps import Steps
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 
@@ -113,7 +116,8 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     state[PAYLOAD.start] = mass_kg
     for sigma_kg, kept in ((0.13, True), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
-        found = Solved(Hypothesis.NEW, np.ones(13), state, covariance, 398, 0, 0.0, 2000.0, none, covariance)
+        rest = 2000.0, none, covariance, Changed.none(13)
+        found = Solved(Hypothesis.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
 
@@ -126,3 +130,44 @@ def test_a_start_that_later_ticks_contradict_is_replaced_by_guesses(held):
     again = solved(predictor, window, Hypothesis.NEW, far)[0].found
     assert again is not None
     assert again.cost == pytest.approx(best.cost, abs=1.0)
+
+
+def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost_by(held, rng):
+    cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.1, 0.0, 0.0025, 0.0))
+    predictor = online(held, imu_prior=PRIOR, further=(cell,)).predictor
+    ticks, p = ticks_of(held).part(slice(0, 122)), len(predictor.names)
+    sigma = np.nan_to_num(predictor.sigma)
+    sigma[RATE], sigma[PAYLOAD] = 1.0, [0.1, *[0.01] * 3, *[0.01] * 6]
+    start = np.zeros(p)
+    start[PAYLOAD] = [5.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    true = predictor.predict(ticks.q, ticks.dq, ticks.ddq, start)
+    lines = predictor.lines[-1].stop
+    noise = np.column_stack([ticks.sigma, np.full(len(ticks.sigma), 0.02)])
+    measured = np.zeros((122, lines))
+    measured[1:-1] = true.values + noise[1:-1] * rng.standard_normal(true.values.shape)
+    inside = Steps(predictor).inside(120)
+    assert (inside.first.min(), inside.first.max()) == (20, 100)
+
+    def ended(readings):
+        window = ticks._replace(measured=readings, sigma=noise)
+        known = start, np.diag(sigma**2)
+        solve = WindowSolve(predictor, WIDE, window, known, (Hypothesis.SAME,), start, 0, inside)
+        while not solve.over:
+            solve.advance()
+        return solve.found
+
+    plain = ended(measured)
+    for k in (0, 1, 8, 9):
+        by = 0.1 / np.sqrt(1.0 + plain.steps.J[k])
+        step = np.where(np.arange(120) < inside.first[k], 0.0, by * inside.size[k])
+        after = measured.copy()
+        after[1:-1, -1] += step * (true.values[:, -1] if k % 2 == 0 else 1.0)  # a scale, a zero
+        found = ended(after)
+        of_step = np.zeros(p)
+        of_step[inside.at[k]] = by * inside.size[k]
+        moved = (found.state - plain.state) / np.sqrt(np.diag(plain.covariance))
+        wanted = (of_step - by * plain.steps.D[:, k]) / np.sqrt(np.diag(plain.covariance))
+        assert np.abs(wanted).max() > 0.03
+        np.testing.assert_allclose(moved, wanted, atol=0.004)
+        more = 2.0 * by * plain.steps.d[k] + by**2 * plain.steps.J[k]
+        assert found.cost - plain.cost == pytest.approx(more, abs=0.003)
