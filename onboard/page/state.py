@@ -75,7 +75,7 @@ class _Quantity:
         self.row = row
         at_ns = int(row["host_ns"])
         numbers = float(row["value"]), float(row["low"]), float(row["high"])
-        if not row["supported"] or not all(map(math.isfinite, numbers)):
+        if not _is_told(row) or not all(map(math.isfinite, numbers)):
             return
         if not self.history or at_ns - self.history[-1][0] >= self.every_ns:
             self.history.append((at_ns, *numbers))
@@ -337,9 +337,14 @@ def is_device(dtype: np.dtype[np.void]) -> bool:
     return bool({"tick", "edge_ns"} & set(dtype.names or ()))
 
 
+def _is_told(row: np.void) -> bool:
+    """Whether a value may be shown: the data determine it, and it is not withdrawn."""
+    return bool(row["supported"]) and ("level" not in (row.dtype.names or ()) or int(row["level"]) < 2)
+
+
 def _answer(name: str, row: np.void) -> dict[str, Any]:
     has_level = "level" in (row.dtype.names or ())
-    unit, supported = printable(row["unit"]), bool(row["supported"])
+    unit, supported = printable(row["unit"]), _is_told(row)
     level = LEVELS[min(int(row["level"]), 2)] if has_level else LEVELS[0] if supported else LEVELS[1]
     return {
         "name": name,

@@ -16,6 +16,7 @@ from onboard.page.state import State
 MOST_VIEWERS = 40  # of a flight's frames at once
 MOST_CONNECTIONS = 700
 REQUEST_S, STALL_S = 5.0, 15.0
+_QUIET_TURNS = 20
 _SEND_BUFFER = 1 << 15  # bytes: what a slow viewer may be behind
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 HEADERS = {
@@ -115,18 +116,24 @@ class Web:
 
     async def close(self) -> None:
         """Stop listening; viewers have a moment to take their last frame."""
-        if self._server is not None:
-            self._server.close()
         loop = asyncio.get_running_loop()
+        if self._server is not None:
+            loop.remove_reader(self._server.sockets[0].fileno())  # a connection that asyncio is taking as its server
+            for _ in range(_QUIET_TURNS):  # closes is leaked, so none is taken from here on
+                await asyncio.sleep(0)
+            self._server.close()
         until_s = loop.time() + 1.0
         while loop.time() < until_s and any(one.writer.transport.get_write_buffer_size() for one in self._viewers):
             await asyncio.sleep(0.02)
-        await _turns()  # connections that were just taken have a task from then on
-        while self._tasks:
-            for task in self._tasks:
-                task.cancel()
-            await asyncio.wait(self._tasks, timeout=0.1)
-        await _turns()
+        turns = 0  # without a task: connections that are being taken have theirs some turns later
+        while turns < _QUIET_TURNS:
+            turns += 1
+            await asyncio.sleep(0)
+            if self._tasks:
+                turns = 0
+                for task in self._tasks:
+                    task.cancel()
+                await asyncio.wait(self._tasks, timeout=0.1)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
@@ -197,12 +204,6 @@ class Web:
             await reader.read(1)  # until it goes; a viewer has nothing to say
         finally:
             self._viewers.discard(viewer)
-
-
-async def _turns() -> None:
-    """The loop's next turns, in which connections that were closed are."""
-    for _ in range(3):
-        await asyncio.sleep(0)
 
 
 def _static() -> dict[str, bytes]:

@@ -108,6 +108,15 @@ class TestGo:
             "against: c_x_payload: do not use: no payload explains the motion",
         ]  # and not the instrument's
 
+    def test_no_value_of_an_answer_that_is_withdrawn_is_told(self) -> None:
+        state = State("made", live=False)
+        rows = flight()[2].rows[-3:].copy()
+        rows["supported"], rows["level"] = 1, [2, 0, 0]
+        state.add(Batch("quantity", rows))
+        held = by_name(state.frame()["held"])
+        assert [held[name]["supported"] for name in ("m_payload", "c_x_payload")] == [False, True]
+        assert [len(state.history()[name]) for name in ("m_payload", "c_x_payload")] == [0, 1]
+
     def test_of_ten_numbers_those_of_the_payload_count_alone(self) -> None:
         rows = np.zeros(11, channels.QUANTITY)
         rows["host_ns"], rows["supported"] = START, 1
