@@ -116,7 +116,7 @@ def test_a_wrist_cell_that_nothing_contradicted_before_a_capture_is_left_out_aft
 
 @pytest.mark.parametrize(
     ("name", "field", "factor", "from_s"),
-    [("load_cell", "value_raw", 1.3, 10.0), ("imu_2", "gyro_raw", 0.7, -1.0), ("imu_base", "gyro_raw", 0.7, 11.0)],
+    [("load_cell", "value_raw", 1.1, 10.0), ("imu_2", "gyro_raw", 0.7, -1.0), ("imu_base", "gyro_raw", 0.7, 11.0)],
 )
 def test_an_instrument_whose_scale_is_wrong_from_the_start_or_changes_in_flight_is_left_out(
     flown: Result, name: str, field: str, factor: float, from_s: float
@@ -130,20 +130,6 @@ def test_an_instrument_whose_scale_is_wrong_from_the_start_or_changes_in_flight_
     texts, mass = told(flown.flown.log, name, spoil)
     assert texts == [f"{name} contradicts the other instruments: estimates without it"]
     assert_weak(mass, name)
-
-
-def test_a_wrist_cell_whose_scale_steps_by_a_tenth_is_used_with_its_step(flown: Result) -> None:
-    start_ns = int(LogReader(flown.flown.log).read("load_cell")["host_ns"][0])
-
-    def spoil(rows: Rows) -> None:
-        late = rows["host_ns"] > start_ns + 10 * 10**9
-        rows["value_raw"][late] = np.rint(1.1 * rows["value_raw"][late])
-
-    texts, mass = told(flown.flown.log, "load_cell", spoil)
-    assert texts == []
-    assert mass["why"] == b"not as stated: a step of load_cell"
-    assert abs(mass["value"] - MASS_kg) < 3.0 * mass["sigma"]
-    assert mass["sigma"] < 0.02 * MASS_kg
 
 
 def test_a_first_imu_of_swapped_axes_is_left_out(flown: Result) -> None:

@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.evidence.policy import FARTHEST_SIZE, FARTHEST_STEP, LEAST_WEIGHT, LIKELIER
+from onboard.identification.evidence.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
 
 _HALVINGS = 12  # of an interval's half: to a few thousandths of it
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
@@ -73,22 +73,6 @@ class Changed(NamedTuple):
         """Evidence over that of no step, (m,)."""
         M = 1.0 + np.maximum(self.J, 0.0)
         return np.asarray(0.5 * self.d**2 / M - 0.5 * np.log(M), np.float64)
-
-    def left(self, e: FloatArray, seen: FloatArray) -> FloatArray:
-        """Whitened innovations, (n,), if there is no step, and if there is each, (n, 1 + m).
-
-        One that by these would be of :data:`.FARTHEST_STEP` or more explains nothing of them.
-
-        Args:
-            e: if there is none.
-            seen: what each step adds to them, (n, m).
-        """
-        M, squares = 1.0 + np.maximum(self.J, 0.0), np.sum(seen * seen, axis=0)
-        left = e[:, None] - seen * (self.d / M)
-        root = np.divide(1.0 - (1.0 + squares / M) ** -0.5, squares, out=np.zeros_like(squares), where=squares > 0.0)
-        left -= seen * (root * (seen * left).sum(axis=0))
-        far = np.abs((self.d + seen.T @ e) / (M + squares)) >= FARTHEST_STEP
-        return np.column_stack([e, np.where(far, e[:, None], left)])
 
     def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
         """Of each, what it is of given; weights are one."""

@@ -29,6 +29,3 @@ LIKELIER = 0.5
 STEPS_PER_HOUR = 0.1
 """Of a load cell's scale, and of its zero, in flight: a knock, a connector. As often as a change may be detected
 falsely; one in the minute of a flight then has the odds of an instrument's part, :data:`ODDS_OF_PART`."""
-FARTHEST_STEP = 1.0
-"""Of its sigmas: beyond, an instrument's readings are refused, and it is left out. A window has to explain its ticks
-without a step: with one of 10 % it does, with one of 20 % none did, and no answer was left."""

@@ -2,14 +2,14 @@
 
 A batch's lines are ordered by instrument, those in use before those left out, so that by the Cholesky factor of the
 innovation's covariance each instrument's whitened innovation is that given all instruments before it, and an instrument
-at the end takes no part. An instrument whose innovation is improbable, with and without every step in flight that is
-weighed, is refused for that batch; after several batches in a row it is accused. A payload that is caught looks alike,
-and a cell sees it before the first IMU does, so the filter leaves the accused out only if the same payload explains a
-window without it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once; a
-tracker never, as any pose agrees where the one it should show is not known. What errors of scale do over longer times
-the bank of hypotheses weighs. The reference, the first IMU in use, is not tested so: what contradicts the model there
-is a change, which the filter detects. Where it is itself the wrong one, a window is explained without it
-(:mod:`onboard.identification.exiddm.recursion.trials`), and the next IMU becomes the reference.
+at the end takes no part. An instrument whose innovation is improbable is refused for that batch; after several batches
+in a row it is accused. A payload that is caught looks alike, and a cell sees it before the first IMU does, so the
+filter leaves the accused out only if the same payload explains a window without it; one that was refused is used again
+when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as any pose agrees where the one it should
+show is not known. What errors of scale do over longer times the bank of hypotheses weighs. The reference, the first IMU
+in use, is not tested so: what contradicts the model there is a change, which the filter detects. Where it is itself the
+wrong one, a window is explained without it (:mod:`onboard.identification.exiddm.recursion.trials`), and the next IMU
+becomes the reference.
 One that gives no readings for a second is left out as well.
 """
 
@@ -164,7 +164,7 @@ class Fusion:
 
         Args:
             order: in which the innovation has them.
-            innovation: whitened, of a batch, in that order, (n,); or under each of some hypotheses, (n, h).
+            innovation: whitened, of a batch, in that order.
             there: which lines were measured, (n, lines).
             known: instruments that are not asked for.
         """
@@ -173,8 +173,7 @@ class Fusion:
             own = self._lines[k]
             e = innovation[at : (at := at + len(there) * (own.stop - own.start))]
             freedom = int(there[:, own].sum())
-            squares = float(np.min((e * e).sum(axis=0)))
-            if k != self.reference and k not in known and freedom and chdtrc(freedom, squares) < _IMPROBABLE:
+            if k != self.reference and k not in known and freedom and chdtrc(freedom, float(e @ e)) < _IMPROBABLE:
                 return k
         return None
 

@@ -36,8 +36,6 @@ class Innovation(NamedTuple):
     e: FloatArray  # L^-1 (measured less predicted)
     L: FloatArray
     steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
-    left: FloatArray  # e without a step, and with each, (lines, 1 + m)
-    likeliest: FloatArray  # that of these which is the likeliest so far, (lines,)
     ticks: int
 
     def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -46,8 +44,8 @@ class Innovation(NamedTuple):
 
     @property
     def of_reference(self) -> FloatArray:
-        """The likeliest of the reference IMU, which comes first, (b, 6)."""
-        return self.likeliest[: 6 * self.ticks].reshape(-1, 6)
+        """``e`` of the reference IMU, which comes first, (b, 6)."""
+        return self.e[: 6 * self.ticks].reshape(-1, 6)
 
 
 class Innovations:
@@ -63,8 +61,7 @@ class Innovations:
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
-        self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
-        self._steps = rivals.steps
+        self._fusion, self._predictor, self._lines, self._steps = fusion, predictor, predictor.lines, rivals.steps
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
@@ -114,16 +111,14 @@ class Innovations:
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it has to be estimated anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
-        W, e, seen = solved[:, :p], solved[:, p], solved[:, p + 1 :]
-        left = self._steps.changed.left(e, seen)
-        return Innovation(W, e, L, seen, left, left[:, self._steps.likeliest], len(there))
+        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 
     def agreeing(
         self, batch: Batch, there: BoolArray, covariance: FloatArray, innovation: Innovation, misfit: InnovationMisfit
     ) -> tuple[Innovation, int]:
         """Innovation with instruments that contradict those before them at the end, and how many lines to use."""
         fusion, order, refused = self._fusion, self._fusion.order, list[int]()
-        while (bad := fusion.improbable(order, innovation.left, there, refused)) is not None:
+        while (bad := fusion.improbable(order, innovation.e, there, refused)) is not None:
             refused.append(bad)
             if bad not in fusion.left_out:
                 order = [k for k in order if k != bad] + [bad]
@@ -136,23 +131,24 @@ class Innovations:
             own = self._lines[k]
             first, used = used, used + len(there) * (own.stop - own.start)
             if k != fusion.reference and seen[k]:
-                e = innovation.likeliest[first:used]
+                e = innovation.e[first:used]
                 misfit.add(fusion.names[k], float(e @ e), int(there[:, own].sum()))
         fusion.judged(refused, seen)
         return innovation, used
 
-    def contradicting(self, state: FloatArray, covariance: FloatArray) -> Accusation | None:
+    def contradicting(self, state: FloatArray, covariance: FloatArray, too_far: str) -> Accusation | None:
         """An instrument in use that contradicts the others.
 
         Args:
             state: (p,) after a batch.
             covariance: of that.
+            too_far: instrument that is farther off than it can be, if any is.
         """
         fusion, predictor = self._fusion, self._predictor
         if (refused := fusion.refused) is not None:
             misled = refused.instrument in fusion.imus and self.misled(state)
             return refused._replace(batches=0) if misled else refused
-        stated, too_far = stated_after(predictor, fusion.running_s), self._rivals.too_far(state, covariance)
+        stated = stated_after(predictor, fusion.running_s)
         for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
@@ -193,9 +189,9 @@ class Innovations:
         rows = np.arange(lines).reshape(-1, 6)[there[:, self._lines[self._fusion.reference].start]]
         if not rows.size:
             return
-        e = innovation.likeliest[rows.ravel()]
+        e = innovation.e[rows.ravel()]
         misfit.add(self._fusion.names[self._fusion.reference], float(e @ e), e.size)
         for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
             L = innovation.L[own, :lines]
-            r = L @ innovation.likeliest[:lines]
+            r = L @ innovation.e[:lines]
             misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)

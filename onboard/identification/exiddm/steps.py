@@ -99,12 +99,6 @@ class Steps:
         """What each step is of."""
         return [one._replace(odds=one.odds * times) for times in self._stands.tolist() for one in self._what]
 
-    @property
-    def likeliest(self) -> int:
-        """The number of the likeliest, counted from one; zero: none is likelier than that there is none."""
-        logs = [0.0, *(self.changed.nats + np.log([one.odds for one in self.suspects]))]
-        return int(np.argmax(logs))
-
     def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
 

@@ -148,30 +148,3 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     steps.begin(Changed(np.zeros((5, 80)), np.zeros(80), np.zeros(80)))  # of a window of eight seconds
     assert len(steps.suspects) == 8 * scales_and_zeros
     assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)
-
-
-def test_innovations_with_a_step_have_its_likelihood_and_one_that_is_too_large_explains_none(
-    rng: np.random.Generator,
-) -> None:
-    e, seen = rng.standard_normal(6), 0.1 * rng.standard_normal((6, 3))
-    J = np.array([0.0, 4.0, 4.0])
-    sizes = np.array([0.0, 0.5, 1.5])  # in sigmas of each, before this batch
-    changed = Changed(np.zeros((5, 3)), sizes * (1.0 + J), J)
-    left = changed.left(e, seen)
-    np.testing.assert_array_equal(left[:, 0], e)
-    for k in (0, 1):
-        off, spread = e - seen[:, k] * sizes[k], np.eye(6) + np.outer(seen[:, k], seen[:, k]) / (1.0 + J[k])
-        assert left[:, 1 + k] @ left[:, 1 + k] == pytest.approx(off @ np.linalg.solve(spread, off))
-    np.testing.assert_array_equal(left[:, 3], e)
-
-
-def test_the_likeliest_step_is_told_where_one_is_likelier_than_none(flight: Flight, steps: Steps) -> None:
-    assert steps.likeliest == 0
-    filtered(flight, steps)
-    steps.changed = steps.changed._replace(d=np.zeros_like(steps.changed.d))
-    assert steps.likeliest == 0
-    odds = steps.suspects[4].odds
-    for nats, told in ((-0.1, 0), (0.1, 5)):
-        M = 1.0 + steps.changed.J[4]
-        steps.changed.d[4] = np.sqrt(M * (2.0 * (nats - np.log(odds)) + np.log(M)))
-        assert steps.likeliest == told
