@@ -61,7 +61,8 @@ class Innovations:
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
-        self._fusion, self._predictor, self._lines, self._steps = fusion, predictor, predictor.lines, rivals.steps
+        self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
+        self._steps = rivals.steps
         self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
@@ -136,19 +137,18 @@ class Innovations:
         fusion.judged(refused, seen)
         return innovation, used
 
-    def contradicting(self, state: FloatArray, covariance: FloatArray, too_far: str) -> Accusation | None:
+    def contradicting(self, state: FloatArray, covariance: FloatArray) -> Accusation | None:
         """An instrument in use that contradicts the others.
 
         Args:
             state: (p,) after a batch.
             covariance: of that.
-            too_far: instrument that is farther off than it can be, if any is.
         """
         fusion, predictor = self._fusion, self._predictor
         if (refused := fusion.refused) is not None:
             misled = refused.instrument in fusion.imus and self.misled(state)
             return refused._replace(batches=0) if misled else refused
-        stated = stated_after(predictor, fusion.running_s)
+        stated, too_far = stated_after(predictor, fusion.running_s), self._rivals.too_far(state, covariance)
         for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue

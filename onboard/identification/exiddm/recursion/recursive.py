@@ -194,10 +194,8 @@ class RecursiveExiddm(Holding):
             assert stepped is not None
             self.unexplained.count += found is None and stepped.first
             if found is not None:
-                self._stepped, self._start = stepped.after(found), found.start
-                self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
-                self.lines.begin(found.residual)
-                self.rivals.steps.begin(found.steps)
+                self._stepped = stepped.after(found)
+                self._go_on_from(found)
             assert self.state is not None
             self._snapshots.append(self.state, self.covariance)
             return
@@ -263,10 +261,8 @@ class RecursiveExiddm(Holding):
         if len(self._hypotheses) > 1:
             self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
-        self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
-        self.lines.begin(solved.residual)
-        self.rivals.steps.begin(solved.steps)
-        self.ticks_used, self._hypotheses, self.unexplained.wait, self._pending = solved.used, (hypothesis,), 0, ticks
+        self._go_on_from(solved)
+        self._hypotheses, self.unexplained.wait, self._pending = (hypothesis,), 0, ticks
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
         elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= DETERMINED:
@@ -286,6 +282,11 @@ class RecursiveExiddm(Holding):
             self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
             if self._stepped and self._earlier and self.rivals.weighed(*self._earlier.known).names:
                 self._asked, self._awaits = self._earlier.asked, True
+
+    def _go_on_from(self, solved: Solved) -> None:
+        self._start, self.state, self.covariance, self.ticks_used = solved[1:5]
+        self.lines.begin(solved.residual)
+        self.rivals.steps.begin(solved.steps)
 
     # ------------------------------------------------------------------ a batch, as a step
 
@@ -359,9 +360,7 @@ class RecursiveExiddm(Holding):
         if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
             self._free(free)
             return
-        known = self.state, self.covariance
-        found = self._innovations.contradicting(*known, self.rivals.too_far(*known))
-        accused = self.fusion.standing(found)
+        accused = self.fusion.standing(self._innovations.contradicting(self.state, self.covariance))
         if accused is not None:
             self._before = bool(self.held)
             kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
