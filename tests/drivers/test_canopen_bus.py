@@ -289,6 +289,29 @@ def test_no_node_is_stopped_before_a_sync_that_is_late(bench):
     assert len(port.sent) > before
 
 
+def test_what_nodes_answer_until_they_have_read_the_stop_is_taken(bench):
+    """Nodes on a busy computer: the SYNC before the stop and two after it are answered late, one by one."""
+    bench.start()
+    bench.run(200)
+    port, receive, before = bench.port, bench.port.receive, len(bench.port.sent)
+    late = iter(range(3))
+
+    def receive_late(timeout_s):
+        if timeout_s > 0.0 and not port.muted:
+            bench.clock.advance(5_000_000)
+            if len(port.sent) == before or next(late, None) is not None:
+                bench._sync(bench.clock())
+            else:
+                port.put(bench.clock(), 0x080, [bench.number % 240 + 1])
+        return receive(timeout_s)
+
+    port.receive = receive_late
+    batches = [*bench.batches, *bench.device.stop(bench.clock())]
+    assert next(late, None) is None
+    assert len(whole(batches, "joint_1")) == bench.nodes[1].answers
+    assert not len(of(batches, "gap"))
+
+
 def test_a_bus_that_cannot_be_muted_still_hands_over_what_it_has():
     port = FakeCan()
     bus = CanopenBus(port, [], SyncConfig("can_sync", 5.0))
