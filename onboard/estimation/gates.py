@@ -28,6 +28,7 @@ class GateReason(IntFlag):
     STILL = 128  # the joint's rate is below ``still_rad_s``: its Coulomb friction is undetermined
     STUCK = 256  # a reading under the kernel repeats where it must change
     LEFT_OUT = 512  # its instrument contradicts the others
+    JUMPED = 1024  # the angle of a joint has jumped since rows were used: its encoder is another one
 
 
 def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:

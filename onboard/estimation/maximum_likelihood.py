@@ -67,7 +67,7 @@ def inverse_of(information: FloatArray) -> FloatArray:
     """
     scale = np.sqrt(np.diag(information))
     if not (scale > 0.0).all():
-        raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
+        raise SingularError(f"nothing measured depends on {np.sum(~(scale > 0.0))} of {len(scale)} parameters")
     try:
         factor = cho_factor(information / np.outer(scale, scale))
     except LinAlgError as error:
@@ -207,7 +207,7 @@ class Descent:
     def _scale(now: Normal) -> FloatArray:
         scale = np.sqrt(np.diag(now.information))
         if not (scale > 0.0).all():
-            raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
+            raise SingularError(f"nothing measured depends on {np.sum(~(scale > 0.0))} of {len(scale)} parameters")
         return scale
 
     def _step(self, now: Normal, damping: float) -> float:

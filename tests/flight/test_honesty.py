@@ -11,7 +11,9 @@ import pytest
 from bench.honest_flights.drawn import MISSION
 from bench.honest_flights.flown import flight
 from hil_sim.scenario.load import load
+from onboard import config
 from onboard.estimation.gates import GateReason
+from onboard.ground.identify.identify import identify
 from tests.flight.missions import Result, fly
 
 SEED = 5
@@ -42,6 +44,29 @@ def test_a_scale_that_jumps_in_mid_flight_withdraws_the_answers(tmp_path: Path) 
     assert standings(flown) == {"do not use"}
     assert not any(mass["supported"] for mass in flown.table["masses"])
     assert any("load_cell reads +" in said for said in flown.events("withdrawn"))
+
+
+def test_an_encoder_that_becomes_another_one_when_enough_was_seen_leaves_answers_of_before(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "joint_1", 0.3, 7.5))
+    [said] = flown.events("angle_jumped")
+    assert said.endswith("no row from there on is used")
+    [held] = [one for one in flown.table["inertias"] if one["quantity"] == "ZZ_joint_1_R_held"]
+    assert held["low"] < held["truth"] < held["high"]
+    assert held["high"] - held["low"] < 0.15 * held["truth"]
+    assert held["standing"].startswith("weak: joint_1: its angle jumps between two samples")
+
+
+def test_an_encoder_that_becomes_another_one_early_leaves_no_answer(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "joint_1", 0.3, 3.75))
+    [said] = flown.events("angle_jumped")
+    assert said.startswith("joint_1: its angle jumps by +2")
+    assert not any(row["supported"] for row in (*flown.table["masses"], *flown.table["inertias"]))
+    log = flown.log
+    [verdict] = (one.verdict for one in identify(config.load(config.packaged("rocksat")), [log]).logs)
+    assert any("angle of a joint jumps" in reason for reason in verdict.reasons)
+    gates, at_ns = (log.read("row")[field] for field in ("gate", "vehicle_ns"))
+    after = at_ns > flown.flown.truth["start_ns"] + 3_900_000_000
+    assert (gates[after] & int(GateReason.JUMPED)).all()
 
 
 def test_a_cell_at_half_its_scale_is_told_by_the_drawn_arm(tmp_path: Path) -> None:

@@ -85,6 +85,7 @@ class Estimator:
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
         self._now_ns = 0
+        self._in_use = False  # any row
         self._left_out_ns: list[tuple[int, int]] = []  # where no rows are made
         self.inflation = correlation_inflation(
             settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
@@ -168,7 +169,7 @@ class Estimator:
         clocks = self._timebase.update(now_ns, dict(batches))
         if len(clocks):
             made.append(self._numbered("clock", clocks))
-        for channel, said in self._signals.append(batches):
+        for channel, said in self._signals.append(batches, self._timebase.time_ns, in_use=self._in_use):
             made.append(event(now_ns, said.severity, said.code, channel, said.text))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
         self._temperatures.append(batches, self._timebase.time_ns)
@@ -223,6 +224,7 @@ class Estimator:
         if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
             made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
         found = self._update(signals, at_ns, refused)
+        self._in_use |= bool((found == 0).any())
         if final:
             self.online.finish()
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
@@ -344,8 +346,8 @@ class Estimator:
 
     def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
         online, findings = self.online, self._temperatures.noted(self.online.findings())
-        if self._witness is not None and self._witness.contradiction:
-            findings = findings._replace(against=(*findings.against, self._witness.contradiction))
+        contradiction = "" if self._witness is None else self._witness.contradiction
+        findings = findings.plus(filter(None, [contradiction]), filter(None, [self._signals.jumped]))
         estimate = self._zeroing.noted(online.estimate(), 1e-9 * self._period_ns)
         state, answers, said = self._answers.rows(now_ns, vehicle_ns, estimate, findings, online.triangle())
         return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]

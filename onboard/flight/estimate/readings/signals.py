@@ -4,7 +4,7 @@ Samples are stored with their device ticks; their times are computed from the ti
 clock solution shifts all samples of a window consistently.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,25 +17,18 @@ from onboard.devices.roles import SmoothedChannel, TrackerRole
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
+from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks, nothing, side_by_side
 from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cyclic_of
 from onboard.flight.estimate.readings.history import History
+from onboard.flight.estimate.readings.jumps import JumpWatch
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import Said, StuckWatch
 from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
+TimesOf = Callable[[str, Rows], NDArray[np.int64] | None]
 _TINY = float(np.finfo(np.float64).tiny)
 CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmonics, and what depends on the load
-
-
-class ChannelAtTicks(NamedTuple):
-    """A channel at n ticks."""
-
-    derivatives: tuple[FloatArray, ...]  # each (n, columns): the signal, its rate of change, ...
-    sigma: tuple[FloatArray, ...]  # each (n, columns): noise of the above
-    refused: NDArray[np.int64]  # (n,) GateReason
-    cyclic: FloatArray | None = None  # (n, derivatives, 2 x errors) smoothed cosine and sine of each cyclic error
-    of_samples: tuple[FloatArray, ...] = ()  # each (n, columns): share of the noise's variance by independent samples
 
 
 def kernel_of(vehicle: config.Vehicle) -> Kernel:
@@ -73,10 +66,25 @@ class SignalSmoother:
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
         self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
+        self._jumps = {name: JumpWatch(signal) for name, signal in self._signals.items() if signal.travels}
         self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
-    def append(self, batches: Mapping[str, Rows]) -> list[tuple[str, Said]]:
-        """Take in what a step consumed; returns channels with what there is to say of them."""
+    @property
+    def jumped(self) -> str:
+        """Why answers are weak; empty where no angle has jumped since rows were used."""
+        names = ", ".join(name for name, watch in self._jumps.items() if watch.jumped)
+        return names and f"{names}: its angle jumps between two samples; nothing is used from there until it jumps back"
+
+    def append(
+        self, batches: Mapping[str, Rows], times_ns: TimesOf | None = None, *, in_use: bool = True
+    ) -> list[tuple[str, Said]]:
+        """Take in what a step consumed; returns channels with what there is to say of them.
+
+        Args:
+            batches: rows by channel.
+            times_ns: vehicle time of a channel's rows, (n,), None while it is not known: jumps are not looked for.
+            in_use: rows of the estimator were made of what came before.
+        """
         said = list[tuple[str, Said]]()
         for name, arrived in batches.items():
             if name not in self._signals or not len(arrived):
@@ -105,12 +113,17 @@ class SignalSmoother:
                 self._told.add((name, why))
                 said.append((name, Said(Severity.ERROR, "not_usable", why)))
             stuck, before, told = self._watches[name].watch(rows, usable)
-            if told is not None:
-                said.append((name, told))
+            said += [] if told is None else [(name, told)]
             history.mark(before, GateReason.STUCK)
             wrong = reasons(~usable, GateReason.SATURATED)
             if stuck.any():
                 wrong |= reasons(stuck, GateReason.STUCK)
+            if name in self._jumps and times_ns is not None:
+                angle = np.where(wrong, np.nan, values[:, 0])
+                jumped, before, each = self._jumps[name].watch(rows, angle, times_ns(name, rows), in_use)
+                said += [(name, told) for told in each]
+                history.mark(before, GateReason.JUMPED)
+                wrong |= reasons(jumped, GateReason.JUMPED)
             history.append(rows, values, wrong)
         return said
 
@@ -128,7 +141,7 @@ class SignalSmoother:
         self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
     ) -> ChannelAtTicks:
         """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
-        return _side_by_side(self.each(names, timebase, at_ns, derivatives))
+        return side_by_side(self.each(names, timebase, at_ns, derivatives))
 
     def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> ChannelAtTicks:
         """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
@@ -144,7 +157,7 @@ class SignalSmoother:
         for name in names:
             recent = self._recent(name, timebase, at_ns)
             if isinstance(recent, GateReason):
-                found[name] = _nothing(len(self._signals[name].noise), len(at_ns), derivatives, recent)
+                found[name] = nothing(len(self._signals[name].noise), len(at_ns), derivatives, recent)
                 continue
             for group in groups:
                 other = next(iter(group))
@@ -166,8 +179,8 @@ class SignalSmoother:
         are hardly ever even about a tick's middle, so the mean is that of a straight line through them.
         """
         if not names:
-            return _nothing(0, len(at_ns), 0, GateReason.OK)
-        return _side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
+            return nothing(0, len(at_ns), 0, GateReason.OK)
+        return side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
 
     def _recent(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64]) -> "_Recent | GateReason":
         """What of a channel can be under the kernel at any of ``at_ns``."""
@@ -290,7 +303,7 @@ class SignalSmoother:
         channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
         n, columns = len(at_ns), len(channel.noise)
         if isinstance(recent, GateReason):
-            return _nothing(columns, n, 0, recent)
+            return nothing(columns, n, 0, recent)
         values, sigma = np.full((2, n, columns), np.nan)
         unusable = {
             reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0)) for reason in _reasons_in(recent.wrong)
@@ -350,22 +363,6 @@ def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:
     """Those that any of some samples has."""
     every = int(np.bitwise_or.reduce(wrong))
     return GateReason(every) if every else ()
-
-
-def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> ChannelAtTicks:
-    nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
-    return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)), of_samples=nothing)
-
-
-def _side_by_side(parts: Sequence[ChannelAtTicks]) -> ChannelAtTicks:
-    if len(parts) == 1:
-        return parts[0]
-    values, sigma, of_samples = (
-        tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
-        for sides in zip(*((part.derivatives, part.sigma, part.of_samples) for part in parts), strict=True)
-    )
-    refused = np.bitwise_or.reduce([part.refused for part in parts])
-    return ChannelAtTicks(values, sigma, refused, of_samples=of_samples)
 
 
 def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:

@@ -50,7 +50,8 @@ class StuckWatch:
             self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
         raw = np.hstack([rows["gyro_raw"], rows["accel_raw"]]) if not self._signal.si else rows["value_raw"][:, None]
         stuck, before = np.zeros(len(rows), np.bool_), NONE
-        starts = self._starts(rows)
+        starts = breaks(rows, self._sequence)
+        self._sequence = int(rows["sequence"][-1])
         for first, last in itertools.pairwise(sorted({0, *starts, len(rows)})):
             if first in starts:
                 self._readings.forget()
@@ -61,16 +62,6 @@ class StuckWatch:
             if begin < min(end, 0):
                 before = slice(begin, min(end, 0))
         return stuck, before, self._say(raw, stuck, before != NONE)
-
-    def _starts(self, rows: Rows) -> list[int]:
-        """Which rows do not follow on the one before."""
-        numbers, last = rows["sequence"].astype(np.int64), self._sequence
-        self._sequence = int(numbers[-1])
-        resets = (rows["status"] & SampleStatus.AFTER_RESET) != 0
-        begins = int(numbers[0]) - 1 if last is None else last
-        if self._sequence - begins == len(rows) and not resets.any():  # they ascend
-            return []
-        return np.flatnonzero((np.diff(numbers, prepend=begins) != 1) | resets).tolist()
 
     def _say(self, raw: NDArray[np.generic], stuck: NDArray[np.bool_], before: bool) -> Said | None:
         if stuck.any() or before:
@@ -88,6 +79,21 @@ class StuckWatch:
             self._told = False
             return Said(Severity.INFO, "stuck_over", "its readings change again")
         return None
+
+
+def breaks(rows: Rows, last: int | None) -> list[int]:
+    """Which rows do not follow on the one before.
+
+    Args:
+        rows: in order, at least one.
+        last: sequence number of the one before these; None: there was none.
+    """
+    numbers = rows["sequence"].astype(np.int64)
+    resets = (rows["status"] & SampleStatus.AFTER_RESET) != 0
+    begins = int(numbers[0]) - 1 if last is None else last
+    if int(numbers[-1]) - begins == len(rows) and not resets.any():  # they ascend
+        return []
+    return np.flatnonzero((np.diff(numbers, prepend=begins) != 1) | resets).tolist()
 
 
 def _longest(signal: SmoothedChannel, row: np.void) -> float | None:

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from onboard.devices.roles import TrackerRole
 from onboard.estimation.gates import GateReason
-from onboard.flight.estimate.readings.signals import ChannelAtTicks, SignalSmoother
+from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks
+from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.timebase.timebase import Timebase
 
 _SAMPLES = 4  # under a line: no two lines share one, so their noise is independent
