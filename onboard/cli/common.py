@@ -180,7 +180,7 @@ def add_live(command: Any) -> None:
 
 
 def add_page(command: Any, shows: str = "the flight") -> None:
-    """The options ``--page`` and ``--page-address``."""
+    """The options ``--page``, ``--page-address`` and ``--page-plan``."""
     command.add_argument(
         "--page", action="store_true", help=f"show {shows} on a page for a browser of this computer; prints its address"
     )
@@ -188,6 +188,12 @@ def add_page(command: Any, shows: str = "the flight") -> None:
         "--page-address",
         metavar="HOST:PORT",
         help="serve the page there (default 127.0.0.1:8787); other computers need the token in the printed address",
+    )
+    command.add_argument(
+        "--page-plan",
+        type=Path,
+        metavar="FILE",
+        help="show on it, beside each interval, the one that this plan expects (plan.json of heft plan)",
     )
 
 
@@ -198,7 +204,7 @@ def page_address(arguments: Any) -> str | None:
         ValueError: not an address.
     """
     if arguments.page_address is None:
-        return "" if arguments.page else None
+        return "" if arguments.page or arguments.page_plan else None
     from onboard.page import address
 
     address.parse(arguments.page_address)
@@ -225,7 +231,7 @@ def serve_page(arguments: Any, log: Path) -> Iterator[None]:
         return
     from onboard.page.process import serving
 
-    with serving(log, address) as url:
+    with serving(log, address, arguments.page_plan) as url:
         say_page(url, json_lines=getattr(arguments, "json_lines", False))
         yield
 

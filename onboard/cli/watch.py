@@ -64,7 +64,7 @@ def _page(arguments: argparse.Namespace, address: str) -> int:
     log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
     try:
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(serve(source, addresses.parse(address), say_page))
+            asyncio.run(serve(source, addresses.parse(address), say_page, arguments.page_plan))
     except OSError as error:
         place = address or addresses.DEFAULT_HOST
         raise ValueError(f"--page-address {place}: {error.strerror or error}; give another address") from error

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from onboard.page.state import State, is_device
 from onboard.ring import RingReader
 
 _MOST_ROWS = 4096  # per ring and look
-_FEW = 32  # rows of the regression, the last of which may lack a joint
+_SAMPLES = 1024  # of a device, or rows of the regression, in a look
 _READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST)
 
 
@@ -27,6 +27,7 @@ class Followed:
 
     Args:
         log: of the flight, absolute.
+        left: whether a flight that has not begun will not any more.
 
     Attributes:
         state: so far.
@@ -35,8 +36,8 @@ class Followed:
 
     live = True
 
-    def __init__(self, log: Path) -> None:
-        self.log = log
+    def __init__(self, log: Path, left: Callable[[], bool] = lambda: False) -> None:
+        self.log, self._left = log, left
         self.state = State(log.name, live=True)
         self.ended = False
         self._directory: Path | None = None
@@ -62,8 +63,10 @@ class Followed:
                 self.state.add(Batch(reader.name, rows))
 
     def check_ended(self) -> bool:
-        """Whether the flight that was followed has no process any more."""
-        if self._directory is not None and (not self._directory.exists() or is_free(self._directory)):
+        """Whether the flight that was followed has no process any more, or will not begin."""
+        if self._directory is None:
+            self.ended = self._left()
+        elif not self._directory.exists() or is_free(self._directory):
             self.ended = True
         return self.ended
 
@@ -105,14 +108,14 @@ class Followed:
                 reader.close()
 
     def _newest(self, reader: RingReader) -> None:
-        """Of a device's channel only the newest row is read, of the rows of the regression the newest few."""
+        """Those since the last look, no more than :data:`_SAMPLES`."""
         total = reader.published
-        reader.position = max(0, total - (1 if is_device(reader.dtype) else _FEW))
-        rows, _ = reader.read(_FEW)
+        reader.position = max(reader.position, total - _SAMPLES)
+        rows, _ = reader.read(_SAMPLES)
         if not len(rows):
             return
         if is_device(reader.dtype):
-            self.state.count(reader.name, total, int(rows["host_ns"][-1]))
+            self.state.count(reader.name, total, rows)
         else:
             self.state.add(Batch(reader.name, rows))
 

@@ -4,6 +4,9 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from drivers.records import Batch
 from onboard.page.arm import tree_of
 from onboard.page.follow import about, packed, payload_of
 from onboard.page.state import State
@@ -11,6 +14,7 @@ from onboard.recording.reader import LogReader
 
 FRAMES = 2400  # at most: of twice as many every second is kept
 _STEP_NS = 100_000_000  # between two frames of a short log
+_AHEAD_NS = 2_000_000_000  # read before a frame is made: a log has the channels of a time one after the other
 
 
 class Recorded:
@@ -33,34 +37,40 @@ class Recorded:
     def __init__(self, log: LogReader, told: Callable[[int], None] = lambda _: None) -> None:
         self._frames: list[tuple[int, bytes]] = []  # stamp, frame
         self._step_ns = _STEP_NS
-        due_ns: int | None = None
         files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
         payload = payload_of(log.metadata, files)
         self.state = State(self._title(log), payload, tree_of(files, payload), live=False)
+        due_ns = 0
+        ahead: list[Batch] = []
         for batch in log.batches():
-            if not len(batch.rows):
-                continue
             first_ns = int(batch.rows["host_ns"][0])
-            if due_ns is None:
-                due_ns = first_ns + self._step_ns
-            elif first_ns >= due_ns:  # all chunks before this are in
-                self._keep()
-                due_ns = self.state.now_ns + self._step_ns
+            due_ns = due_ns or first_ns + self._step_ns
+            while ahead and first_ns >= due_ns + _AHEAD_NS:
+                ahead, due_ns = self._take(ahead, due_ns)
                 told(log.position)
-            self.state.add(batch)
+            ahead.append(batch)
+        while ahead:
+            ahead, due_ns = self._take(ahead, min(due_ns, max(int(rows["host_ns"].max()) for _, rows in ahead)))
         if self.state.start_ns is None:
             raise ValueError(f"{log.path} has no rows: there is nothing to show; heft info says what it has")
-        self._keep()
+
+    def _take(self, batches: list[Batch], until_ns: int) -> tuple[list[Batch], int]:
+        """Make the frame of ``until_ns``; what comes after it, and when the next is due."""
+        rest = []
+        for name, rows in batches:
+            count = int(np.searchsorted(rows["host_ns"], until_ns, side="right"))
+            self.state.add(Batch(name, rows[:count]))
+            if count < len(rows):
+                rest.append(Batch(name, rows[count:]))
+        self._frames.append((until_ns, zlib.compress(packed(self.state.frame(until_ns)).encode(), 1)))
+        if len(self._frames) > FRAMES:
+            self._frames, self._step_ns = self._frames[::2], 2 * self._step_ns
+        return rest, max(until_ns + self._step_ns, min((int(rows["host_ns"][0]) for _, rows in rest), default=0))
 
     @staticmethod
     def _title(log: LogReader) -> str:
         vehicle = log.metadata.get("flight", {}).get("vehicle", "")
         return f"{vehicle}: {log.path.name}" if vehicle else log.path.name
-
-    def _keep(self) -> None:
-        self._frames.append((self.state.now_ns, zlib.compress(packed(self.state.frame()).encode(), 1)))
-        if len(self._frames) > FRAMES:
-            self._frames, self._step_ns = self._frames[::2], 2 * self._step_ns
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -14,6 +14,7 @@ import numpy as np
 from drivers.records import EVENT, GAP, Batch, Rows
 from onboard import channels
 from onboard.flight.health.status import CAUTION, MEANINGS, Status, words
+from onboard.page.signals import Signals
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
@@ -95,6 +96,7 @@ class State:
     Attributes:
         start_ns: oldest stamp, CLOCK_MONOTONIC.
         now_ns: newest stamp.
+        signals: of the devices.
         lost: rows that a ring no longer had when they were to be read here; the log has them.
         event_count: events so far.
     """
@@ -104,6 +106,7 @@ class State:
         self._body = [f"{kind}_{payload}" for kind in BODY] if payload else []
         self.start_ns: int | None = None
         self.now_ns = 0
+        self.signals = Signals()
         self.lost = self.event_count = 0
         self._streams: dict[str, _Stream] = {}
         self._quantities: dict[str, _Quantity] = {}
@@ -135,17 +138,19 @@ class State:
         elif "joint_rad" in fields:
             known = np.isfinite(np.asarray(rows["joint_rad"], float).reshape(len(rows), -1)).all(axis=1)
             self._row = rows[known][-1] if known.any() else self._row
+            self.signals.add("estimator", rows)
         elif {"act", "ratio", "segment"} <= fields:
             self._request = rows[-1]
         elif is_device(rows.dtype):
             stream = self._streams.setdefault(name, _Stream())
             stream.saw(stream.rows + len(rows), int(rows["host_ns"].max()))
+            self.signals.add(name, rows)
 
-    def count(self, name: str, rows: int, newest_ns: int) -> None:
-        """A device's channel has so many ``rows`` since its start, the newest of ``newest_ns``."""
-        self.start_ns = newest_ns if self.start_ns is None else min(self.start_ns, newest_ns)
-        self.now_ns = max(self.now_ns, newest_ns)
-        self._streams.setdefault(name, _Stream()).saw(rows, newest_ns)
+    def count(self, name: str, total: int, rows: Rows) -> None:
+        """A device's channel has had ``total`` rows since its start, the newest of them are ``rows``."""
+        self._time(rows)
+        self._streams.setdefault(name, _Stream()).saw(total, int(rows["host_ns"][-1]))
+        self.signals.add(name, rows)
 
     def _time(self, rows: Rows) -> None:
         first_ns = int(rows["host_ns"].min())

@@ -5,9 +5,13 @@ and one that takes nothing for ``stall_s`` is disconnected.
 """
 
 import asyncio
+import contextlib
 import socket
+from collections.abc import Mapping
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any, Protocol
+from urllib.parse import parse_qs
 
 from onboard.page.address import LONGEST_REQUEST, Address, Request, judge
 from onboard.page.follow import packed
@@ -79,10 +83,13 @@ class Web:
         source: a flight or a log.
         address: to bind to.
         token: that paths begin with; empty: none.
+        plan: expected intervals by quantity, see :func:`onboard.page.plan.read`.
     """
 
-    def __init__(self, source: Source, address: Address, token: str) -> None:
-        self.source = source
+    def __init__(
+        self, source: Source, address: Address, token: str, plan: Mapping[str, dict[str, Any]] = MappingProxyType({})
+    ) -> None:
+        self.source, self._plan = source, plan
         self.port = 0
         self._address, self._token = address, token
         self._viewers: set[_Viewer] = set()
@@ -171,13 +178,26 @@ class Web:
         elif name in self._files:
             await _reply(writer, "200 OK", _TYPES[name.rpartition(".")[2]], self._files[name])
         elif name == "flight":
-            await _reply(writer, "200 OK", "application/json", packed(self.source.about()).encode())
+            await _reply(
+                writer, "200 OK", "application/json", packed(self.source.about() | {"plan": dict(self._plan)}).encode()
+            )
+        elif name == "signals":
+            await _reply(writer, "200 OK", "application/json", self._signals(request.query))
         elif name == "live" and self.source.live:
             await self._stream(request, reader, writer)
         elif (frame := self._frame(name)) is not None:
             await _reply(writer, "200 OK", "application/json", frame)
         else:
             await _reply(writer, "404 Not Found", "text/plain", b"404 Not Found")
+
+    def _signals(self, query: str) -> bytes:
+        """Names of all signals, and the steps of one from a time on: ``signals?name=imu_0+rate&since=12.5`` (s)."""
+        state, asked = self.source.state, parse_qs(query)
+        name, since = asked.get("name", [""])[0], asked.get("since", [""])[0]
+        found: dict[str, Any] = {"names": state.signals.names(), "signal": None}
+        with contextlib.suppress(KeyError, ValueError):
+            found["signal"] = state.signals.of(name, state.start_ns or 0, float(since or "-inf"))
+        return packed(found).encode()
 
     def _frame(self, name: str) -> bytes | None:
         """Of a log, by ``frame/NUMBER``."""

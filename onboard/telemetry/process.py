@@ -1,16 +1,13 @@
-"""Process that sends a flight's packets, and its start and end by the command line.
+"""Process that sends a flight's packets, and its start by the command line.
 
-It starts before the flight, so that an unusable link is refused before take-off. It reads the rings and is waited for
-by nobody; when the flight is over it sends what waits, for :data:`END_S` at most. A link that fails in flight is tried
-again every second, and said once.
+When the flight is over it sends what waits, for :data:`END_S` at most. A link that fails in flight is tried again every
+second, and said once.
 """
 
 import contextlib
 import json
-import os
 import secrets
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +17,7 @@ from typing import NamedTuple
 from drivers.records import EVENT, Batch
 from onboard import channels
 from onboard.flight.store import manifest
+from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.ring import RingReader
 from onboard.telemetry.downlink import Downlink, Rates
 from onboard.telemetry.link import Address, Sink, parse, sink
@@ -27,8 +25,6 @@ from onboard.telemetry.replay import STEP_NS, flight_of
 
 END_S = 2.0
 _ASK_NS, _AGAIN_NS = 500_000_000, 1_000_000_000  # between two looks for the flight, and two tries of a link
-_NICENESS = 10
-_READY = "ready"
 _MOST_ROWS = 4096  # of a ring in a step
 
 
@@ -57,16 +53,8 @@ def sending(log: Path, link: str, settings: Rates) -> Iterator[None]:
         ValueError: the link cannot be used; the message gives the reason.
     """
     given = json.dumps({name: getattr(settings, name) for name in Settings._fields})
-    command = [sys.executable, "-m", "onboard.telemetry", str(log), parse(link).text, given]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            said = process.stdout.readline().strip()
-            if said != _READY:
-                raise ValueError(f"--telemetry {link}: {said or 'its process did not start'}")
-            yield
-        finally:
-            process.terminate()
+    with beside("onboard.telemetry", [str(log), parse(link).text, given], f"--telemetry {link}"):
+        yield
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -75,21 +63,16 @@ def main(arguments: Sequence[str]) -> int:
     settings = Settings(**json.loads(arguments[2]))
     asked: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
-    for ignored in (signal.SIGINT, signal.SIGHUP):  # a terminal's: they end the flight, which ends this process
-        signal.signal(ignored, signal.SIG_IGN)
+    left = settle()
     with contextlib.suppress(OSError):
         Path("/proc/self/comm").write_text("heft-telemetry", encoding="ascii")  # as ps shows it
-    with contextlib.suppress(OSError):
-        os.nice(_NICENESS)
     try:
         opened = sink(address)
     except OSError as error:
         sys.stdout.write(f"{error.strerror or error}; give another link, or make this one usable\n")
         return 2
-    sys.stdout.write(f"{_READY}\n")
-    sys.stdout.flush()
-    parent = os.getppid()
-    _Sender(log, address, opened, settings).run(lambda: bool(asked) or os.getppid() != parent)
+    ready()
+    _Sender(log, address, opened, settings).run(lambda: bool(asked) or left())
     return 0
 
 

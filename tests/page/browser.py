@@ -74,6 +74,13 @@ class Tab:
             time.sleep(0.05)
         return value
 
+    def drag(self, selector: str, first: float, last: float) -> None:
+        """With the mouse, between two places along an element's width (0 to 1)."""
+        box = self.run(f"document.querySelector({selector!r}).getBoundingClientRect().toJSON()")
+        for kind, at in (("mousePressed", first), ("mouseMoved", last), ("mouseReleased", last)):
+            place = {"x": box["left"] + at * box["width"], "y": box["top"] + box["height"] / 2}
+            self._call("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **place)
+
     def text(self, selector: str) -> str:
         return str(self.run(f"document.querySelector({selector!r}).innerText"))
 

@@ -34,6 +34,7 @@ def flight() -> list[Batch]:
     ms = [START + step * 10_000_000 for step in range(1000)]
     joint = _rows(records.SCALAR, ms)
     joint["sequence"][500:] += 7
+    joint["value_raw"], joint["scale"], joint["unit"] = np.arange(1000), 1e-3, b"rad"
     gap = _rows(records.GAP, [START + 5 * SECOND])
     gap["channel"], gap["first_missing"], gap["last_missing"] = b"joint_1", 500, 506
     at = [START + step * SECOND // 2 for step in range(20)]

@@ -36,11 +36,13 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(source: Source, address: str = "127.0.0.1:0", token: str | None = None) -> Iterator[Served]:
+def served(
+    source: Source, address: str = "127.0.0.1:0", token: str | None = None, plan: Any = None
+) -> Iterator[Served]:
     """The server while the context lasts."""
     loop, place = asyncio.new_event_loop(), addresses.parse(address)
     given = addresses.token_for(place) if token is None else token
-    web = Web(source, place, given)
+    web = Web(source, place, given, plan or {})
     loop.run_until_complete(web.start())
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()

@@ -68,6 +68,21 @@ class TestFiles:
             for path in ("/nothing", "/static/page.js", "/../address.py", "/%2e%2e/address.py", "/live", "/frame/x"):
                 assert ask(one.port, path).status == 404
 
+    def test_signals_by_name_and_time(self, log: Recorded) -> None:
+        with served(log) as one:
+            assert json.loads(ask(one.port, "/signals").body) == {
+                "names": ["joint_1", "estimator rows"],
+                "signal": None,
+            }
+            for query in ("?name=nothing", "?name=joint_1&since=x", "?since=1", "?%00", "?name=joint_1%20"):
+                assert json.loads(ask(one.port, f"/signals{query}").body)["signal"] is None
+            found = json.loads(ask(one.port, "/signals?name=joint_1").body)["signal"]
+            assert (found["unit"], found["components"], found["every_s"]) == ("rad", [""], 0.05)
+            assert [found["points"][0], len(found["points"])] == [[0.0, 0.0, 0.004], 200]
+            later = json.loads(ask(one.port, "/signals?name=joint_1&since=9.9").body)["signal"]
+            assert later["points"] == found["points"][-2:]
+            assert json.loads(ask(one.port, "/signals?name=joint_1&since=nan").body)["signal"]["points"] == []
+
     def test_the_policy_allows_nothing_inline_and_nothing_from_elsewhere(self) -> None:
         policy = dict(part.strip().split(" ", 1) for part in web.HEADERS["Content-Security-Policy"].split(";"))
         assert policy["default-src"] == "'none'"
@@ -326,6 +341,13 @@ class TestProcess:
         with pytest.raises(OSError):  # noqa: PT011 refused, or reset
             ask(port)
 
+    def test_it_has_the_plan(self, rings: Rings, tmp_path: Path) -> None:
+        plan = tmp_path / "plan.json"
+        plan.write_text('{"expected": [{"name": "m_payload", "unit": "kg", "sigma": 0.5, "level": "good"}]}')
+        with process.serving(rings.log, ":0", plan) as url:
+            told = json.loads(ask(int(url.rstrip("/").rpartition(":")[2]), "/flight").body)["plan"]
+        assert told == {"m_payload": {"half": pytest.approx(0.98, abs=0.001), "unit": "kg"}}
+
     def test_it_holds_little_memory(self, rings: Rings) -> None:
         """Neither Pinocchio nor SciPy nor rich is in it."""
         code = "import sys, onboard.page.process; print(*sys.modules)"
@@ -377,6 +399,8 @@ class TestCommand:
         [
             (["hil", "rocksat", "--page"], "add --realtime, or heft watch LOG --page afterwards"),
             (["watch", "LOG", "--page-address", "host:port"], "write HOST:PORT"),
+            (["watch", "LOG", "--page-plan", "nothing.json"], "No such file"),
+            (["watch", "LOG", "--page-plan", __file__], "give the plan.json that heft plan wrote"),
             (["watch", "LOG", "--page-address", "192.0.2.1:1"], "give another address"),
             (["watch", "--page"], "watch what?"),
             (["fly", "rocksat", "--page-address", "x y:1"], "write HOST:PORT"),

@@ -121,8 +121,8 @@ export class Arm {
     const pen = this.canvas.getContext("2d"), at = links(this.tree, this.now());
     pen.scale(sharp, sharp);
     const points = Object.values(at).map(one => one.p), low = [0, 1, 2].map(i => Math.min(...points.map(p => p[i]))), high = [0, 1, 2].map(i => Math.max(...points.map(p => p[i])));
-    const centre = low.map((v, i) => (v + high[i]) / 2), reach = Math.max(1e-3, this.reach, Math.hypot(...low.map((v, i) => high[i] - v)) / 2);
-    const c = Math.cos(this.turn), s = Math.sin(this.turn), ct = Math.cos(this.tilt), st = Math.sin(this.tilt), scale = 0.95 * Math.min(width, height) / reach;
+    const centre = low.map((v, i) => (v + high[i]) / 2), reach = this.reach = Math.max(1e-3, this.reach, Math.hypot(...low.map((v, i) => high[i] - v)));
+    const c = Math.cos(this.turn), s = Math.sin(this.turn), ct = Math.cos(this.tilt), st = Math.sin(this.tilt), scale = 0.9 * Math.min(width, height) / reach;
     if (!this.middle || Math.hypot(...centre.map((v, i) => v - this.middle[i])) > 0.2 * reach) this.middle = centre;  // else it stands still
     const middle = this.middle;
     const place = p => {
@@ -131,7 +131,7 @@ export class Arm {
     };
     const line = (one, two, ink, thick) => { pen.strokeStyle = ink; pen.lineWidth = thick; pen.lineCap = "round"; pen.beginPath(); pen.moveTo(...place(one)); pen.lineTo(...place(two)); pen.stroke(); };
     ["b", "c", "a"].forEach((ink, i) => {
-      const end = [0, 0, 0]; end[i] = reach / 5;
+      const end = [0, 0, 0]; end[i] = reach / 8;
       line([0, 0, 0], end, colour(ink), 1.5);
       pen.fillStyle = colour(ink); pen.font = "11px system-ui, sans-serif"; pen.fillText("xyz"[i], ...place(end));
     });
@@ -148,7 +148,7 @@ export class Arm {
 
   body(at, line, colour) {
     const frame = at[this.tree.payload], body = frame && bodyOf(this.held, this.tree.payload);
-    put(this.box.querySelector("p"), body ? body.semi ? "the ellipsoid: uniform, with the mass and inertia that are held; the cross: its centre, 95 %" : "the cross: centre of what is held, 95 %" : "");
+    put(this.box.querySelector("p"), body ? `${body.semi ? "ellipsoid of its inertia; " : ""}cross: its centre, 95 %` : "");
     if (!body) return;
     const inBase = v => plus(frame.p, rotate(frame.R, v));
     body.half.forEach((half, i) => {

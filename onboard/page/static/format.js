@@ -4,20 +4,19 @@ const raised = number => [...String(number)].map(mark => SUPER[mark]).join("");
 
 export const unitText = unit => unit.replace(/\^(-?\d+)/g, (_, digits) => raised(digits));
 
-// Value and half interval to two digits of the latter: "0.0642 \u00b1 0.0019", "3.029 \u00b1 0.026 \u00d710\u207b\u00b3".
+// Value and half interval to two digits of the latter: "0.0642 \u00b1 0.0019", "3.029\u00d710\u207b\u2075 \u00b1 0.026\u00d710\u207b\u2075".
 export function withInterval(value, half, size = Math.max(Math.abs(value), half)) {
   if (!(size > 0)) return ["0", "\u00b1 0"];
-  const order = Math.floor(Math.log10(size)), shift = order < -2 || order > 5 ? order : 0;
+  const order = Math.floor(Math.log10(size)), shift = order < -4 || order > 5 ? order : 0;
   const finest = half > 0 ? Math.floor(Math.log10(half)) - 1 : order - 5;
   const digits = Math.min(12, Math.max(0, shift - finest)), scale = 10 ** shift;
-  const text = `\u00b1 ${(half / scale).toFixed(digits)}`;
-  return [(value / scale).toFixed(digits), shift ? `${text} \u00d710${raised(shift)}` : text];
+  const power = shift ? `\u00d710${raised(shift)}` : "";
+  return [(value / scale).toFixed(digits) + power, `\u00b1 ${(half / scale).toFixed(digits)}${power}`];
 }
 
 // One end of an axis from `low` to `high`: to a hundredth of its length, both ends to the same power of ten.
 export function atScale(number, low, high) {
-  const [text, rest] = withInterval(number, Math.max(high - low, 1e-300) / 10, Math.max(Math.abs(low), Math.abs(high)));
-  return text + (rest.split(" ")[2] ?? "");
+  return withInterval(number, Math.max(high - low, 1e-300) / 10, Math.max(Math.abs(low), Math.abs(high)))[0];
 }
 
 export const rate = number => number === null ? "-" : number >= 100 ? number.toFixed(0) : number >= 10 ? number.toFixed(1) : number.toFixed(2);

@@ -2,10 +2,11 @@
 import {age, clockText, count, rate, unitText, withInterval} from "./format.js";
 import {Course, draw, drawing} from "./course.js";
 import {Arm} from "./arm.js";
+import {Signals} from "./signals.js";
 
-const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200, REASONS = 5;
+const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200, REASONS = 4;
 const at = id => document.getElementById(id);
-const arm = new Arm(at("arm")), cards = new Map(), courses = new Map();
+const arm = new Arm(at("arm")), signals = new Signals(), cards = new Map(), courses = new Map();
 let flight = null, frame = null, events = [], stream = null, lastMs = 0, again = null;
 
 const put = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -15,6 +16,7 @@ const make = (tag, kind = "", text = "") => {
   node.textContent = text;
   return node;
 };
+const broken = text => text.replace(/([._+])(?=[a-z])/gi, "$1\u200b");  // names may go on in the next line after a mark
 // As many children as there are items, each filled; those that are there are used again.
 function fill(parent, items, born, update) {
   while (parent.children.length > items.length) parent.lastChild.remove();
@@ -33,7 +35,7 @@ function link(text, kind) {
 function show(next) {
   frame = next;
   document.title = `${next.go.word} ${next.title}`;
-  put(at("title"), next.title);
+  put(at("title"), broken(next.title));
   put(at("time"), `T+ ${clockText(next.t)}`);
   put(at("phase"), next.phase);
   put(at("mode"), next.mode);
@@ -50,6 +52,7 @@ function show(next) {
   answers(next);
   health(next);
   arm.show(next.joints, next.held, flight.live);
+  signals.show(next.t);
 }
 
 function answers(next) {
@@ -80,33 +83,37 @@ function answer(one, now) {
   its.number.dataset.value = told ? one.value : "";
   its.number.dataset.low = told ? one.low : "";
   its.number.dataset.high = told ? one.high : "";
-  const [value, interval] = told ? withInterval(one.value, half) : [one.level === "do not use" ? "do not use" : "not determined yet", ""];
-  put(its.value, value);
-  put(its.interval, told ? ` ${interval} ${unitText(one.unit)}` : "");
-  put(its.why, one.why);
-  its.why.hidden = !one.why;
-  its.why.title = one.why;
   const course = courses.get(one.name) ?? new Course();
   courses.set(one.name, course);
   if (told && flight.live) course.add([now, one.value, one.low, one.high]);
-  const points = flight.live ? course.points : course.until(now);
+  const points = flight.live ? course.points : course.until(now), none = points.length ? "no longer determined" : "not determined yet";
+  const [value, interval] = told ? withInterval(one.value, half) : [one.level === "do not use" ? one.level : none, ""];
+  put(its.value, value);
+  put(its.interval, told ? ` ${interval} ${unitText(one.unit)}` : "");
+  const plan = told && flight.plan[one.name];
+  its.plan.hidden = !plan;
+  if (plan) put(its.plan, `plan ${withInterval(one.value, plan.half, Math.max(Math.abs(one.value), half))[1]} ${unitText(plan.unit)}`);
+  put(its.why, broken(one.why));
+  its.why.hidden = !one.why;
+  its.why.title = one.why;
   draw(its.course, points, now);
 }
 
 function card(one) {
   const box = make("article", "answer"), head = make("h3"), number = make("div", "number");
-  const its = {box, number, level: make("span", "level"), value: make("span"), interval: make("small"), why: make("p", "why"), course: drawing()};
+  const its = {box, number, level: make("span", "level"), value: make("span"), interval: make("small"), plan: make("small", "plan"), why: make("p", "why"), course: drawing()};
   box.dataset.name = one.name;
   its.why.tabIndex = 0;
-  head.append(make("span", "", one.name.replace(/([_+])/g, "$1\u200b")), its.level);
-  number.append(its.value, its.interval);
+  head.append(make("span", "", broken(one.name)), its.level);
+  its.plan.title = "half of the 95 % interval that the plan expects at its end";
+  number.append(its.value, its.interval, its.plan);
   box.append(head, number, its.course.box, its.why);
   at(one.kind === "other" ? "others" : "held").append(box);
   return its;
 }
 
 function health(next) {
-  const box = next.computer;
+  const box = next.computer, over = next.ended || ["safe", "stopped"].includes(next.mode);  // then silence is no fault
   put(at("status"), box ? `status ${box.status}${box.before ? ` (before: ${box.before})` : ""}` : flight.live ? "" : "this log has no health records");
   fill(at("devices"), next.devices, () => {
     const row = make("tr");
@@ -116,35 +123,32 @@ function health(next) {
     const [name, hz, missing, last, clock] = row.children;
     row.dataset.name = one.name;
     row.dataset.rows = one.rows;
-    put(name, one.name);
+    put(name, broken(one.name));
     put(hz, one.nominal_hz ? `${rate(one.rate_hz)} / ${rate(one.nominal_hz)}` : one.rate_hz ? rate(one.rate_hz) : "-");
-    const slow = one.nominal_hz && one.rate_hz !== null && one.rate_hz < 0.9 * one.nominal_hz;
+    const slow = !over && one.nominal_hz && one.rate_hz !== null && one.rate_hz < 0.9 * one.nominal_hz;
     hz.className = slow ? (one.rate_hz === 0 ? "n bad" : "n warn") : "n";
     put(missing, one.missing ? `${count(one.missing)} in ${count(one.gaps)}` : "-");
     missing.className = one.missing ? "n warn" : "n";
     put(last, age(one.age_s));
-    put(clock, one.clock === null ? "-" : one.sigma_us === null ? one.clock : `${one.clock} \u00b1${age(1e-6 * one.sigma_us)}`);
-    clock.className = one.clock === "invalid" ? "bad" : one.clock === "flywheel" ? "warn" : "";
+    put(clock, one.clock === null ? "-" : one.sigma_us === null ? one.clock : `${one.clock} \u00b1${age(1e-6 * one.sigma_us).replace(" ", "\u00a0")}`);
+    clock.className = over ? "" : one.clock === "invalid" ? "bad" : one.clock === "flywheel" ? "warn" : "";
   });
   at("processes-box").hidden = !next.processes.length;
-  fill(at("processes"), next.processes, () => {
-    const row = make("tr");
-    row.append(make("td"), make("td", "n"), make("td", "n"));
-    return row;
-  }, (row, one) => {
-    [one.name, one.cpu_percent === null ? "-" : one.cpu_percent.toFixed(1), one.pss_mb === null ? "-" : one.pss_mb.toFixed(0)].forEach((text, i) => put(row.children[i], text));
-  });
+  const across = (name, tag, texts) => fill(at(`process-${name}`), texts, () => make(tag, "n"), put);
+  across("name", "th", ["process", ...next.processes.map(one => one.name)]);
+  across("cpu", "td", ["CPU %", ...next.processes.map(one => one.cpu_percent === null ? "-" : one.cpu_percent.toFixed(1))]);
+  across("pss", "td", ["PSS MB", ...next.processes.map(one => one.pss_mb === null ? "-" : one.pss_mb.toFixed(0))]);
   put(at("computer"), box ? computer(box) : "");
 }
 
 function computer(box) {
   const number = (value, digits, unit) => value === null || value === undefined ? null : `${value.toFixed(digits)}${unit}`;
   return [
-    number(box.computer_idle_percent, 0, " % idle"),
+    box.computer_idle_percent === null ? null : `CPU ${number(box.computer_idle_percent, 0, " % idle")}`,
     box.disk_free_mb === null ? null : `disk ${number(box.disk_free_mb / 1024, 1, " GB free")}`,
     box.memory_free_mb === null ? null : `memory ${number(box.memory_free_mb / 1024, 1, " GB free")}`,
     box.temperature_deg_c === null ? "temperature unknown" : number(box.temperature_deg_c, 0, " \u00b0C"),
-    box.estimator_lag_s === null ? null : `estimator ${number(1e3 * box.estimator_lag_s, 0, " ms behind")}`,
+    box.estimator_lag_s === null ? null : `estimator ${age(box.estimator_lag_s)} behind`,
     box.recorder_backlog_percent === null ? null : `fullest ring ${number(box.recorder_backlog_percent, 0, " %")}`,
     box.not_recorded ? `${count(box.not_recorded)} rows not recorded` : null,
     box.restarts ? `${count(box.restarts)} restarts of workers` : null,
@@ -193,7 +197,8 @@ async function begin() {
   for (const card of cards.values()) card.box.remove();
   cards.clear();
   arm.begin(flight.arm);
-  put(at("title"), flight.title);
+  signals.begin(flight);
+  put(at("title"), broken(flight.title));
   at("player").hidden = flight.live;
   if (flight.live) follow(); else played();
 }
@@ -211,7 +216,9 @@ function follow() {
     list();
     const slow = next.skipped ? `; ${count(next.skipped)} frames left out: this connection is slow` : "";
     const lost = next.lost ? `; ${count(next.lost)} rows came too fast for the page (the log has them)` : "";
-    if (next.ended) { link("the flight has ended", "lost"); ended(mine); } else link(`live${slow}${lost}`, slow || lost ? "slow" : "ok");
+    if (next.ended) { link("the flight has ended", "over"); ended(mine); }
+    else if (!next.devices.length && !next.event_count) link("waiting for the flight to begin", "slow");
+    else link(`live${slow}${lost}`, slow || lost ? "slow" : "ok");
   };
   stream.onerror = () => {
     mine.close();
@@ -225,7 +232,6 @@ function follow() {
 // The last numbers stay; a new flight at this address takes their place.
 function ended(mine) {
   mine.close();
-  document.body.classList.remove("stale");
   stream = null;
   const look = async () => {
     try {
