@@ -10,8 +10,10 @@ L is a moment over a force. M is the mounting of the sensor on the frame whose p
 Zeros are constants with a random walk from pose to pose (sensors warm up, cables creep). In the cosine transform
 (DCT-II) over the poses such a walk is white: coefficient j > 0 has the variance ``sigma^2 + q^2 / (4 sin^2(pi j /
 2n))``, and coefficient 0 is all that a constant zero changes, so it is left out (derived here). Noise and walk of each
-axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a common spread, over which the
-answer is a mixture: the axes themselves tell how well they agree, and an error that all of them share cannot be seen.
+axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a spread, over which the answer
+is a mixture: of all axes, or of one force while the others are as stated, as likely beforehand. So the axes themselves
+tell how well they agree and which force does not: three measure the mass, but only two moments each lever, of which no
+one can be told. An error that all axes share cannot be seen.
 """
 
 from collections.abc import Sequence
@@ -20,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
+from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtr
 
@@ -36,6 +39,7 @@ SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
 _SPREAD_FACTOR = np.log(
     3.0
 )  # 1 sigma of the logarithm of the spread: data sheets give limits, by range, and not sigmas
+_FAR = SPREADS > 3.0  # of one alone: nearer ones are no other than of all
 _WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zero from pose to pose, over the noise
 _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
 _ROUNDS = 25
@@ -59,6 +63,7 @@ class Prior(NamedTuple):
     scale: float
     tilt_rad: float
     mounting_rad: float
+    spreads: tuple[float, ...] = (1.0,) * 6  # of the axes' scales, over ``scale``
 
 
 class Noise(NamedTuple):
@@ -116,13 +121,24 @@ class Fit(NamedTuple):
 
 
 class Weighing(NamedTuple):
-    """A mixture of fits, by the spread of the scales."""
+    """A mixture of fits, by the spreads of the scales."""
 
     best: Fit
     weights: FloatArray  # (k,)
     fits: tuple[Fit, ...]
     freedom: float  # degrees of it, of the noise
-    spread: float  # of the scales, the mean
+    spreads: FloatArray  # (k, 6) of the axes' scales, over what is stated
+
+    @property
+    def spread(self) -> FloatArray:
+        """Of the axes' scales over what is stated, (6,), the mean."""
+        return np.asarray(self.weights @ self.spreads, np.float64)
+
+    def wider(self, times: float) -> tuple[float, FloatArray]:
+        """Chance that all scales spread by more than so many times what is stated, and (6,) that one alone does."""
+        beyond = self.spreads > times
+        alone = beyond & (beyond.sum(axis=1) == 1)[:, None]
+        return float(self.weights @ beyond.all(axis=1)), np.asarray(self.weights @ alone, np.float64)
 
 
 def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) -> Fit:
@@ -161,13 +177,21 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Prior, first: Fit) -> Weighi
         prior: its ``scale`` is the median of the spread.
         first: by :func:`fit`.
     """
-    fits = tuple(_fit(R, wrench, prior._replace(scale=prior.scale * k), first.state, first.noise) for k in SPREADS)
-    logs = np.array([one.evidence for one in fits]) - 0.5 * (np.log(SPREADS) / _SPREAD_FACTOR) ** 2
+    every = [(first, np.full(6, spread), 0.0) for spread in SPREADS]
+    for odd in np.eye(6, dtype=np.bool_)[:3]:  # anew: what is wrong with its scale is no noise
+        own = fit(R, wrench, prior._replace(spreads=tuple(np.where(odd, SPREADS[-1], 1.0).tolist())))
+        every += [(own, np.where(odd, spread, 1.0), -np.log(3.0)) for spread in SPREADS[_FAR]]
+    spreads = np.array([spread for _, spread, _ in every])
+    fits = tuple(
+        _fit(R, wrench, prior._replace(spreads=tuple(spread.tolist())), of.state, of.noise) for of, spread, _ in every
+    )
+    known = [likely - 0.5 * (np.log(spread.max()) / _SPREAD_FACTOR) ** 2 for _, spread, likely in every]
+    logs = np.array([one.evidence for one in fits]) + known
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     best = fits[int(weights.argmax())]
     freedom = max(1.0, 6.0 * (len(R) - 1) - 9.0)  # mass, first moment, mounting and tilt
-    return Weighing(best, weights, fits, freedom, float(prior.scale * (weights @ SPREADS)))
+    return Weighing(best, weights, fits, freedom, spreads)
 
 
 def interval(
@@ -261,10 +285,15 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Prior) -> State:
 
 def jacobian(R: FloatArray, state: State, prior: Prior) -> FloatArray:
     """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
-    d = _in_frame(R, state, prior) @ state.mounting.T
-    A, level = state.sensitivity, _level(prior.gravity_m_s2)
-    down = Rotation.from_rotvec(level @ state.tilt).apply(prior.gravity_m_s2)
-    J = np.zeros((len(R), 6, UNKNOWNS))
+    return _linearised(R, state, prior)[1]
+
+
+def _linearised(R: FloatArray, state: State, prior: Prior) -> tuple[FloatArray, FloatArray]:
+    """:func:`predicted` and :func:`jacobian`."""
+    level = _level(prior.gravity_m_s2)
+    down = _tilted(state, level) @ prior.gravity_m_s2
+    d = R.transpose(0, 2, 1) @ down @ state.mounting.T
+    A, J = state.sensitivity, np.zeros((len(R), 6, UNKNOWNS))
     force, moment, of_moments, of_forces = state.levers
     weight, moments, p_by = state.mass * d, d @ hat(state.first_moment).T, -hats(d)  # p x d = -d x p
     J[:, :3, 0], J[:, 3:, 0] = d @ force.T, REACH_m * d @ of_forces.T
@@ -277,7 +306,7 @@ def jacobian(R: FloatArray, state: State, prior: Prior) -> FloatArray:
     for axis in range(3):
         J[:, axis, 27 + 3 * axis : 30 + 3 * axis] = moments / REACH_m
         J[:, 3 + axis, 36 + 3 * axis : 39 + 3 * axis] = REACH_m * weight
-    return J
+    return d @ A.T, J
 
 
 def hat(v: FloatArray) -> FloatArray:
@@ -295,8 +324,13 @@ def hats(v: FloatArray) -> FloatArray:
 
 def _in_frame(R: FloatArray, state: State, prior: Prior) -> FloatArray:
     """Gravity in the axes of the frame whose pose is given, (n, 3)."""
-    T = Rotation.from_rotvec(_level(prior.gravity_m_s2) @ state.tilt).as_matrix()
-    return np.asarray(np.einsum("nba,b->na", R, T @ prior.gravity_m_s2), np.float64)
+    down = _tilted(state, _level(prior.gravity_m_s2)) @ prior.gravity_m_s2
+    return np.asarray(R.transpose(0, 2, 1) @ down, np.float64)
+
+
+def _tilted(state: State, level: FloatArray) -> FloatArray:
+    """The turn of the base by its tilt about two axes (3, 2), (3, 3)."""
+    return np.asarray(Rotation.from_rotvec(level @ state.tilt).as_matrix(), np.float64)
 
 
 def _level(gravity: FloatArray) -> FloatArray:
@@ -333,13 +367,14 @@ def prior_sigmas(wrench: FloatArray, prior: Prior, cross: float) -> FloatArray:
     """Prior sigma of the unknowns, (45,)."""
     g = float(np.linalg.norm(prior.gravity_m_s2))
     force, moment = _largest(wrench[:, :3]), _largest(wrench[:, 3:])
+    scales = [prior.scale * spread for spread in prior.spreads]
     wide = [_WIDE * force / g, *[_WIDE * max(moment, 0.1 * force) / g] * 3]
-    return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *[prior.scale] * 6, *[cross] * 30])
+    return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *scales, *[cross] * 30])
 
 
 def _values(state: State) -> FloatArray:
     """The unknowns, (45,); of the mounting the rotation vector."""
-    turn = Rotation.from_matrix(state.mounting).as_rotvec()
+    turn = Rotation.from_matrix(state.mounting, assume_valid=True).as_rotvec()
     return np.concatenate([[state.mass], state.first_moment, turn, state.tilt, state.scales, state.cross])
 
 
@@ -363,25 +398,24 @@ def variances(noise: Noise, n: int) -> FloatArray:
 def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: Noise) -> Fit:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
+    own = 1.0 / np.sqrt(spread)
     for _ in range(_ROUNDS):
-        residual, J = wrench - predicted(R, state, prior), jacobian(R, state, prior)
-        r = dct(residual, axis=0, norm="ortho")[1:] / np.sqrt(spread)
-        A = (dct(J, axis=0, norm="ortho")[1:] / np.sqrt(spread)[..., None]).reshape(-1, UNKNOWNS)
-        off = _values(state)
+        made, J = _linearised(R, state, prior)
+        r = dct(wrench - made, axis=0, norm="ortho")[1:] * own
+        A = (dct(J, axis=0, norm="ortho")[1:] * own[..., None]).reshape(-1, UNKNOWNS)
         H = A.T @ A + np.diag(sigmas**-2.0)
         unit = 1.0 / np.sqrt(np.diag(H))  # of very different units
-        root = np.linalg.inv(np.linalg.cholesky(H * np.outer(unit, unit))).T * unit[:, None]
-        step = root @ (root.T @ (A.T @ r.ravel() - off / sigmas**2))
-        size = float(np.abs(step @ np.linalg.solve(root.T, np.eye(UNKNOWNS))).max())
-        state = moved(state, step)
-        if size < _CLOSE:
+        L = np.linalg.cholesky(H * np.outer(unit, unit))
+        whitened = solve_triangular(L, unit * (A.T @ r.ravel() - _values(state) / sigmas**2), lower=True)
+        state = moved(state, unit * solve_triangular(L, whitened, lower=True, trans="T"))
+        if np.abs(whitened).max() < _CLOSE:
             break
     residual, off = wrench - predicted(R, state, prior), _values(state)
-    r = dct(residual, axis=0, norm="ortho")[1:] / np.sqrt(spread)
-    squares = float((r**2).sum() + ((off / sigmas) ** 2).sum())
-    volume = float(np.log(np.abs(np.diag(np.linalg.cholesky(root @ root.T)))).sum())
+    squares = float(((dct(residual, axis=0, norm="ortho")[1:] * own) ** 2).sum() + ((off / sigmas) ** 2).sum())
+    volume = float(np.log(unit / np.diag(L)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
-    return Fit(state, root @ root.T, noise, residual, evidence)
+    root = solve_triangular(L, np.diag(unit), lower=True)
+    return Fit(state, root.T @ root, noise, residual, evidence)
 
 
 def _noise(one: Fit, J: FloatArray, prior: Prior, floor: FloatArray) -> Noise:

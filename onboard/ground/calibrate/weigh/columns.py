@@ -37,6 +37,8 @@ _ORIENTATION = (
     ("xyz", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
     ("xyz", r"(?:.*)(?:rpy)([xyz])$", "xyz"),
     ("angles", r"(?:.*euler)([xyz])$", "xyz"),
+    ("sequence", r"(?:.*[^a-z])?(phi|theta|psi)$", ("phi", "theta", "psi")),
+    ("sequence", r"(?:.*[^a-z])?(alpha|beta|gamma)$", ("alpha", "beta", "gamma")),
     ("angles?", r"(?:.*[^a-z])?r([xyz])$", "xyz"),
     ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
     ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
@@ -62,7 +64,9 @@ class Meaning(NamedTuple):
     Attributes:
         kind: of the orientation: ``quaternion`` (w, x, y, z), ``quaternion?`` (of unknown order), ``quaternion:xyzw``,
             ``matrix`` (by rows), ``rotvec``, ``angles`` (about x, y, z in an unknown order), ``angles?`` (these or a
-            rotation vector), an order of Euler angles (``xyz``, ``ZYX``: SciPy's letters) or ``joints``.
+            rotation vector), ``sequence`` (one after the other about axes that nobody named),
+            ``sequence:ZYZ`` (about these, or each about the axis that it is named for), an order of Euler angles
+            (``xyz``, ``ZYX``: SciPy's letters) or ``joints``.
         orientation: (n, k); angles are in rad.
         wrench: (n, 6) N, N m.
         said: how it was understood, in words.
@@ -167,7 +171,9 @@ def _said_kind(table: Table, kind: str, said: str) -> str:
     }.get(kind, not quaternions and said != "matrix")
     if not fits:
         raise PosesError(f"{table.label}: --orientation {said}, but its columns are {kind.rstrip('?')}: leave it out")
-    return kind if kind in ("quaternion", "matrix") else f"quaternion:{said}" if quaternions else said
+    if kind in ("quaternion", "matrix"):
+        return kind
+    return f"quaternion:{said}" if quaternions else f"sequence:{said}" if kind == "sequence" else said
 
 
 def _vector(
@@ -208,7 +214,8 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
             return kind, at
     raise PosesError(
         f"{table.label}: no orientation among {_shown(table.names)}: quaternion (qw, qx, qy, qz), matrix (r11 .. r33), "
-        "rotation vector (rotvec_x ..), Euler angles (roll, pitch, yaw), or joints with --urdf; give names by --columns"
+        "rotation vector (rotvec_x ..), Euler angles (roll, pitch, yaw; phi, theta, psi), or joints with --urdf; "
+        "give names by --columns"
     )
 
 

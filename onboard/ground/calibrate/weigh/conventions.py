@@ -87,8 +87,19 @@ def rotations(meaning: Meaning) -> Iterator[tuple[str, FloatArray]]:
                 yield "rotation vector", _of_vector(values)
             for order in ("xyz", "XYZ"):
                 yield f"Euler angles {order}", of_euler(order, values)
+        case kind if kind.startswith("sequence"):
+            yield from _sequences(kind.removeprefix("sequence").removeprefix(":"), values)
         case order:
             yield f"Euler angles {order}", of_euler(order, values)
+
+
+def _sequences(said: str, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """By the order that a person said, or by the usual ones."""
+    for order in [said] if said else ("xyz", "XYZ", "ZYX", "ZYZ", "ZXZ"):
+        by_axis = of_euler(order, values)
+        yield f"Euler angles {order}", of_sequence(order, values)
+        if said and len({*said}) == 3 and said.lower() != "xyz":  # phi is the roll, the last to turn, in ZYX
+            yield f"Euler angles {said}, the first about x", by_axis
 
 
 def of_euler(order: str, values: FloatArray) -> FloatArray:
@@ -103,8 +114,13 @@ def of_euler(order: str, values: FloatArray) -> FloatArray:
             f"{order!r} is no order of Euler angles; write xyz (fixed axes), ZYX (moving axes) and the like"
         )
     columns = ["xyz".index(letter) for letter in letters] if len(set(letters)) == 3 else [0, 1, 2]
+    return of_sequence(order, values[:, columns])
+
+
+def of_sequence(order: str, values: FloatArray) -> FloatArray:
+    """Angles (n, 3) rad in the order of the letters."""
     good = np.asarray(np.isfinite(values).all(axis=1))
-    return _where(good, lambda rows: Rotation.from_euler(order, values[rows][:, columns]))
+    return _where(good, lambda rows: Rotation.from_euler(order, values[rows]))
 
 
 def _of_quaternion(values: FloatArray) -> FloatArray:

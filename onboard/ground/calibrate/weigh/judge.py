@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.calibration import wrist
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELIER
 from onboard.identification.quantities import Findings
@@ -39,7 +38,7 @@ def judge(answer: Answer) -> Judged:
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
     }
     standings = {one.name: standing(one, findings, sizes.get(one.name)) for one in body}
-    corrections = {f"the scale of {one.name}": one.scale for one in answer.axes}
+    corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k != _odd(answer)}
     own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}  # findings stand in the verdict
     evidence = Evidence(
         answer.count["poses"] - len(answer.outliers),
@@ -92,14 +91,19 @@ def _findings(answer: Answer) -> Findings:
         )
     if answer.outliers:
         doubts.append(f"{len(answer.outliers)} of {answer.count['poses']} poses contradict the others: left out")
-    spread = float(answer.weighing.weights[wrist.SPREADS > FARTHEST_SIZE].sum())
-    if mass.supported and spread > LIKELIER:
+    if (odd := _odd(answer)) is not None:
+        axis = answer.axes[odd]
+        doubts.append(
+            f"the scale of {axis.name} is off by {axis.scale * answer.known.scale:+.1%}, as the other axes agree, and "
+            f"is stated to {100.0 * answer.known.scale:.2g} %: taken for unknown; calibrate the sensor"
+        )
+    if mass.supported and answer.weighing.wider(FARTHEST_SIZE)[0] > LIKELIER:
         doubts.append(
             f"the axes contradict each other: {fitted(answer)}, where scales are stated to "
             f"{100.0 * answer.known.scale:.2g} %; hang a known mass on it, or calibrate the sensor"
         )
     plain, _ = answer.plain
-    if mass.supported and not mass.low <= plain <= mass.high:
+    if odd is None and mass.supported and not mass.low <= plain <= mass.high:
         k = int(np.abs([one.moved / one.noise for one in answer.axes[:3]]).argmax())
         axis = answer.axes[k]
         weight = abs(mass.mean) * answer.known.place.gravity_m_s2
@@ -109,6 +113,12 @@ def _findings(answer: Answer) -> Findings:
             said += f"; the zero of {axis.name} moved by {moved:.2g} N ({moved / weight:.0%} of the weight)"
         doubts.append(f"{said}; plain least squares would say {plain:.4g} kg")
     return Findings(tuple(against), tuple(doubts))
+
+
+def _odd(answer: Answer) -> int | None:
+    """The axis whose scale alone is not as stated, if any."""
+    alone = answer.weighing.wider(FARTHEST_SIZE)[1]
+    return int(alone.argmax()) if alone.max() > LIKELIER else None
 
 
 def alone(answer: Answer) -> str:

@@ -187,6 +187,10 @@ def test_two_files_decimal_commas_and_other_columns(one, tmp_path):
         (("rx", "ry", "rz"), ("rotvec", np.pi / 180.0), ()),
         (("rx", "ry", "rz"), ("XYZ", 1.0), ("--orientation", "XYZ")),
         (("euler_x", "euler_y", "euler_z"), ("xyz", 1.0), ()),
+        (("phi", "theta", "psi"), ("ZYZ", 1.0), ("--orientation", "ZYZ")),
+        (("tool_phi [deg]", "tool_theta [deg]", "tool_psi [deg]"), ("ZYZ", 1.0), ()),
+        (("phi", "theta", "psi"), ("xyz", 1.0), ("--orientation", "ZYX")),
+        (("alpha", "beta", "gamma"), ("ZYX", 1.0), ("--orientation", "ZYX")),
     ],
 )
 def test_angles(tmp_path, header, made, options):
@@ -201,6 +205,9 @@ def test_angles(tmp_path, header, made, options):
         if order == "rotvec":
             R = turn(np.deg2rad([x, y, z]) * 0.5)
             cells = np.array([x, y, z]) * 0.5 * degrees
+        elif order == "ZYZ":
+            R = turn(np.deg2rad(x) * axes["z"]) @ turns["y"] @ turns["z"]
+            cells = np.array([x, y, z])
         else:
             R = (
                 turns["z"] @ turns["y"] @ turns["x"]
