@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import OK, Commands, bus_and_url
+from onboard.cli.common import OK, Commands, bus_and_url, busy
 
 if TYPE_CHECKING:
     from onboard.ground.before.init.drawing import Drawn
@@ -32,7 +32,8 @@ def add(commands: Commands) -> None:
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
     init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar"))
     init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
-    init.add_argument("--imu-frame", metavar="LINK", help="of --urdf, whose axes are the IMU's (default: a new link)")
+    imu = "of --urdf, whose axes are the IMU's (default: the only one of the base's that is called so, or a new one)"
+    init.add_argument("--imu-frame", metavar="LINK", help=imu)
     init.add_argument("--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: a new link)")
     init.add_argument(
         "--joints",
@@ -59,7 +60,7 @@ def add(commands: Commands) -> None:
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from onboard.ground.before.init import vehicle
+    from onboard.ground.before.init import pucks, vehicle
 
     notes: tuple[str, ...] = ()
     if arguments.packaged:
@@ -76,6 +77,8 @@ def _init(arguments: argparse.Namespace) -> int:
         notes = wanted.drawn.notes if wanted.drawn else ()
         if wanted.drawn is not None:
             notes += _of_payload(wanted.drawn, wanted.payload_link)
+            notes += _of_imu(wanted.drawn, wanted.imu_frame) if wanted.imu != "none" else ()
+            notes += (pucks.note(wanted.drawn),) if wanted.pucks else ()
     return _written(files, notes)
 
 
@@ -120,14 +123,45 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
     return (f"what is held is estimated in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
+def _of_imu(drawn: "Drawn", link: str) -> tuple[str, ...]:
+    """Where the IMU is taken to be."""
+    if link in drawn.frames:
+        return (f"the IMU has the axes and the place of link {link}",)
+    others = f"; --imu-frame {' or '.join(drawn.imus)} for a frame of the URDF" if drawn.imus else ": put its place in"
+    return (f"the IMU is put in a new link {link!r} at the origin of {drawn.root}{others}",)
+
+
 def _ask(arguments: argparse.Namespace) -> None:
     from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS
 
     known = {"imu": IMUS, "encoder": ENCODERS, "load_cell": LOAD_CELLS}
+    answering = _answering(known)
     for option, question, usual in _QUESTIONS:
         if getattr(arguments, option) is None and not (option == "joints" and arguments.urdf):
             choices = f" {', '.join(known[option])}" if option in known else ""
-            setattr(arguments, option, input(f"{question}{choices} [{usual}] ").strip() or usual)
+            kind, bus, where = answering.get(option, (usual, "", ""))
+            answer = input(f"{question}{choices}{where} [{kind}] ").strip() or kind
+            setattr(arguments, option, answer)
+            if bus and answer == kind:
+                arguments.bus.insert(0, bus)
+
+
+def _answering(known: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, str, str]]:
+    """By option the first kind that answers on a bus of this computer, its bus with the URL, and words of both."""
+    import time
+
+    from onboard.flight.check import scan
+    from onboard.ground.before.init import seen
+
+    found = dict[str, tuple[str, str, str]]()
+    for url in scan.urls():
+        with busy(f"looking at {url}"):
+            bus = scan.scan(url, time.monotonic_ns, time.sleep)
+        for option, kinds in known.items():
+            if kind := next((one.kind for one in bus.found if one.kind in kinds), ""):
+                words = f"; {kind} answers on {url}"
+                found.setdefault(option, (kind, f"{seen.bus_of(kind)}={url}", words))
+    return found
 
 
 def _wanted(arguments: argparse.Namespace) -> "Wanted":
@@ -156,7 +190,8 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
             raise ValueError(f"the URDF has no link {link!r}" if drawn else f"{link!r}: give the --urdf that has it")
     name = arguments.name or arguments.directory.resolve().name
     urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
-    frames = arguments.imu_frame or "imu_base", arguments.payload_link or "payload"
+    own = drawn.imus[0] if drawn is not None and len(drawn.imus) == 1 else "imu_base"
+    frames = arguments.imu_frame or own, arguments.payload_link or "payload"
     gains = tuple(float(part) for part in arguments.gains.split(",")) if arguments.gains else ()
     pulse = not arguments.no_pulse
     return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains)

@@ -6,7 +6,7 @@ nobody measures, and a root that is the laboratory's floor.
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.urdf_reading import DrawingError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
+_IMUS, _PUCKS = {"imu"}, {"puck", "pucks", "bearing", "bearings", "airbearing", "pad", "pads"}
 PLACEHOLDER = RigidBody(10.0, np.zeros(3), 0.2 * np.eye(3))  # of a base that weighs nothing
 
 
@@ -36,6 +37,9 @@ class Drawn(NamedTuple):
         frames: all links.
         efforts: largest torque of each joint [N m, N]; none where the URDF says none, or zero.
         tips: links without a mass at the end of it, at which a tool could be.
+        imus: links fixed to the root that are called like an IMU.
+        pucks: links fixed to the root that are called like an air bearing's pucks.
+        radius_m: of a disc with the root's mass and moment of inertia about z; zero of a base that does not move.
         notes: what was changed in the copy, or has to be.
     """
 
@@ -47,6 +51,9 @@ class Drawn(NamedTuple):
     frames: tuple[str, ...]
     efforts: dict[str, float]
     tips: tuple[str, ...]
+    imus: tuple[str, ...]
+    pucks: tuple[str, ...]
+    radius_m: float
     notes: tuple[str, ...]
 
 
@@ -97,16 +104,24 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     tips = [link for link in whole.group(last) if not whole.below(link) and link not in model.links]
     largest = {joint.name: float(model.model.effortLimit[joint.v_index]) for joint in model.joints}
     efforts = {name: effort for name, effort in largest.items() if 0.0 < effort < np.inf}
-    return Drawn(text, root, tuple(measured), model.links, last, tuple(whole.links), efforts, tuple(tips), tuple(notes))
+    imus, pucks = _called(drawing, root, _IMUS), _called(drawing, root, _PUCKS)
+    radius_m = float(np.sqrt(2.0 * model.chi[9] / model.chi[0])) if BaseKind(base).follows else 0.0
+    frames, free = tuple(whole.links), (tuple(imus), tuple(pucks), radius_m, tuple(notes))
+    return Drawn(text, root, tuple(measured), model.links, last, frames, efforts, tuple(tips), *free)
 
 
-def with_frame(drawn: Drawn, name: str, parent: str) -> str:
-    """Its text with a massless link at another's origin."""
+def _called(drawing: urdf_reading.Drawing, root: str, words: Set[str]) -> list[str]:
+    """Links fixed to the root with one of these words in their names."""
+    return [link for link in drawing.group(root) if words & set(re.split(r"[^a-z]+", link.lower()))]
+
+
+def with_frame(drawn: Drawn, name: str, parent: str, place: str = "0 0 0") -> str:
+    """Its text with a massless link at a place in another."""
     mount = f"""  <link name="{name}"/>
   <joint name="{name}_mount" type="fixed">               <!-- added by heft init: put its place in -->
     <parent link="{parent}"/>
     <child link="{name}"/>
-    <origin xyz="0 0 0" rpy="0 0 0"/>
+    <origin xyz="{place}" rpy="0 0 0"/>
   </joint>
 """
     at = drawn.text.rindex("</robot>")

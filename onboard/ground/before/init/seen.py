@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
 from onboard.ground.before.init import devices
 
+_ROLES = ImuDevice, JointDevice, LoadCellDevice
+
 
 def tables(found: Mapping[str, Sequence[tuple[str, int]]]) -> str:
     """Tables of the buses and of the devices on them; of kinds that ``heft init`` makes no table of, none.
@@ -14,7 +16,7 @@ def tables(found: Mapping[str, Sequence[tuple[str, int]]]) -> str:
     Args:
         found: by the URL of a bus, kinds, each with its I2C address, node number, or period of SYNC in us.
     """
-    text, count = "", dict.fromkeys((ImuDevice, JointDevice, LoadCellDevice), 0)
+    text, count = "", dict.fromkeys(_ROLES, 0)
     for number, (url, things) in enumerate(found.items()):
         bus, made = _name_of(url, number), ""
         for kind, place in things:
@@ -27,6 +29,12 @@ def tables(found: Mapping[str, Sequence[tuple[str, int]]]) -> str:
                     break
         text += f"\n[bus.{bus}]\nurl = {json.dumps(url)}\n{made}" if made else ""
     return text.lstrip()
+
+
+def bus_of(kind: str) -> str:
+    """Name of the bus that ``heft init`` puts a device of a kind on that it makes tables of."""
+    role = next(role for role in _ROLES if kind in devices.kinds(role))
+    return _table(kind, 1, role, 1).bus
 
 
 def _table(kind: str, place: int, role: type, count: int) -> devices.NewDevice:

@@ -12,7 +12,7 @@ from onboard.config.keys import schema
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
 from onboard.dynamics.model.bases import BaseKind
 from onboard.flight.estimate.problem.identification import build_online
-from onboard.ground.before.init import devices, drawing
+from onboard.ground.before.init import devices, drawing, pucks
 from onboard.ground.before.init.devices import NewDevice
 from onboard.ground.before.init.drawing import Drawn
 
@@ -22,7 +22,6 @@ ENCODERS = (*devices.kinds(JointDevice), devices.RECORDED)
 LOAD_CELLS = (*devices.kinds(LoadCellDevice), devices.RECORDED, "none")
 _IMPORT = "import.toml"
 _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
-_PUCK = "puck_1"  # of an air-bearing table
 
 
 class Wanted(NamedTuple):
@@ -56,6 +55,11 @@ class Wanted(NamedTuple):
         if self.drawn is None:
             return ("base", *(f"link_{n}" for n in range(1, len(self.joints) + 1)))
         return tuple(link for link in self.drawn.links if link != self.payload_link)
+
+    @property
+    def pucks(self) -> dict[str, str]:
+        """Frames and places of an air-bearing table's."""
+        return pucks.places(self.drawn) if self.base == "planar" else {}
 
     @property
     def by_torque(self) -> bool:
@@ -170,12 +174,8 @@ def _head(wanted: Wanted) -> str:
 tilt_sigma_m_s2 = 0.002        # as the table was levelled
 velocity_sigma_m_s = 0.02      # as the base is let go
 rate_sigma_rad_s = 1.0
-
-[[planar.puck]]
-frame = "{_PUCK}"
-viscous_sigma_N_s_m = 5.0      # how much it may drag
-coulomb_sigma_N = 0.5
-"""
+sag_sigma = 1.0                # drag of all pucks may grow so as their supply sags
+{pucks.tables(wanted.pucks)}"""
     return f"""{schema.FIRST_LINE}
 # Made by heft init. Numbers that are "yours" are placeholders: put yours there. Every key: docs/vehicle.md,
 # those of devices: docs/devices.md. `heft preflight vehicle.toml` says what does not fit.
@@ -217,12 +217,13 @@ def _rest(wanted: Wanted) -> str:
             f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
             for link in wanted.links
         )
+        mark, chooses = ("# ", "; silent: heft identify chooses") if wanted.encoder == "recorded" else ("", "")
         rate_hz = "50" if wanted.imu == "nimu" else "100"
         return f"""
 [estimation]
 method = "exiddm"              # predicts the base IMU; finds the payload, its capture and its ejection
 row_rate_hz = {rate_hz}{" " * (17 - len(rate_hz))}# two samples of every device, or more, in a row's period
-smoothing_ms = {smoothing}             # of the joints
+{mark}smoothing_ms = {smoothing}             # of the joints{chooses}
 
 [estimation.exiddm]
 held_at_start = true           # false: it is caught in flight
@@ -287,11 +288,10 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
     """The URDF at hand, with the frames that it lacks."""
     needed = {wanted.imu_frame: drawn.root} if wanted.imu != "none" else {}
     needed[wanted.payload_link] = drawn.last
-    if wanted.base == "planar":
-        needed[_PUCK] = drawn.root
-    for name, parent in needed.items():
+    places = wanted.pucks
+    for name, parent in (needed | dict.fromkeys(places, drawn.root)).items():
         if name not in drawn.frames:
-            drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent))
+            drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent, places.get(name, "0 0 0")))
     return drawn.text
 
 
@@ -299,8 +299,7 @@ def _urdf(wanted: Wanted) -> str:
     parts = [_link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
     if wanted.imu != "none":
         parts.append(_mount("imu_base", "base", "0 0 0"))
-    if wanted.base == "planar":
-        parts.append(_mount(_PUCK, "base", "0 0 0"))
+    parts += [_mount(name, "base", place) for name, place in wanted.pucks.items()]
     before = "base"
     for number, name in enumerate(wanted.joints, 1):
         link = f"link_{number}"

@@ -62,14 +62,16 @@ def _ns(values: Values, time: Time) -> tuple[NDArray[np.float64], NDArray[np.int
     return approximate, values.astype(np.int64) * per_unit + round(time.offset * per_unit)
 
 
-def unwrapped(values: Values, modulus: int) -> Values:
-    """A counter that starts at 0 again after ``modulus`` - 1, (n,), without that; what is no number stays as it is."""
+def unwrapped(values: Values, modulus: float) -> Values:
+    """What starts again after ``modulus``, a counter or an angle, (n,), without that; what is no number stays so."""
     known = np.flatnonzero(np.isfinite(values))
     steps = np.diff(values[known].astype(np.float64))
     turns = np.cumsum((steps < -0.5 * modulus).astype(np.int64) - (steps > 0.5 * modulus))
-    whole = values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
-    whole[known[1:]] += modulus * turns
-    return whole
+    more = np.zeros(len(values), np.int64)
+    more[known[1:]] = turns
+    if values.dtype.kind in "iu" and modulus == int(modulus):
+        return values.astype(np.int64) + int(modulus) * more
+    return values.astype(np.float64) + modulus * more
 
 
 def _is_time(approximate: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -173,6 +175,8 @@ def scalar(source: Path, columns: Columns[str, Values], channel: ScalarChannel, 
         raise SourceError(f"{source}: columns of a sum differ in length: {lengths}; they must be of the same samples")
     names = " + ".join(parts)
     values: Values = next(iter(parts.values()))
+    if value.wraps is not None:
+        values = unwrapped(values, value.wraps)
     if value.sum is not None:
         values = np.column_stack(list(parts.values())).astype(np.float64) @ np.array(list(value.sum.values()))
     if value.quaternion is not None:

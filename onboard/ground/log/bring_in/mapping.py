@@ -231,9 +231,12 @@ class Scalar(_Quantity):
     quaternion: tuple[Column, Column, Column, Column] | None = None  # w, x, y, z
     up: Literal["y", "z"] = "z"
     sign: Literal["+", "-"] = "+"
+    wraps: _Positive | None = None
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
+        if self.wraps is not None and self.column is None:
+            raise ValueError("`wraps` is of a `column` that starts again after a turn; leave it out")
         if sum(one is not None for one in (self.column, self.sum, self.quaternion)) != 1:
             raise ValueError(
                 "give one of `column`, `sum`, columns and what to multiply each by, `quaternion`, four columns"

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.mission import open_in_process
 from hil_sim.plants.body import Body
 from hil_sim.plants.draws import as_built
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_of, standard_of
+from onboard.flight.check import scan
 from onboard.flight.estimate.problem.identification import build_identifier, build_online
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
+from onboard.identification.rows.row_blocks import instrument_of
 
 
 @pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
@@ -64,6 +67,7 @@ def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> No
 
 def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter(["prescribed", "boom", "", "", "cia404"])
+    monkeypatch.setattr(scan, "urls", list)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: next(answers))
     assert (
@@ -74,6 +78,32 @@ def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert vehicle.file.vehicle.base == "prescribed"
     assert [joint.joint for joint in roles_of(vehicle).joints] == ["boom"]
     assert vehicle.url("can_0") == "can+slcan:///dev/ttyACM0?bitrate=500000"
+
+
+def test_it_offers_what_answers_on_the_buses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    questions = list[str]()
+
+    def answer(question: str) -> str:
+        questions.append(question)
+        return ""
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", answer)
+    mission, mission_urls = open_in_process("dymaflex", 1, [])
+    with mission:
+        mission.advance(mission.start_ns + 200_000_000)
+        monkeypatch.setattr("time.monotonic_ns", lambda: mission.now_ns)
+        monkeypatch.setattr("time.sleep", lambda seconds: mission.advance(mission.now_ns + round(1e9 * seconds)))
+        monkeypatch.setattr(scan, "urls", lambda: [mission_urls["i2c_1"], mission_urls["can_0"]])
+        assert cli.main(["init", str(tmp_path / "mine")]) == cli.OK
+    assert questions[2].endswith(f"; mpu6050 answers on {mission_urls['i2c_1']} [mpu6050] ")
+    assert questions[3].endswith(f"; cia406 answers on {mission_urls['can_0']} [cia406] ")
+    assert questions[4].endswith(f"; cia404 answers on {mission_urls['can_0']} [cia404] ")
+    vehicle = config.load(tmp_path / "mine" / "vehicle.toml")
+    assert {name: vehicle.url(name) for name in ("i2c_1", "can_0")} == {
+        name: mission_urls[name] for name in ("i2c_1", "can_0")
+    }
+    assert {one.kind for one in vehicle.file.device.values()} >= {"mpu6050", "cia406", "cia404"}
 
 
 @pytest.mark.parametrize(
@@ -105,6 +135,14 @@ def test_a_vehicle_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Ca
     assert "is there already" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["vehicle.toml"]
     assert (tmp_path / "vehicle.toml").read_text() == "mine"
+
+
+def test_a_joint_may_be_called_like_the_base(tmp_path: Path) -> None:
+    """Its torques are no wrench on a base that floats."""
+    made = ["init", str(tmp_path / "v"), "--base", "fixed", "--joints", "base_pan,elbow", "--encoder", "recorded"]
+    assert cli.main(made) == cli.OK
+    instruments = [instrument_of(name) for name in ("base_pan_torque", "base_force_x", "base_moment_z")]
+    assert instruments == ["base_pan_torque", "base IMU", "base IMU"]
 
 
 def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) -> None:
@@ -187,6 +225,47 @@ def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: 
     assert "what is held" not in capsys.readouterr().out
     mount = (tmp_path / "all" / "vehicle.urdf").read_text().split("payload_mount")[1]
     assert '<parent link="hand"/>' in mount.split("</joint>")[0]
+
+
+def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mass = '<inertial><mass value="{}"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    frame = '<link name="{0}"/><joint name="{0}_j" type="fixed"><parent link="{1}"/><child link="{0}"/></joint>'
+    arm = f'<link name="bus">{mass.format(9)}</link><link name="arm">{mass.format(1)}</link>'
+    arm += '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
+    arm += '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+    for frames, used, said in (
+        ((("Imu_link", "bus"), ("arm_imu", "arm"), ("maximum", "bus")), "Imu_link", "the place of link Imu_link"),
+        ((("imu_1", "bus"), ("imu_2", "bus")), "imu_base", "origin of bus; --imu-frame imu_1 or imu_2"),
+        ((("arm_imu", "arm"),), "imu_base", "at the origin of bus: put its place in"),
+    ):
+        urdf, lab = tmp_path / "a.urdf", tmp_path / used / frames[0][0]
+        urdf.write_text(f'<robot name="a">{arm}{"".join(frame.format(*one) for one in frames)}</robot>')
+        asked = ["--base", "free", "--encoder", "recorded", "--urdf", str(urdf)]
+        assert cli.main(["init", str(lab), *asked]) == cli.OK
+        assert said in capsys.readouterr().out
+        assert f'frame = "{used}"' in (lab / "vehicle.toml").read_text()
+
+
+def test_pucks_are_where_the_urdf_has_them_or_in_the_middle_and_around_it(tmp_path, capsys):
+    """A disc of 9 kg and 0.1 kg m^2 about z is 0.149 m in radius; pucks that are in the middle alone do not turn it."""
+    mass = '<inertial><mass value="{}"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    frame = '<link name="{0}"/><joint name="{0}_j" type="fixed"><parent link="bus"/><child link="{0}"/></joint>'
+    arm = f'<link name="bus">{mass.format(9)}</link><link name="arm">{mass.format(1)}</link>'
+    arm += '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
+    arm += '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+    for frames, used, said in (
+        (("Puck_a", "puck_b"), ("Puck_a", "puck_b"), "at Puck_a, puck_b"),
+        ((), ("puck_1", "puck_2", "puck_3", "puck_4"), "0.15 m around it"),
+    ):
+        urdf, lab = tmp_path / "a.urdf", tmp_path / used[0]
+        urdf.write_text(f'<robot name="a">{arm}{"".join(frame.format(one) for one in frames)}</robot>')
+        assert cli.main(["init", str(lab), "--base", "planar", "--encoder", "recorded", "--urdf", str(urdf)]) == cli.OK
+        assert said in capsys.readouterr().out
+        asked = config.load(lab / "vehicle.toml").file.planar
+        assert asked is not None
+        assert tuple(one.frame for one in asked.puck) == used
+        assert asked.sag_sigma > 0.0
+    assert '<origin xyz="0.1491 0 0"' in (lab / "vehicle.urdf").read_text()
 
 
 def test_gains_of_recorded_currents(tmp_path, capsys):

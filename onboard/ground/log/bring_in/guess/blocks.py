@@ -1,16 +1,26 @@
-"""Columns without names: a block of columns, and the block of its derivatives: angles of joints and their rates."""
+"""Columns without names: a block of columns, and the block of its derivatives: angles of joints and their rates.
+
+Where no block is the derivative of another, the number of a vehicle's joints says how long a block is. Six columns, and
+the temperature between them, are an IMU's where three of them have the size of gravity at rest.
+"""
 
 import numpy as np
 
 from onboard.ground.log.bring_in.guess import magnitudes
 from onboard.ground.log.bring_in.guess.groups import Column, Group, Table
+from onboard.ground.log.bring_in.guess.magnitudes import FloatArray
 
 _MOST_JOINTS = 8
 _TIMES = (0.8, 1.25)  # the derivative over the rate, in one unit of angles and any of time
 
 
-def recognised(table: Table) -> Table:
-    """A table whose columns are numbered, with the groups that its numbers show."""
+def recognised(table: Table, vehicle_joints: int = 0) -> Table:
+    """A table whose columns are numbered, with the groups that its numbers show.
+
+    Args:
+        table: of numbered columns.
+        vehicle_joints: that are measured; 0: not known.
+    """
     columns = sorted(
         (*table.rest, *(c for g in table.groups for c in g.columns.values())), key=lambda one: int(one.name)
     )
@@ -24,17 +34,43 @@ def recognised(table: Table) -> Table:
             ratio = magnitudes.slope(angles, rates, clock.seconds)
             if ratio is not None and any(abs(ratio * size - 1.0) < 0.2 for size in (1.0, 1e3, 1e-3, 1e6, 1e9)):
                 blocks = [columns[k : k + joints] for k in range(first, len(columns) - joints + 1, joints)]
-                return _named(table, blocks)
-    return table
+                kinds = ["angle", "rate", *["torque"] * (len(blocks) > 2)]
+                return _named(table, blocks, kinds, ["", "", "it follows the rates"])
+    if vehicle_joints and len(columns) in (vehicle_joints, 2 * vehicle_joints):
+        blocks = [columns[k : k + vehicle_joints] for k in range(0, len(columns), vehicle_joints)]
+        why = f"by its place: the vehicle file has {vehicle_joints} joints"
+        return _named(table, blocks, ["angle", "torque"][: len(blocks)], [why, why])
+    return _imu(table, columns, values)
 
 
-def _named(table: Table, blocks: list[list[Column]]) -> Table:
-    kinds = ["angle", "rate", *["torque"] * (len(blocks) > 2)]
-    more = ", ".join(f"{block[0].name} to {block[-1].name}" for block in blocks[3:])
-    doubt = "it follows the rates: N m, or A of the motors' currents" + (f"; or columns {more}" if more else "")
+def _imu(table: Table, columns: list[Column], values: FloatArray) -> Table:
+    """With gyro and accelerometer, where three columns of six, or of seven, are as large as gravity at rest."""
+    if len(columns) not in (6, 7):
+        return table
+    blocks = [columns[:3], columns[-3:]]
+    at_rest = [magnitudes.of_accelerations(one, "").why.endswith("at rest") for one in (values[:, :3], values[:, -3:])]
+    if at_rest.count(True) != 1:
+        return table
+    kinds = ["accel", "gyro"] if at_rest[0] else ["gyro", "accel"]
+    why = ["its size at rest is gravity's" if kind == "accel" else "it stands beside accelerations" for kind in kinds]
+    return _named(table, blocks, kinds, why, "xyz")
+
+
+def _named(
+    table: Table, blocks: list[list[Column]], kinds: list[str], why: list[str], labels: str = "12345678"
+) -> Table:
+    more = ", ".join(f"{block[0].name} to {block[-1].name}" for block in blocks[len(kinds) :])
+    unit = ": N m, or A of the motors' currents" + (f"; or columns {more}" if more else "")
     groups = [
-        Group(kind, (kind,), "", {str(k + 1): one for k, one in enumerate(block)}, False, doubt * (kind == "torque"))
-        for kind, block in zip(kinds, blocks, strict=False)
+        Group(
+            kind,
+            (kind,),
+            "",
+            dict(zip(labels, block, strict=False)),
+            False,
+            own and own + unit * (kind == "torque"),
+        )
+        for kind, own, block in zip(kinds, why, blocks, strict=False)
     ]
     used = {one.name for block in blocks[: len(kinds)] for one in block}
     rest = [

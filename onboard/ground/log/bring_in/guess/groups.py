@@ -1,14 +1,14 @@
 """Columns of a recording, grouped by what they are: the angles of all joints, the three axes of a gyro."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.ground.log.bring_in.guess import names
+from onboard.ground.log.bring_in.guess import joint_names, names
 from onboard.ground.log.bring_in.guess.clock import Clock, clock, refused
 from onboard.ground.log.bring_in.guess.names import Name
 from onboard.ground.log.bring_in.mapping import NS_PER
@@ -66,8 +66,10 @@ class Table(NamedTuple):
     no_clock: str = ""  # why a column that is a time by its name is none, where there is no other
 
 
-def tables(path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[str, str]) -> list[Table]:
-    """Tables of a recording; ``units``: by column, of a line of units."""
+def tables(
+    path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]
+) -> list[Table]:
+    """Tables of a recording; ``units``: by column, of a line of units; ``joints``: of the vehicle, by their angles."""
     apart: dict[str, list[Column]] = {}
     for name, values in columns.items():
         if not values.ndim:
@@ -78,7 +80,7 @@ def tables(path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[
         for own, one in _flat(name, values):
             plain = _undoubled(own, columns)
             apart.setdefault(table, []).append(Column(own, one, names.parsed(plain or own, units.get(own, ""))))
-    return [_table(name, kind, some) for name, some in apart.items() if len(some[0].values) > 1]
+    return [_table(name, kind, some, joints) for name, some in apart.items() if len(some[0].values) > 1]
 
 
 def _flat(name: str, values: Values) -> list[tuple[str, Values]]:
@@ -89,7 +91,7 @@ def _flat(name: str, values: Values) -> list[tuple[str, Values]]:
     return [(f"{name}[{k}]", values[:, k]) for k in range(values.shape[1])] if values.shape[1] <= _WIDEST else []
 
 
-def _table(name: str, kind: str, columns: list[Column]) -> Table:
+def _table(name: str, kind: str, columns: list[Column], joints: Sequence[str]) -> Table:
     usable = [one for one in columns if np.isfinite(one.values).any()]
     clocks = [one for one in usable if names.is_time(one.of)]
     if kind in ("bag", "mcap", "ulog"):
@@ -110,7 +112,7 @@ def _table(name: str, kind: str, columns: list[Column]) -> Table:
                 taken = "it rises from row to row; no name says that it is a time" if unnamed else ""
                 break
     used = {one.name for one in clocks} | ({found.column} if found else set())
-    groups, rest = _groups([one for one in usable if one.name not in used])
+    groups, rest = _groups([one for one in usable if one.name not in used], joints)
     rest += [one for one in columns if not np.isfinite(one.values).any()]
     return Table(name, tuple(groups), found, tuple(rest), taken, lost)
 
@@ -129,11 +131,12 @@ def _of_motion_capture(columns: Mapping[tuple[tuple[str, ...], str], object]) ->
     return ("t",) in stems and ("r",) in stems
 
 
-def _groups(columns: list[Column]) -> tuple[list[Group], list[Column]]:
+def _groups(columns: list[Column], joints: Sequence[str]) -> tuple[list[Group], list[Column]]:
     together: dict[tuple[tuple[str, ...], str], dict[str, Column]] = {}
     doubts: dict[tuple[tuple[str, ...], str], str] = {}
     rest: list[Column] = []
-    for one in columns:
+    labelled = joint_names.labelled([one.of for one in columns], joints)
+    for one in [one._replace(of=of) for one, of in zip(columns, labelled, strict=True)]:
         place = one.of.stem, one.of.unit
         own = together.setdefault(place, {})
         if one.of.label not in own:
@@ -152,7 +155,7 @@ def _groups(columns: list[Column]) -> tuple[list[Group], list[Column]]:
         if stem == ("t",) and kind == "moment" and _of_motion_capture(together):
             kind = "position"
         doubt = doubts.get((stem, unit), "")
-        if not kind and all(label.isdigit() for label in found) and (kind := names.BY_UNIT.get(unit, "")):
+        if not kind and (kind := names.by_unit(Name(stem, "", unit), frozenset(found))):
             doubt = doubt or f"its unit, {unit}, is all that says what it is"
         if kind:
             groups.append(Group(kind, stem, unit, found, names.commanded(stem), doubt))

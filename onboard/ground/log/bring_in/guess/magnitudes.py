@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.ground.log.bring_in.channel_rows import unwrapped
 from onboard.ground.log.bring_in.mapping import NS_PER
 
 FloatArray = NDArray[np.float64]
@@ -21,6 +22,8 @@ _FASTEST_rad_s = 40.0  # 2000 deg/s and some more: the range of the usual gyros
 _SLOW_rad_s = 3.0
 _EXACT = 1e12  # counts, of which a float still has three decimals
 _TURN = 2.0 * np.pi
+_OF_A_TURN = 0.2  # that a joint turns from one sample to the next
+_FEWEST_COUNTS, _FEWEST_BITS = 360.0, 10  # of an encoder's: less could be degrees; a turn of 1024
 DEG = 180.0 / np.pi
 
 
@@ -129,10 +132,35 @@ def _stride(seconds: FloatArray) -> int:
     return max(1, round(0.05 / max(float(np.nanmedian(np.diff(seconds))), 1e-9))) if len(seconds) > 200 else 1
 
 
+def turn_of(values: FloatArray) -> float:
+    """After how much an angle (n,) starts again: 360, two pi, a power of two of whole counts; 0 where it does not."""
+    good = values[np.isfinite(values)]
+    steps = np.abs(np.diff(good))
+    largest, span = float(steps.max(initial=0.0)), float(np.ptp(good)) if len(good) else 0.0
+    turns = [360.0, _TURN]
+    if largest > _FEWEST_COUNTS and bool((good == np.rint(good)).all()):
+        turns.append(float(2.0 ** np.ceil(np.log2(largest))))
+    for turn in turns:
+        again = steps > 0.5 * turn
+        if again.any() and span <= turn and (steps[again] > (1.0 - _OF_A_TURN) * turn).all():
+            return 0.0 if (steps[~again] > _OF_A_TURN * turn).any() else turn
+    return 0.0
+
+
+def going_on(angles: FloatArray) -> FloatArray:
+    """Angles (n, k) without the steps of a turn with which they start again."""
+    each = [(one, turn_of(one)) for one in angles.T]
+    return np.column_stack([unwrapped(one, turn) if turn else one for one, turn in each])
+
+
 def of_angles(values: FloatArray, named: str) -> Unit:
     """Of joints (n, k)."""
     if named in ("rad", "deg", "rev"):
         return Unit(named, "by its name")
+    if values.size and bool((values == np.rint(values)).all()) and float(np.ptp(values)) > _FEWEST_COUNTS:
+        counts = float(2.0 ** max(_FEWEST_BITS, np.ceil(np.log2(float(np.abs(values).max())))))
+        doubt = f"whole counts: {counts:g} in a turn by their size; what the count is at angle zero is zero_count"
+        return Unit("rev", "by default", doubt, counts)
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     if largest > 3.0 * _TURN:
         return Unit("deg", f"up to {largest:.4g}; in rad only of a motor's shaft")

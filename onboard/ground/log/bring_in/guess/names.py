@@ -95,8 +95,16 @@ _WORDS = {  # by kind, those of which one says it
 }
 
 
-# of columns with a number each and no word that is known, in another language say
-BY_UNIT = {"rad": "angle", "deg": "angle", "rad/s": "rate", "deg/s": "rate", "N m": "torque", "N mm": "torque"}
+# of columns with a number each, or an axis, and no word that is known, in another language say
+_BY_UNIT = {"rad": "angle", "deg": "angle", "rad/s": "rate", "deg/s": "rate", "N m": "torque", "N mm": "torque"}
+_BY_UNIT_OF_AXES = {
+    **dict.fromkeys(("m/s^2", "g", "mg"), "accel"),
+    **dict.fromkeys(("rad/s", "deg/s"), "gyro"),
+    **{"N": "force", "N m": "moment", "N mm": "moment"},
+}
+
+MEASURED = ("actual", "measured", "meas", "state", "states", "act", "msr")
+_OF_QUANTITIES = frozenset().union(*_WORDS.values(), _COMMANDED, MEASURED)
 
 
 class Name(NamedTuple):
@@ -195,6 +203,16 @@ def commanded(stem: Iterable[str]) -> bool:
     return any(word in _COMMANDED for word in words[1:]) or (words[0] in _COMMANDED - {"d", "c"} if words else False)
 
 
+def quantity(stem: tuple[str, ...]) -> tuple[str, ...]:
+    """Words of a stem that say what is measured, and not of which part."""
+    return tuple(word for word in stem if word in _OF_QUANTITIES)
+
+
+def of_no_joint(part: str) -> bool:
+    """Whether a part's name is an axis of a frame, an angle of an attitude or a letter."""
+    return len(part) == 1 or set(part.split("_")) <= {*_WORDS_ALONE, "w"}
+
+
 def kind_of(name: Name, labels: frozenset[str]) -> str:
     """What a group of columns is, by its stem and the labels of its columns; "" of nothing that is known."""
     words = name.own
@@ -209,6 +227,15 @@ def kind_of(name: Name, labels: frozenset[str]) -> str:
         if words & _WORDS[kind]:
             return kind if labels else ("load_cell" if kind == "torque" else "")
     return "load_cell" if words & {"force", "load", "loadcell"} else ""
+
+
+def by_unit(name: Name, labels: frozenset[str]) -> str:
+    """What a group of columns is by its unit alone; "" where a word says what it is, or nothing does."""
+    if quantity(name.stem):
+        return ""
+    if labels == set("xyz"):
+        return _BY_UNIT_OF_AXES.get(name.unit, "")
+    return _BY_UNIT.get(name.unit, "") if all(label.isdigit() for label in labels) else ""
 
 
 def _of_an_array(words: frozenset[str], labels: frozenset[str]) -> str:

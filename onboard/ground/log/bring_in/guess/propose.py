@@ -13,6 +13,7 @@ from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.clock import Clock, said
 from onboard.ground.log.bring_in.guess.groups import Group, Table, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
+from onboard.ground.log.bring_in.guess.names import MEASURED
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.messages import read_messages
 from onboard.ground.log.bring_in.text_rows import Recording
@@ -28,8 +29,8 @@ _SCALARS = {  # by kind: units that are known, the usual one, names of the chann
     "torque": (("N m", "N mm", "N"), "N m", "{}_torque"),
     "current": (("A", "mA"), "A", "{}_torque"),
 }
+_MOST_SEEN = 20  # columns, in a message
 _AGREED = "as angles and their rates agree"
-_BEST = ("actual", "measured", "meas", "state", "states", "act", "msr")
 
 
 class Names(NamedTuple):
@@ -67,9 +68,10 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     if layout is not None and len(layout.units) == len(columns):
         units = dict(zip(columns, layout.units, strict=True))
     made = _Maker(vehicle)
-    some = tables(path, kind, columns, units)
-    if layout is not None and not layout.csv.header:
-        some = [blocks.recognised(one) for one in some]
+    some = tables(path, kind, columns, units, vehicle.angles)
+    numbered = layout is not None and not layout.csv.header
+    if numbered:
+        some = [blocks.recognised(one, len(vehicle.angles)) for one in some]
     main = max(some, key=lambda one: sum(len(g.columns) for g in one.groups), default=None)
     if main is None:
         raise SourceError(f"{path} has no columns of two numbers or more")
@@ -78,9 +80,8 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     for one in (main, *(other for other in some if other is not main)):
         made.add(one, main)
     if not made.parts:
-        seen = ", ".join(repr(name)[:40] for name in list(columns)[:20])
         raise SourceError(
-            f"{path}: none of its columns has a name that says what it is ({seen}); write a mapping by docs/import.md"
+            f"{path}: {_unknown(main, len(vehicle.angles), numbered=numbered)}; or write a mapping by docs/import.md"
         )
     notes = [truncated] if truncated else []
     notes += layout.notes if layout is not None else ()
@@ -89,6 +90,19 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     head = text.head(re.sub(r"\W+", "_", path.stem) or "recording", path.name, kind, bad, layout and layout.csv, notes)
     whole = head + _time(main, made) + "".join(made.parts) + text.not_taken(made.others)
     return Proposal(whole, tuple(re.findall(r"^# doubtful: (.*)$", whole, re.MULTILINE)), tuple(made.names))
+
+
+def _unknown(one: Table, vehicle_joints: int, *, numbered: bool) -> str:
+    """That no column is known, what is seen of each, and what would help."""
+    told = [column for column in one.rest if np.isfinite(column.values).any()]
+    seen = [f"{each.name!r:.40} {np.nanmin(each.values):.4g} to {np.nanmax(each.values):.4g}" for each in told]
+    clock = f"{one.clock.column!r:.40} rises as times do; " if one.clock is not None else ""
+    more = f" and {len(seen) - _MOST_SEEN} more" if len(seen) > _MOST_SEEN else ""
+    helps = f"; the vehicle file has {vehicle_joints} joints: their angles, or angles and torques, would be known"
+    if not vehicle_joints:
+        helps = "; with --vehicle columns are taken by their places: the angles of its joints, then the torques"
+    seen_text = f"{clock}{', '.join(seen[:_MOST_SEEN])}{more}"
+    return f"no name or number says what its columns are ({seen_text}){helps if numbered else ''}"
 
 
 def _of(one: Table) -> str:
@@ -203,10 +217,10 @@ class _Maker:
         if angles is None:
             return {}
         unit = magnitudes.of_angles(angles.values, angles.unit)
-        if rates is None or len(rates.columns) != len(angles.columns):
+        if rates is None or len(rates.columns) != len(angles.columns) or unit.counts != 1.0:
             return {"angle": unit}
         rate = magnitudes.of_rates(rates.values, rates.unit, unit)
-        ratio = magnitudes.slope(angles.values, rates.values, own.seconds)
+        ratio = magnitudes.slope(magnitudes.going_on(angles.values), rates.values, own.seconds)
         if ratio is None:
             return {"angle": unit}
         fixed = [
@@ -257,7 +271,8 @@ class _Maker:
             own = own._replace(doubt=own.doubt if first else "")
             settled = kind == "torque" and self._vehicle.by_current
             doubt = group.doubt if first and not settled else ""
-            self.parts.append(text.scalar(name, column.name, values, own, time, doubt))
+            turn = magnitudes.turn_of(values[:, 0]) if kind == "angle" else 0.0
+            self.parts.append(text.scalar(name, column.name, values, own, time, doubt, turn))
             self.names.append(name)
 
     def _name(self, kind: str, label: str, k: int, group: Group, pattern: str) -> str:
@@ -266,9 +281,11 @@ class _Maker:
             kind
         )
         if given and len(given) == len(group.columns):
-            return given[k]
+            same = [[one for one in given if each in one.lower()] for each in group.labels]
+            each_once = all(len(one) == 1 for one in same) and len({one[0] for one in same}) == len(given)
+            return same[k][0] if each_once and not label.isdigit() else given[k]
         if kind in ("angle", "torque", "current"):
-            joint = f"joint_{k + 1}" if label.isdigit() else re.sub(r"\W+", "_", label)
+            joint = f"joint_{k + 1}" if label.isdigit() or not label else re.sub(r"\W+", "_", label)
             return pattern.format(joint)
         name = pattern.format(label if kind != "load_cell" else "load_cell" + (f"_{label}" if label else ""))
         while name in self.names:
@@ -279,4 +296,4 @@ class _Maker:
 def _best(groups: Sequence[Group], kind: str) -> Group | None:
     """The group of a kind that was measured, by its words, its columns and its place."""
     some = [group for group in groups if group.kind == kind]
-    return max(some, key=lambda one: (bool(set(one.stem) & set(_BEST)), len(one.columns)), default=None)
+    return max(some, key=lambda one: (bool(set(one.stem) & set(MEASURED)), len(one.columns)), default=None)

@@ -69,9 +69,16 @@ def _mantissa(value: float) -> float:
     return value / 10.0 ** _exponent(value) if value > 0.0 else 1.0
 
 
-def scalar(name: str, column: str, values: FloatArray, unit: Unit, time: str, doubt: str = "") -> str:
-    """A channel of one value."""
-    keys = [Key(f"column = {quoted(column)}", doubt), Key('values = "physical"'), Key(f"scale = {count_of(values)!r}")]
+def scalar(
+    name: str, column: str, values: FloatArray, unit: Unit, time: str, doubt: str = "", turn: float = 0.0
+) -> str:
+    """A channel of one value, which starts again after ``turn``; 0: it does not."""
+    keys = [Key(f"column = {quoted(column)}", doubt)]
+    keys += [Key(f"wraps = {turn!r}", why="it starts again after a turn")] if turn else []
+    if unit.counts != 1.0:
+        keys.append(Key(f"scale = [1, {unit.counts:g}]", why="whole counts"))
+    else:
+        keys += [Key('values = "physical"'), Key(f"scale = {count_of(values)!r}")]
     keys.append(Key(f"unit = {quoted(unit.name)}", unit.doubt, unit.why))
     text = f'\n[channel.{name}]\nrecord = "scalar"\n{time}\n[channel.{name}.value]\n'
     return text + "".join(key.lines for key in keys)

@@ -150,6 +150,49 @@ def test_channels_are_named_like_the_devices_of_a_vehicle(tmp_path):
     held(log, joints(own, own.tau / 10.0, list("abcdef")))
 
 
+def test_columns_that_are_called_by_their_joints(tmp_path):
+    """The file's order of joints is another than the vehicle's: names decide, and a lone current is no joint's."""
+    own = arm(3)
+    names = [f"{joint}_{what}" for what in ("pos_deg", "torque_Nm") for joint in ("elbow", "wrist_1", "base_pan")]
+    columns = [T, *np.degrees(own.q[:, [1, 2, 0]]).T, *own.tau[:, [1, 2, 0]].T, np.cos(T)]
+    path = made.text(tmp_path / "a.csv", ["time", *names, "supply_current_A"], columns)
+    log, _ = guessed(path)
+    held(log, joints(own, own.tau, ["base_pan", "elbow", "wrist_1"]))
+    links = ("base_pan_joint", "elbow_joint", "wrist_1_joint")
+    proposed = propose(path, Names(angles=links)).text
+    assert '[channel.elbow_joint.value]\ncolumn = "elbow_pos_deg"' in proposed
+    assert '[channel.wrist_1_joint.value]\ncolumn = "wrist_1_pos_deg"' in proposed
+
+
+def test_columns_that_are_called_like_the_joints_of_the_vehicle_and_nothing_more(tmp_path):
+    own = arm(3)
+    names = ["elbow_deg", "wrist_2_deg", "Shoulder (deg)", "heading_deg"]
+    columns = [T, *np.degrees(own.q[:, [1, 2, 0]]).T, np.cos(T)]
+    path = made.text(tmp_path / "a.csv", ["time", *names], columns)
+    for joints_of in (("shoulder", "elbow", "wrist_2"), ("shoulder_joint", "elbow_joint", "wrist_2_joint")):
+        proposed = propose(path, Names(angles=joints_of)).text
+        for joint, column in zip(joints_of, ("Shoulder (deg)", "elbow_deg", "wrist_2_deg"), strict=True):
+            assert f'[channel.{joint}.value]\ncolumn = "{column}"' in proposed
+        assert "channel.heading" not in proposed
+    assert 'column = "elbow_deg"' not in propose(path, Names(angles=("shoulder", "elbow", "slide"))).text
+    path = made.text(tmp_path / "b.csv", ["time", "Hinge1", "hinge_2", "other"], [T, *own.q[:, :2].T, np.cos(T)])
+    proposed = propose(path, Names(angles=("hinge1", "hinge2"))).text
+    for joint, column in (("hinge1", "Hinge1"), ("hinge2", "hinge_2")):
+        assert f'[channel.{joint}.value]\ncolumn = "{column}"' in proposed
+
+
+def test_a_single_angle_without_a_number_is_that_of_joint_1(tmp_path):
+    log, _ = guessed(made.text(tmp_path / "a.csv", ["time", "angle_rad", "torque_Nm"], [T, np.sin(T), np.cos(T)]))
+    held(log, {"joint_1": np.sin(T), "joint_1_torque": np.cos(T)})
+
+
+def test_axes_and_attitudes_are_no_joints(tmp_path):
+    names = ["time", "roll_angle", "pitch_angle", "x_pos", "y_pos"]
+    _, mapping = guessed(made.text(tmp_path / "a.csv", names, [T, np.sin(T), np.cos(T), np.sin(2 * T), np.cos(2 * T)]))
+    assert "channel.roll" not in mapping
+    assert "channel.x" not in mapping
+
+
 def test_columns_without_names_by_what_is_the_derivative_of_what(tmp_path):
     own = arm(6)
     columns = [100.0 + T, *own.q.T, *own.qd.T, *own.tau.T, *own.tau.T]

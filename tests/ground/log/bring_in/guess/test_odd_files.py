@@ -233,6 +233,70 @@ def test_names_in_another_language_by_their_units(tmp_path):
     assert found.doubts == ("its unit, deg, is all that says what it is", "its unit, N m, is all that says what it is")
 
 
+@pytest.mark.parametrize(
+    ("unit", "size", "offset"),
+    [("deg", 360.0, 0.0), ("deg", 360.0, -180.0), ("rad", 2.0 * np.pi, -np.pi), ("rev", 4096.0, 0.0)],
+)
+def test_angles_that_start_again_after_a_turn_go_on(tmp_path, unit, size, offset):
+    turned = 3.0 * np.sin(0.5 * T) + 2.0  # rad, through the ends of any turn
+    told = offset + np.mod(turned / (2.0 * np.pi) * size - offset, size)
+    other = np.rint(told) if unit == "rev" else told
+    names = ("time", f"q_1{'' if unit == 'rev' else f' [{unit}]'}")
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", names, [T, other]))
+    [(_, rows)] = [(name, log.read(name)) for name in log.channels if name == "joint_1"]
+    angle = rows["value_raw"] * float(rows["scale"][0])
+    assert rows["unit"][0] == b"rad"
+    np.testing.assert_allclose(angle - angle[0], turned - turned[0], atol=2.0 * np.pi / 4096)
+    assert ("4096 in a turn" in "".join(found.doubts)) == (unit == "rev")
+
+
+def test_an_angle_that_leaves_a_turn_does_not_start_again(tmp_path):
+    path = made.text(tmp_path / "a.csv", ("time", "q_1 [deg]"), [T, 400.0 * np.sin(T)])
+    assert "wraps" not in propose(path, Names()).text
+
+
+@pytest.mark.parametrize("what", ["torque", "current"])
+def test_angles_that_are_called_as_the_joints_of_torques(tmp_path, what):
+    own, names = arm(2), ("time", "elbow", "wrist_1", f"elbow_{what}", f"wrist_1_{what}")
+    columns = [T, *own.q.T, np.sin(T), np.cos(T)]
+    log, _, _ = brought_in(made.text(tmp_path / "a.csv", names, columns))
+    held(log, {"elbow": own.q[:, 0], "wrist_1": own.q[:, 1], "wrist_1_torque": np.cos(T)})
+    log, _, _ = brought_in(made.text(tmp_path / "b.csv", ["time", "elbow", "q_1", *names[3:]], columns))
+    assert "elbow" not in log.channels
+
+
+@pytest.mark.parametrize(
+    ("size", "between", "first"), [(1.0, 0, "gyro"), (16384 / 9.81, 1, "accel"), (1 / 9.81, 0, "accel")]
+)
+def test_numbers_without_names_of_which_three_are_gravity_at_rest(tmp_path, size, between, first):
+    own = body()
+    force = own.force * size if size < 100.0 else np.rint(own.force * size)
+    blocks = [force, own.rate][:: 1 if first == "accel" else -1]
+    columns = [T, *blocks[0].T, *[300.0 + T] * between, *blocks[1].T]
+    log, found, _ = brought_in(made.text(tmp_path / "a.csv", (), columns))
+    rows = log.read("imu_base")
+    sensed = rows["accel_raw"] * rows["accel_scale_m_s2"][:, None]
+    np.testing.assert_allclose(sensed, own.force, rtol=2e-3, atol=2e-3)
+    assert any("its size at rest is gravity's" in doubt for doubt in found.doubts)
+    with pytest.raises(SourceError):
+        propose(made.text(tmp_path / "b.csv", (), [T, *(own.rate.T), *(0.5 * own.rate.T)]), Names())
+
+
+def test_axes_in_another_language_by_their_units(tmp_path):
+    own = body()
+    names = (
+        "Zeit [s]",
+        *(f"{what} {axis} [{unit}]" for what, unit in (("Drehrate", "rad/s"), ("Beschl.", "m/s²")) for axis in "XYZ"),
+    )
+    _, found, _ = brought_in(made.text(tmp_path / "a.csv", names, imu_columns(own), between=";", decimal=","))
+    [channel] = found.channels
+    assert channel == "imu_base"
+    assert [one.partition(" is all")[0] for one in found.doubts] == ["its unit, m/s^2,", "its unit, rad/s,"]
+    wrong = made.text(tmp_path / "b.csv", [name.replace("Beschl.", "error") for name in names], imu_columns(own))
+    with pytest.raises(SourceError):
+        propose(wrong, Names())
+
+
 def test_translations_beside_rotations_are_no_moments(tmp_path):
     names = ("time", "RX", "RY", "RZ", "TX", "TY", "TZ")
     log, _, _ = brought_in(made.text(tmp_path / "a.csv", names, [T, T, T, T, 900.0 + T, T, T]))
@@ -291,8 +355,12 @@ def test_a_mat_file_that_swells_is_refused_before_it_is_read(tmp_path, monkeypat
         ("a.csv", lambda p: p.write_text("# only\n# comments\n"), "no line but comments"),
         ("a.csv", lambda p: p.write_text("time,force\n"), "no line of numbers"),
         ("a.csv", lambda p: p.write_text("hello world\nhow are you\n"), "no line of numbers"),
-        ("a.csv", lambda p: p.write_text("1.5\n2.5\n3.5\n"), "none of its columns has a name"),
-        ("a.csv", lambda p: p.write_text("time,colour\n0,1\n1,2\n2,3\n"), "none of its columns has a name"),
+        ("a.csv", lambda p: p.write_text("1.5\n2.5\n3.5\n"), r"columns are \('1' 1.5 to 3.5\); with --vehicle"),
+        (
+            "a.csv",
+            lambda p: p.write_text("time,colour\n0,1\n1,2\n2,3\n"),
+            r"columns are \('time' rises as times do; 'colour' 1 to 3\); or",
+        ),
         ("a.csv", lambda p: p.write_bytes(bytes(range(256)) * 99), "no text, and of no kind that is known"),
         ("a.xlsx", lambda p: p.write_bytes(b"PK\x03\x04" + bytes(99)), "save the sheet as CSV"),
         ("a.npy", lambda p: np.save(p, np.zeros(9)), "save it as NPZ"),
@@ -312,6 +380,22 @@ def test_what_is_no_recording_is_refused(tmp_path, name, write, why):
     write(tmp_path / name)
     with pytest.raises(SourceError, match=why):
         propose(tmp_path / name, Names())
+
+
+def test_columns_without_names_go_by_the_joints_of_a_vehicle(tmp_path):
+    """Angles and currents alone: no column is the derivative of another."""
+    time_s = np.arange(0.0, 5.0, 0.01)
+    q, current = (np.sin(rate * time_s[:, None] + np.arange(3)) for rate in (0.7, 0.9))
+    arm = Names((), ("a", "b", "c"), ("a_torque", "b_torque", "c_torque"))
+    every = np.column_stack([time_s, q, 3.0 * current])
+    for width, channels in ((7, (*arm.angles, *arm.torques)), (4, arm.angles)):
+        np.savetxt(tmp_path / "a.csv", every[:, :width], delimiter=",", fmt="%.6f")
+        found = propose(tmp_path / "a.csv", arm)
+        assert found.channels == channels
+        assert found.doubts[1].startswith("by its place: the vehicle file has 3 joints")
+    np.savetxt(tmp_path / "a.csv", every[:, :6], delimiter=",", fmt="%.6f")
+    with pytest.raises(SourceError, match=r"'2' .* to .*'6' .*the vehicle file has 3 joints: their angles"):
+        propose(tmp_path / "a.csv", arm)
 
 
 @pytest.mark.parametrize("make", [made.bag_1, made.mcap_of_json, made.ulog], ids=["bag", "mcap", "ulog"])
