@@ -8,13 +8,16 @@ table:
 M and h are linear in the standard parameters, h is quadratic in the yaw rate w; d is the pucks' drag. Velocity is not
 measured: it is a state whose initial value is a parameter. Along the table ``dv/dt = f + g_t - w x v``, g_t the
 component of gravity along a tilted table. A puck at p slips with ``u = v + w x p`` and exerts ``-(Fv + Fc / |u|) u``,
-|u| rounded near zero. (Base wrench rows 3.5 of Limparis for the three free directions; drag model derived here.)
+|u| rounded near zero.
+As the supply of air sags all drags grow, by the exponential of a polynomial in time. (Base wrench rows 3.5 of Limparis
+for the three free directions; drag model derived here.)
 """
 
 from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.kinematics import chain_motion
@@ -25,6 +28,7 @@ from onboard.estimation.arrays import FloatArray
 
 ROUNDING_m_s = 2e-3  # slip below which Coulomb drag is rounded to zero
 _FASTEST = 1e3  # m/s, rad/s, rad; beyond it the integration is stopped
+SAGS = 3  # polynomials of the supply's sag, of degree 1 on
 PLANAR = [0, 1, 5]  # of force and moment, and of twist
 
 
@@ -35,10 +39,11 @@ class PlanarDrag(NamedTuple):
     viscous: FloatArray  # (k,) Fv, N s/m
     coulomb: FloatArray  # (k,) Fc, N
     rounding_m_s: float = ROUNDING_m_s
+    sag: tuple[float, ...] = (0.0,) * SAGS  # of each Legendre polynomial, of degree 1 on
 
 
 class PlanarPrediction(NamedTuple):
-    """Motion at every tick and its derivative: start, chi wanted, Fv and Fc of each puck, tilt."""
+    """Motion at every tick and its derivative: start, chi wanted, Fv and Fc of each puck, sag, tilt."""
 
     base: BasePrediction
     velocity: FloatArray  # (n, 4) x, y, m/s, yaw rate, rad/s, yaw since the start, rad
@@ -142,20 +147,24 @@ def predict_planar(
         ticks: only the first so many; all, where not given.
     """
     first = slice(2 * (run.ticks if ticks is None else ticks) - 1)
+    over = legvander(np.linspace(-1.0, 1.0, 2 * run.ticks - 1)[first], SAGS)[:, 1:]  # (m, SAGS), of the run
+    growth = np.exp(over @ drag.sag)
     G, T = run.wrench(chi, free, first), run.columns(free)[first]  # (m, 3, 6), (m, 3, 6, P)
     inverse = np.asarray(np.linalg.inv(G[:, :, :3]), np.float64)
     k = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2
-    states = _integrate(inverse, k, start, drag, tilt, run.period_s)
-    at_ticks = _accelerations(states, inverse[::2], k[::2], drag)[0]
+    states = _integrate(inverse, k, start, drag, tilt, growth, run.period_s)
+    at_ticks = _accelerations(states, inverse[::2], k[::2], drag, growth[::2])[0]
     state = _with_midpoints(states, _rates(states, at_ticks, tilt), run.period_s)  # (m, 4)
-    a, A, pull = _accelerations(state, inverse, k, drag)
+    a, A, pull = _accelerations(state, inverse, k, drag, growth)
     m, P, pucks = len(state), T.shape[3], len(drag.viscous)
     w, yaw = state[:, 2], state[:, 3]
     basis = np.column_stack([a, np.ones(m), w, w * w])
-    D = np.zeros((m, 3, 3 + P + 2 * pucks + 2))
+    D = np.zeros((m, 3, 3 + P + 2 * pucks + SAGS + 2))
     by_columns = (-inverse[:, :, :, None] * basis[:, None, None, :]).reshape(m, 3, 18)
     np.matmul(by_columns, T.reshape(m, 18, P), out=D[:, :, 3 : 3 + P])
-    np.matmul(inverse, pull, out=D[:, :, 3 + P : -2])
+    np.matmul(inverse, pull, out=D[:, :, 3 + P : -2 - SAGS])
+    by_drag = D[:, :, 3 + P : -2 - SAGS] @ np.stack(drag[1:3], axis=1).ravel()
+    np.multiply(by_drag[:, :, None], over[:, None, :], out=D[:, :, -2 - SAGS : -2])
     S = _sensitivities(*_slopes(state, A, D, yaw, tilt), run.period_s)
     D = D[::2] + A[::2] @ S
     n = len(states)
@@ -171,7 +180,7 @@ def predict_planar(
 
 
 def _accelerations(
-    state: FloatArray, inverse: FloatArray, k: FloatArray, drag: PlanarDrag
+    state: FloatArray, inverse: FloatArray, k: FloatArray, drag: PlanarDrag, growth: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """``a`` (m, 3), its slope in the state (m, 3, 4), drag per Fv and Fc of each puck (m, 3, 2k)."""
     v, w = state[:, :2], state[:, 2]
@@ -186,6 +195,7 @@ def _accelerations(
         stiff = -(viscous + coulomb / size)[:, :, None] * np.eye(2)
         stiff += (coulomb / size**3)[:, :, None] * u[:, :, None] * u[:, None, :]
         slope[:, :, :3] += J.T @ stiff @ J
+    force, slope, pull = force * growth[:, None], slope * growth[:, None, None], pull * growth[:, None, None]
     powers = np.column_stack([np.ones(m), w, w * w])
     a = np.einsum("mij,mj->mi", inverse, force) + np.einsum("mij,mj->mi", k, powers)
     slope = inverse @ slope
@@ -221,13 +231,20 @@ def _with_midpoints(states: FloatArray, rates: FloatArray, h: float) -> FloatArr
 
 
 def _integrate(
-    inverse: FloatArray, k: FloatArray, start: FloatArray, drag: PlanarDrag, tilt: FloatArray, h: float
+    inverse: FloatArray,
+    k: FloatArray,
+    start: FloatArray,
+    drag: PlanarDrag,
+    tilt: FloatArray,
+    growth: FloatArray,
+    h: float,
 ) -> FloatArray:
     """State at every tick, (n, 4), NaN once it diverges; fourth-order Runge-Kutta.
 
     Python floats, which are faster than arrays of four.
     """
-    grid = np.concatenate([inverse.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
+    driven = inverse * growth[:, None, None]  # by drag
+    grid = np.concatenate([driven.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
     pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag[:3]), strict=True)]
     (tilt_x, tilt_y), rounding = tilt.tolist(), drag.rounding_m_s**2
 

@@ -13,7 +13,8 @@ def centre_of(composite: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mass, (n, 1), and centre of mass, (n, 3), of spatial inertias about the base's origin, (n, 6, 6)."""
     mass_kg = composite[:, 0, 0, None]
     moment = -np.stack([composite[:, 2, 4], composite[:, 0, 5], composite[:, 1, 3]], axis=1)  # -m hat(r) in it
-    return mass_kg, np.asarray(moment / mass_kg, np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):  # nothing has no centre: not finite
+        return mass_kg, np.asarray(moment / mass_kg, np.float64)
 
 
 def centre_by_chi(free: Columns, X: FloatArray, mass_kg: FloatArray, centre_m: FloatArray) -> FloatArray:

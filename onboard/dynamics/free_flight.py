@@ -146,6 +146,14 @@ class _Motion(NamedTuple):
     pushed: "_Pushed | None"
 
 
+def _inverse(composite: FloatArray) -> FloatArray:
+    """Of inertias (n, 6, 6); NaN of a body that no twist tells from none: a solver's step there is refused."""
+    try:
+        return np.asarray(np.linalg.inv(composite), np.float64)
+    except np.linalg.LinAlgError:
+        return np.full_like(composite, np.nan)
+
+
 def _move(
     links: Frames | Sequence[LinkMotion],
     period_s: float,
@@ -160,7 +168,7 @@ def _move(
     if n < 4:
         raise SignalError(f"{n} ticks; predict four or more")
     bodies = Bodies(frames, chi)
-    inverse = np.asarray(np.linalg.inv(bodies.composite), np.float64)
+    inverse = _inverse(bodies.composite)
     mu = bodies.relative_momentum
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
     still = times(inverse[:, 3:], mu)  # less the rate without a momentum

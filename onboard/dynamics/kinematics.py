@@ -104,8 +104,7 @@ def chain_motion(
         raise SignalError(f"joint signals must be (n, {nj}); they are {q.shape}, {dq.shape}, {ddq.shape}")
     arms = tree.seat_origin if offsets is None else tree.seat_origin + times(tree.seat_axes, offsets)
     angle = q[:, :, None, None]
-    turn = np.eye(3) + np.sin(angle) * tree.hat + (1.0 - np.cos(angle)) * (tree.hat @ tree.hat)  # Rodrigues
-    seated = tree.seat_axes @ turn
+    seated = tree.seat_axes + np.sin(angle) * tree.turned[0] + (1.0 - np.cos(angle)) * tree.turned[1]
     axes = np.empty((n, nj + 1, 3, 3))  # of the bodies
     axes[:, 0] = np.eye(3)
     for joint, carrier in enumerate(tree.parent.tolist()):

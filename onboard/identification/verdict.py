@@ -83,7 +83,12 @@ def verdict(evidence: Evidence) -> Verdict:
     if len(weak) == len(evidence.asked):
         bad.append("the motion determines nothing that was asked; move more, and every joint")
     held_out = evidence.held_out
-    reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK), *doubtful(evidence.corrections)]
+    reasons = [
+        *evidence.findings.doubts,
+        *_jumped(evidence),
+        *_together(of_one, Level.WEAK),
+        *doubtful(evidence.corrections),
+    ]
     if held_out is None:
         reasons += [evidence.unchecked] * bool(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
@@ -94,6 +99,11 @@ def verdict(evidence: Evidence) -> Verdict:
             reasons.append(said)
     level = Level.DO_NOT_USE if bad else Level.WEAK if weak or reasons else Level.GOOD
     return Verdict(level, (*bad, *reasons, *evidence.findings.widened, *_repeated(evidence)), weak)
+
+
+def _jumped(evidence: Evidence) -> list[str]:
+    said = "the angle of a joint jumps between two samples; nothing is used from there until it jumps back"
+    return [said] if evidence.refused.get("jumped") else []
 
 
 def _contradictions(evidence: Evidence) -> list[str]:

@@ -20,7 +20,7 @@ from onboard.dynamics.kinematics import Chain, cross
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.inertia import parameters_of, pseudo_inertia
 from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
-from onboard.dynamics.spatial import times
+from onboard.dynamics.spatial import crf, force_transforms, own_inertias, times
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 
 
@@ -186,8 +186,9 @@ class WrenchColumns:
                 if held.all():
                     out[:, cut.rows] = part @ fold.held[number]
                 else:
-                    out[held, cut.rows] = part[held] @ fold.held[number]
-                    out[~held, cut.rows] = part[~held] @ fold.released[number]
+                    made = part @ fold.released[number]
+                    made[held] = part[held] @ fold.held[number]
+                    out[:, cut.rows] = made
         return out
 
     def unit_force(self, held: BoolArray, chain: Chain) -> FloatArray:
@@ -210,6 +211,29 @@ class WrenchColumns:
                 g = cut.in_base(chain)
                 moment, of_mass = (part[:, cut.links].sum(axis=1)[:, None] for part in (first, mass))
                 out[:, cut.rows] = of_mass * g[..., :3] + cross(g[..., 3:], moment)
+        return out
+
+    def readings(self, chi: FloatArray, held: BoolArray, chain: Chain, force: FloatArray) -> FloatArray:
+        """What links of these parameters make the rows read on a base that stands, (n, rows) (Featherstone 2008).
+
+        Args:
+            chi: (10 x links,), of a body that may be or not.
+            held: (n,) whether the payload is.
+            chain: motion of links and joints.
+            force: specific force of the base, (n, 3).
+        """
+        out = np.zeros((len(held), self._rows))
+        inertias, payload = own_inertias(chi), self._payload.start // 10 if self._payload.stop else None
+        for cut in self._cuts:
+            R, p, V, A = (part[:, cut.links] for part in chain.links)
+            X = force_transforms(R, p)
+            back, own = X.swapaxes(-1, -2), inertias[cut.links]
+            if not cut.coasting:
+                A[..., :3] += force[:, None]
+            V = times(back, V)
+            on_each = times(X, times(own, times(back, A)) + times(crf(V), times(own, V)))  # (n, links, 6)
+            on_each[:, cut.links == payload] *= held[:, None, None]
+            out[:, cut.rows] = times(cut.in_base(chain), on_each.sum(axis=1))
         return out
 
     def _regressors(self, q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, dict[int, FloatArray]]:

@@ -28,9 +28,12 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
+
+BASE_ROWS = tuple(f"base_{what}_{axis}" for what in ("force", "moment") for axis in "xyz")
+"""Names of the rows of the wrench on a base that floats."""
 
 
 class BaseMotion(NamedTuple):
@@ -309,6 +312,23 @@ class RowModel:
             for row, motor, ratio, column in self._frictions:
                 extras[:, row, column - own : column - own + 3] = ratio * of_motors[:, motor]
         return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
+
+    def readings(
+        self, chi: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray, force: FloatArray, held: BoolArray
+    ) -> FloatArray:
+        """What parameters of the links make the rows read on a base that stands, (n, rows); biases and scales aside.
+
+        Many times as fast as :meth:`regressor`, where no derivatives by the parameters are wanted.
+
+        Args:
+            chi: (10 x links,); it may be of no possible body.
+            q: joint positions, (n, joints).
+            dq: joint rates, (n, joints).
+            ddq: joint accelerations, (n, joints).
+            force: specific force of the base, (n, 3).
+            held: (n,) whether the payload is.
+        """
+        return self._columns.readings(chi, held, chain_motion(self.vehicle, q, dq, ddq), force)
 
     def _states(
         self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion

@@ -77,6 +77,13 @@ def test_from_the_rate_it_is_the_same_motion_and_its_derivatives_are_finite_diff
             assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max() + 1e-9, (column, field)
 
 
+def test_bodies_of_no_mass_predict_nothing_that_is_finite(flown, predict):
+    """A solver's step may go there; it is then refused, as one that overflows."""
+    base = predict[0](chi=np.zeros(70))
+    assert not np.isfinite(base.rate).any()
+    assert not np.isfinite(base.specific_force).any()
+
+
 def test_too_few_ticks_are_refused(flown):
     links = link_motions(flown.vehicle, *np.zeros((3, 3, 5)))
     with pytest.raises(SignalError, match="four or more"):

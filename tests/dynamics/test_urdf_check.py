@@ -1,6 +1,5 @@
 """What cannot fly is refused with line, name and remedy; what passes can be a model, and can be moved by MuJoCo."""
 
-import time
 from pathlib import Path
 
 import pytest
@@ -189,6 +188,7 @@ def test_a_recorded_arm_needs_no_more_than_its_axes_and_one_that_may_be_simulate
         require_flyable(text, "fixed", simulated=True)
 
 
+@pytest.mark.timeout(60)  # a second or two; minutes where the time grows with the square of the joints
 def test_chains_that_nothing_can_hold_are_refused_at_once() -> None:
     for kind, count in (("revolute", 1000), ("fixed", 50_000)):
         links = "".join(f'<link name="l{n}">{ARM}</link>' for n in range(count + 1))
@@ -196,10 +196,8 @@ def test_chains_that_nothing_can_hold_are_refused_at_once() -> None:
             f'<joint name="j{n}" type="{kind}"><parent link="l{n}"/><child link="l{n + 1}"/>{LIMIT}</joint>'
             for n in range(count)
         )
-        began = time.process_time()
         with pytest.raises(DrawingError, match="joints that move; 2000 and 127 are the most"):
             require_flyable(f"<robot>{links}{joints}</robot>", "fixed")
-        assert time.process_time() - began < 3.0
 
 
 def test_packaged_vehicles_pass() -> None:

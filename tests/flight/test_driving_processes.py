@@ -68,19 +68,27 @@ def until(flight, word, seconds=60.0):
             said += more
 
 
-def await_event(log, code, seconds=60.0):
-    """Wait until a log that is still written has an event."""
+def await_event(log, codes, seconds=60.0):
+    """Wait until a log that is still written has an event of one of the codes."""
     deadline = time.monotonic() + seconds
-    while code not in LogReader(log).read("event")["code"].tolist():
-        assert time.monotonic() < deadline, f"no {code.decode()} within {seconds:.0f} s"
+    while codes.isdisjoint(LogReader(log).read("event")["code"].tolist()):
+        assert time.monotonic() < deadline, f"none of {codes} within {seconds:.0f} s"
         time.sleep(0.3)
 
 
-def driven(directory, how):
-    """The log of a motion that is broken off, and where the axes have been; None if this computer was too busy.
+def broken_off(log, how):
+    """Why a motion ended before this test ended it; on a busy computer, frames come later than a drive may wait."""
+    events = LogReader(log).read("event")
+    text_of = {
+        code: events["text"][events["code"] == code].tolist() for code in (b"drive_stopped", b"drive_not_rearmed")
+    }
+    stopped = [text for text in text_of[b"drive_stopped"] if b"the flight ends" not in text]
+    started_again = text_of[b"drive_not_rearmed"][how == "kill" :]  # the first is what this test brings about
+    return stopped + started_again
 
-    A player that sends no target for 30 ms stops its drives, whatever else is tried.
-    """
+
+def driven(directory, how):
+    """The log of a motion, where the axes have been, and why it ended early if it did."""
     directory.mkdir()
     vehicle = written(directory, PRIOR, ROWS, csv=csv_of(*swing(SECONDS)))
     log = directory / "driven.mcap"
@@ -96,7 +104,7 @@ def driven(directory, how):
         ended(flight),
     ):
         until(flight, b"drive_armed")
-        await_event(log, b"drive_started")
+        await_event(log, {b"drive_started", b"drive_stopped"})
         time.sleep(5.0)  # a fifth of the motion
         if how == "kill":
             os.kill(pids(flight.pid)["heft-acquire"], signal.SIGKILL)
@@ -105,14 +113,19 @@ def driven(directory, how):
         flight.send_signal(signal.SIGTERM)
         flight.communicate(timeout=60)
         assert flight.returncode == 0
-    late = any(b"no target was sent" in text for text in LogReader(log).read("event")["text"].tolist())
-    return None if late else (log, found)
+    return log, found, broken_off(log, how)
 
 
 @pytest.mark.parametrize("how", ["kill", "term"])
 def test_the_arm_stops_in_mid_motion(tmp_path, how):
-    tries = (driven(tmp_path / str(number), how) for number in range(4))
-    log, found = next(one for one in tries if one is not None)
+    why = []
+    for number in range(4):
+        log, found, early = driven(tmp_path / str(number), how)
+        if not early:
+            break
+        why += early
+    else:
+        raise AssertionError(f"four motions ended early: {why}")
     for name, size in (("shoulder", 0.5), ("elbow", 0.4)):
         axis = found[name]
         went = axis["highest_rad"] - axis["lowest_rad"]

@@ -19,9 +19,10 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.acquire.publisher import Publisher, joined
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.problem.identification import METHODS
+from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks
 from onboard.flight.estimate.readings.history import History
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.signals import ChannelAtTicks, SignalSmoother
+from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
 from onboard.identification.quantities import Findings
 from onboard.ring import RingReader, RingWriter

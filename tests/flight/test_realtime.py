@@ -110,8 +110,6 @@ def test_devices_that_die_in_a_rehearsal_end_it_with_a_sentence(tmp_path: Path) 
         children = Path(f"/proc/{hil.pid}/task/{hil.pid}/children").read_text().split()
         [serve] = [int(pid) for pid in children if b"hil_sim.serve" in Path(f"/proc/{pid}/cmdline").read_bytes()]
         os.kill(serve, signal.SIGKILL)
-        time.sleep(2.0)
-        hil.send_signal(signal.SIGTERM)
         _, err = hil.communicate(timeout=60)
     assert hil.returncode == cli.FAILED, err
     assert "the simulated devices died in flight" in err or "the simulated devices cannot fly" in err

@@ -54,6 +54,15 @@ def test_readings_that_repeat_are_told_of_good_data_too(stuck, told):
         assert "repeats = true" in found.text
 
 
+def test_answers_of_before_a_jump_are_weak():
+    found = verdict(evidence(refused={"jumped": 1}))
+    assert found.level is Level.WEAK
+    assert (
+        found.text
+        == "weak: the angle of a joint jumps between two samples; nothing is used from there until it jumps back"
+    )
+
+
 def test_what_is_not_determined_is_named():
     found = verdict(evidence(asked={"mass": True, "I_xx": False, "I_zz": False}))
     assert found.level is Level.WEAK

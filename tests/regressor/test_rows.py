@@ -166,6 +166,24 @@ def test_a_fold_is_the_regressor_times_its_matrix(rng):
     np.testing.assert_allclose(rows.regressor(q, dq, ddq, motion, held, fold=rows.fold(mix)), whole @ mix, atol=1e-11)
 
 
+@pytest.mark.parametrize(("kinds", "parents"), VEHICLES)
+def test_readings_on_a_base_that_stands_are_the_regressor_times_any_parameters(rng, kinds, parents):
+    links = random_vehicle(rng, kinds, parents)
+    vehicle = VehicleModel(to_urdf(links), VehicleSpec(BaseKind.PRESCRIBED, "base", links[-1].name))
+    cells = [
+        load_cell_row(f"{kind}_{k.name}", k.name, (1, 2, 3), kind) for k in links[1:] for kind in ("force", "moment")
+    ]
+    torques = [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints]
+    rows = RowModel(vehicle, [cells[0], *base_force_rows(vehicle), *torques, *base_moment_rows(vehicle), *cells[1:]])
+    q, dq, ddq, motion = random_motion(rng, vehicle)
+    still, held = np.zeros((6, 3)), np.array([True, False, True, True, False, False])
+    chi = rng.normal(size=vehicle.chi.size)
+    motion = BaseMotion(still, still, motion.specific_force_m_s2)
+    truth = rows.regressor(q, dq, ddq, motion, held)[:, :, : chi.size] @ chi
+    found = rows.readings(chi, q, dq, ddq, motion.specific_force_m_s2, held)
+    np.testing.assert_allclose(found, truth, atol=1e-12 * np.abs(truth).max())
+
+
 def test_zero_force_columns_are_the_response_to_a_wrong_specific_force(rng):
     links = random_vehicle(rng, ["revolute", "fixed"])
     vehicle = VehicleModel(to_urdf(links), VehicleSpec(BaseKind.PRESCRIBED, "base", "link_2"))

@@ -20,12 +20,14 @@ class Planar(Section):
     """Sigmas of the unknowns of a run.
 
     ``tilt``: gravity along the table, by axis; a milliradian is 0.01 m/s^2. ``velocity`` (by axis) and ``rate`` (yaw)
-    of the base where the run begins.
+    of the base where the run begins. ``sag``: logarithm of what all drags change by over the run, as the pressure of
+    the pucks' supply sags.
     """
 
     tilt_sigma_m_s2: NotNegative
     velocity_sigma_m_s: Positive
     rate_sigma_rad_s: Positive
+    sag_sigma: NotNegative = 0.0
     puck: list[Puck] = Field(default_factory=list)
 
     @model_validator(mode="after")

@@ -17,6 +17,10 @@ PLANAR: dict[str, tuple[str, ...]] = {
     ),
     "velocity_sigma_m_s": ("Velocity of the base where a run begins, 1 sigma by axis.", "runs begin in motion"),
     "rate_sigma_rad_s": ("The same of its yaw rate.", "as above"),
+    "sag_sigma": (
+        "Logarithm of what all drags change by over a run, 1 sigma; 0: they do not.",
+        "the pressure of the pucks' supply sags during a run: 1",
+    ),
     "puck": ("Tables: the pucks that the base floats on.",),
 }
 

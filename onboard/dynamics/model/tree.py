@@ -16,7 +16,8 @@ class Tree(NamedTuple):
     seat_axes: FloatArray  # (joints, 3, 3) axes of each joint's frame at zero, in that body's
     seat_origin: FloatArray  # (joints, 3) its origin
     axis: FloatArray  # (joints, 3) in the joint's frame
-    hat: FloatArray  # (joints, 3, 3) cross-product matrix of the axis of a revolute joint; zero of a prismatic one
+    turned: FloatArray  # (2, joints, 3, 3) what the sine of a revolute joint's angle, and one less its cosine, add to
+    # seat_axes (Rodrigues' formula); zero of a prismatic one
     revolute: FloatArray  # (joints, 1) one or zero
     below: FloatArray  # (joints, joints) one where the column's joint lies between the base and the row's
     moved: FloatArray  # (links, joints) one where the column's joint moves the row's link
@@ -62,12 +63,13 @@ def tree_of(model: pin.Model, joints: Sequence[TreeJoint], links: Sequence[str])
         path[column + 1] = path[carrier]
         path[column + 1, column] = 1.0
     hat = np.cross(np.eye(3), axes[:, None]) * revolute[:, None]
+    seat_axes = _stacked([place.rotation for place in places], (3, 3))
     return Tree(
         parent,
-        _stacked([place.rotation for place in places], (3, 3)),
+        seat_axes,
         _stacked([place.translation for place in places], (3,)),
         axes,
-        hat,
+        np.stack([seat_axes @ hat, seat_axes @ hat @ hat]),
         revolute,
         path[parent],
         path[on],

@@ -24,6 +24,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
+from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Answer, Identified, standings
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
@@ -136,9 +137,10 @@ def identify(
     for reader in readers:
         check_channels(vehicle, reader)
         check_times(vehicle, reader)
+    by_likelihood = BY_LIKELIHOOD.get(vehicle.prediction)
+    vehicle, more = with_chosen_width(vehicle, readers[0], by_likelihood)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
     pools, found = dict[str, Identifier](), []
-    by_likelihood = BY_LIKELIHOOD.get(vehicle.prediction)
     for reader, load in zip(readers, loads, strict=True):
         found.append(_one(vehicle, reader, load) if by_likelihood is None else by_likelihood(vehicle, reader))
         if load is not None:
@@ -151,7 +153,7 @@ def identify(
     loaded = {load.name: load for load in loads if load is not None}
     calibration = throws.calibrate(vehicle, {loaded[name].role: pool for name, pool in pools.items()})
     together = {name: throws.throw(vehicle, load, pools[name]) for name, load in loaded.items()}
-    return Identification(vehicle, tuple(found), calibration, together, recorded=said)
+    return Identification(vehicle, tuple(found), calibration, together, recorded=(*said, *more))
 
 
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:

@@ -30,7 +30,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
 _EVERY = 2  # batches between times of a step: 0.25 s beside it, a step of 2 % had half of its 60 nats within a second
-_TIMES = 8  # that are kept; of twelve, eight flights with a step told the same
+_TIMES = 8  # that are kept; with twelve, five flights with a step told the same
 
 
 class Inside(NamedTuple):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.recursive.consistency import BlockScores
+from onboard.regressor.rows import BASE_ROWS
 
 Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None]
 """Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1), and by which sigma (m,)."""
@@ -103,4 +104,4 @@ class RowBlocks:
 
 def instrument_of(row: str) -> str:
     """Which instrument makes a row: its load cell, its joint, or the base's IMU for all wrenches that are zero."""
-    return "base IMU" if row.startswith("base_") else row
+    return "base IMU" if row in BASE_ROWS else row

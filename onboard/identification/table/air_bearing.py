@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
+from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import Readings
 from onboard.dynamics.model.bases import BaseKind
@@ -66,6 +66,7 @@ class AirBearingPrior(NamedTuple):
     rate_rad_s: float
     pucks: Mapping[str, DragPrior]  # by frame, fixed in the base
     tilt_m_s2: float  # gravity along the table
+    sag: float = 0.0  # logarithm of what all drags change by over the run
     imu: ImuPrior = CERTAIN
     geometry: GeometryPrior = EXACT_GEOMETRY  # its joints
 
@@ -102,9 +103,11 @@ class AirBearingBase:
         drags = tuple(f"{kind}_{frame}" for frame in prior.pucks for kind in ("Fv", "Fc"))
         self.others: Mapping[str, Block] = {
             "drag": Block(drags, np.array([sigma for puck in prior.pucks.values() for sigma in puck])),
+            "sag": Block(tuple(f"sag_{degree}" for degree in range(1, SAGS + 1)), np.full(SAGS, prior.sag)),
             "tilt": Block(("tilt_x", "tilt_y"), np.full(2, prior.tilt_m_s2)),
         }
-        self.of_a_run: tuple[str, ...] = ("tilt",)  # along the base's axes at the first tick
+        # tilt: along the base's axes at the first tick; what the supply does in one half it does not in the other
+        self.of_a_run: tuple[str, ...] = ("tilt", *(("drag", "sag") if prior.sag else ()))
         early = min(len(signals.q), round(_EARLY_s / signals.period_s))
         self.schedule = Schedule(early, 3.0, _CLOSELY, _PATIENT)
 
@@ -113,7 +116,7 @@ class AirBearingBase:
     ) -> BasePrediction:
         """See :func:`onboard.dynamics.air_bearing.predict_planar`."""
         viscous, coulomb = others["drag"].reshape(-1, 2).T
-        drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s)
+        drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s, tuple(others["sag"].tolist()))
         return predict_planar(self._run, start, chi, drag, others["tilt"], links, ticks).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:

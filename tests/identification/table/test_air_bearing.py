@@ -133,7 +133,7 @@ def test_motion_is_mujocos_drag_and_tilt_included(run):
 
 def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
     exiddm = air_bearing_exiddm(
-        run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU)
+        run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU, sag=1.0)
     )
     x = exiddm.start(PAYLOAD)
     names = list(exiddm.names)
@@ -144,12 +144,30 @@ def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
     assert np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[:, 2:5] * 1e-3).max() < 2e-3  # one tick in a turn of a puck
     assert np.abs(exiddm.residuals(x)[0]).mean() * 1e-3 < 2e-5
     ticks = 120
+    for degree, sag in enumerate((0.3, -0.2, 0.1), 1):
+        x[names.index(f"sag_{degree}")] = sag
     jacobian = exiddm.residuals(x, ticks)[1]
     for k, name in enumerate(names):
         step = np.zeros(x.size)
         step[k] = 1e-6
         slope = (exiddm.residuals(x + step, ticks)[0] - exiddm.residuals(x - step, ticks)[0]) / 2e-6
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
+
+
+def test_the_supply_sags_and_all_drags_grow_from_half_to_twice(run):
+    joints, still, drag = PlanarRun(run.vehicle, exact(run)), np.zeros(2), pulls(DRAGS)
+    start = np.array([0.2, -0.1, 0.3])
+    sagging = predict_planar(joints, start, run.chi, drag._replace(sag=(np.log(2.0), 0.0, 0.0)), still, ())
+    for tick, times in ((0, 0.5), (joints.ticks - 1, 2.0)):
+        here = exact(run)
+        here = here._replace(**{name: getattr(here, name)[tick : tick + 1].repeat(3, 0) for name in ("q", "dq", "ddq")})
+        constant = drag._replace(viscous=times * drag.viscous, coulomb=times * drag.coulomb)
+        velocity = sagging.velocity[tick, :3]
+        found = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, constant, still, ())
+        force = found.base.specific_force[0, :2]
+        np.testing.assert_allclose(sagging.base.specific_force[tick, :2], force, atol=1e-9)
+        bare = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, drag, still, ())
+        assert np.abs(bare.base.specific_force[0, :2] - force).max() > 1e-3
 
 
 def test_a_tick_is_the_mean_of_its_samples(run):

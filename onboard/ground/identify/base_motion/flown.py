@@ -15,7 +15,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import METHODS, build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM, runs_of
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
@@ -25,7 +25,6 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
 SHORTEST_S = 0.25  # a throw by hand
-_STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX
 
 
@@ -78,7 +77,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
     settings = vehicle.file.estimation
     recorder = _Recorder(model, model.pose_in_base(roles.imu.frame)[0], means=METHODS[settings.method].tick_means)
     estimator = Estimator(vehicle, recorder)
-    for _ in feed(estimator, log, _STEP_s):
+    for _ in feed(estimator, log, AT_ONCE_s):
         pass
     ticks, attached = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
     known = np.isfinite(ticks.measured[:, :3]).all(axis=1)

@@ -36,7 +36,7 @@ from onboard.ground.identify.kinds.likelihood_log import (
     runs_of,
 )
 from onboard.ground.identify.kinds.residuals import by_axis
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
 from onboard.identification.exiddm.before_capture import (
@@ -64,7 +64,6 @@ _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
-_STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
@@ -104,7 +103,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)
-    for _ in feed(estimator, log, _STEP_s):
+    for _ in feed(estimator, log, AT_ONCE_s):
         pass
     flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached))
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}

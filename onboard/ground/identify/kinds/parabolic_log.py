@@ -22,7 +22,7 @@ from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
 from onboard.ground.identify.kinds.identified import Answer, Identified, RunAnswer
 from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
@@ -33,7 +33,6 @@ from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.witnesses import Tested, tested
 from onboard.recording.reader import LogReader
 
-_STEP_s = 1.0  # in which the log is read
 _STAGES_s = (4.0,)  # part of each run that is fitted first
 _GUESS_kg = 1.0  # initial guess of the payload's mass
 _CONTRADICTS = 1e-6  # chance of a run's payload, beside that of all
@@ -68,7 +67,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     online, model = build_exiddm(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
-    for _ in feed(Estimator(vehicle, recorder), log, _STEP_s):
+    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     ticks, period_s = Ticks.joined(recorder.ticks), 1.0 / vehicle.file.estimation.row_rate_hz
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}

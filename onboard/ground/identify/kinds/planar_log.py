@@ -20,7 +20,7 @@ from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior,
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Answer, Identified
 from onboard.ground.identify.kinds.likelihood_log import LEVEL, Judged, Kept, identified, longest_held
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
@@ -75,7 +75,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
     recorder = _Recorder(payload, len(model.joints))
-    for _ in feed(Estimator(vehicle, recorder), log):
+    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     period_s, samples, frame = (
         1.0 / vehicle.file.estimation.row_rate_hz,
@@ -107,8 +107,8 @@ def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
     if asked is None:
         raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
     pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
-    tilt_m_s2, imu_prior = asked.tilt_sigma_m_s2, imu_prior_of(vehicle)
-    return AirBearingPrior(asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, tilt_m_s2, imu_prior)
+    known = asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, asked.sag_sigma
+    return AirBearingPrior(*known, imu_prior_of(vehicle))
 
 
 def underway(at_start: AirBearingPrior) -> AirBearingPrior:

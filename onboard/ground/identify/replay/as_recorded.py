@@ -5,6 +5,7 @@ are rounded, whether they are written more than once, in which recording of seve
 log, and an estimate by another number is wrong or refused. What is found is said with the answer.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 
 from onboard import config
 from onboard.config.estimation import Phases
+from onboard.devices.base import ImuDevice
 from onboard.devices.recorded import RecordedDevice
 from onboard.devices.registry import DEVICES
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.stuck import StuckReadings
+from onboard.ground.identify.replay.feed import FARTHEST_TIMES
 from onboard.ground.identify.replay.smoothing_choice import chosen
 from onboard.recording.reader import LogReader
 
@@ -23,6 +26,7 @@ IN_TURN = "recording"  # channel of ``heft merge --in-turn recording``: 1, 2, ..
 _OTHER_PERIOD = 0.1  # relative: file and log differ
 _FEWEST_STEPS = 32  # between readings, to tell how they are rounded
 _WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
+_OF_A_DIGIT, _MOST_OF_A_QUANTUM = 1.5, 0.25  # that two roundings change a step by; beyond which they hide the quantum
 _NEAREST = 10.0  # quanta, of the steps that tell
 _FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
 
@@ -35,7 +39,7 @@ class Recorded(NamedTuple):
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
-    """The vehicle of a fixed or carried base whose devices are all recorded ones; any other as it is.
+    """The vehicle whose devices are all recorded ones, an arm's or one that floats; any other as it is.
 
     Args:
         vehicle: its file.
@@ -43,7 +47,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     """
     devices, settings = dict(vehicle.file.device), vehicle.file.estimation
     carried = vehicle.file.vehicle.base in ("fixed", "prescribed") and settings.method == "rows"
-    if not carried or not all(isinstance(one, RecordedDevice) for one in devices.values()):
+    free = vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
+    if not (carried or free) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
         return Recorded(vehicle, ())
     found = dict[str, list[str]]()  # devices, by what the log says of them
     for name, device in devices.items():
@@ -52,16 +57,28 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
             for one in more:
                 found.setdefault(one, []).append(name)
     said = [f"{text} ({', '.join(f'device.{name}' for name in names)})" for text, names in found.items()]
-    held = _held(vehicle, log)
+    held = _held(vehicle, log) if carried else None
+    if free and (slower := _ticks(devices, settings.row_rate_hz)) < settings.row_rate_hz:
+        settings = settings.model_copy(update={"row_rate_hz": slower})
+        said.append(f"estimation.row_rate_hz: {slower:g}, two samples of the slowest IMU to a row")
     if held is not None:
         devices[IN_TURN] = DEVICES["recorded_value"].model_validate({"kind": "recorded_value", "period_ms": 100.0})
         settings = settings.model_copy(update={"phases": held})
         said.append(f"the payload is held from the second recording on, by channel {IN_TURN!r}: [estimation.phases]")
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
     found_so_far = vehicle.model_copy(update={"file": file})
-    if "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
+    if free or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return Recorded(found_so_far if said else vehicle, tuple(said))
     return Recorded(choice.vehicle, (*said, choice.said))
+
+
+def _ticks(devices: Mapping[str, object], rate_Hz: float) -> float:
+    """Rate of the rows, or the highest with two samples of every IMU to a row, where that is lower [Hz]."""
+    slowest_ms = max(
+        (one.period_ms for one in devices.values() if isinstance(one, RecordedDevice) and isinstance(one, ImuDevice)),
+        default=0.0,
+    )
+    return min(rate_Hz, 500.0 / slowest_ms) if slowest_ms else rate_Hz
 
 
 def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[RecordedDevice, list[str]]:
@@ -70,7 +87,8 @@ def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[Recorded
     if len(rows) < _FEWEST_STEPS:
         return device, said
     period_ms = 1e-6 * float(np.median(np.diff(rows["host_ns"])))
-    if period_ms > 0.0 and abs(period_ms / device.period_ms - 1.0) > _OTHER_PERIOD:
+    ratio = period_ms / device.period_ms
+    if abs(ratio - 1.0) > _OTHER_PERIOD and 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
         found["period_ms"] = period_ms
         said.append(f"period_ms: samples are {period_ms:.4g} ms apart, not {device.period_ms:g}")
     stated = device.model_dump()
@@ -92,6 +110,9 @@ def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[Recorded
 def quantum_of(raw: NDArray[np.floating]) -> float:
     """Counts that all steps between readings are whole numbers of, by those of few; 1 where there is no such number.
 
+    Readings may be rounded twice, by the instrument and by the digits that were written: steps are then of the
+    instrument's quantum but for a digit.
+
     Args:
         raw: readings, counts, (n,).
     """
@@ -99,12 +120,16 @@ def quantum_of(raw: NDArray[np.floating]) -> float:
     steps = steps[steps > 0.0]
     if len(steps) < _FEWEST_STEPS:
         return 1.0
-    least = float(steps.min())
-    few = steps[steps < _NEAREST * least] / least
+    digit, least = float(np.gcd.reduce(np.rint(steps).astype(np.int64))), float(steps.min())
+    few = steps[steps < _NEAREST * least]
     if len(few) < _FEWEST_STEPS:
         return least if not (steps % least).any() else 1.0
-    split = np.abs(few - np.rint(few)) > max(_WHOLE, 1.5 / least)  # counts are rounded themselves
-    return least if split.mean() < _MOST_SPLIT else 1.0
+    quantum = float(few.sum() / np.rint(few / least).sum())
+    digits = _OF_A_DIGIT * digit / quantum
+    if digits > _MOST_OF_A_QUANTUM:
+        return digit
+    split = np.abs(few / quantum - np.rint(few / quantum)) > max(_WHOLE, digits)
+    return quantum if split.mean() < _MOST_SPLIT else digit
 
 
 def _repeats(raw: FloatArray) -> bool:

@@ -17,8 +17,10 @@ from onboard.ground.log.tables.vehicle_file import require_kinds
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
+AT_ONCE_s = 1.0
+"""Of the log's time, in a step, where only its ticks or rows are asked for: a quarter of the time of 50 ms."""
 _LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
-_FARTHEST_TIMES = 10.0
+FARTHEST_TIMES = 10.0
 _SPREAD = 50  # samples between those whose times are compared: some arrive in groups
 _FEWEST_ROWS = 2 * _SPREAD
 
@@ -55,7 +57,7 @@ def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
             continue
         spread_ns = np.median(stamps_ns[_SPREAD:] - stamps_ns[:-_SPREAD])
         ratio = 1e-9 * float(spread_ns) / _SPREAD / signal.period_s
-        if not 1.0 / _FARTHEST_TIMES < ratio < _FARTHEST_TIMES:
+        if not 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
             found, stated = (f"{1e3 * ms:.4g} ms" for ms in (ratio * signal.period_s, signal.period_s))
             raise ChannelError(
                 f"{log.path}: samples of {name} are {found} apart where the vehicle file says {stated}; check the unit "

@@ -49,41 +49,36 @@ class RowsRemade:
         self._joints = [joint.name for joint in model.vehicle.joints]
         self._row = [names.index(one.row) if one.effect in OF_READING and one.row in names else 0 for one in errors]
         self._gains = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
-        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)
-        self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
+        self._known, self._independent = np.where(base.grouping.any(axis=0), 0.0, model.chi), base.independent
+        self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], self._known]))
         self._turned = {k: turned(model, one) for k, one in enumerate(errors) if one.effect == "turned"}
 
     def at(self, ticks: Ticks, beta: FloatArray, errors: FloatArray) -> Made:
         """Readings and their derivatives about base parameters (p,) and errors (k,)."""
         moving = [k for k, one in enumerate(self._errors) if one.effect in OF_MOTION]
-        tried = [errors]
-        for k in moving:
-            step = np.zeros(len(errors))
-            step[k] = _STEP
-            tried.append(errors + step)
-        Y = self._rows(ticks, tried)
+        Y = self._rows(ticks, errors)
         without = Y[..., :-1].copy()
         without[..., [column for _, column in self._gains]] = 0.0
-        wrench = without @ beta + Y[..., -1]  # (s, t, m) before gains
-        mix = np.eye(wrench.shape[2]) + sum(errors[k] * T for k, T in self._turned.items())
+        wrench = without @ beta + Y[..., -1]  # (t, m) before gains
+        mix = np.eye(wrench.shape[1]) + sum(errors[k] * T for k, T in self._turned.items())
         mixed = wrench @ mix.T
-        gain = np.ones(mixed.shape[1:])
+        gain = np.ones(mixed.shape)
         for row, column in self._gains:
             gain[:, row] += beta[column]
         steps = np.ones_like(gain)
         for k, later in self._later(len(gain)):
             steps[:, self._row[k]] += errors[k] * later
         slope = np.zeros((*gain.shape, self._p + len(errors)))
-        slope[..., : self._p] = (gain * steps)[..., None] * (mix @ without[0])
+        slope[..., : self._p] = (gain * steps)[..., None] * (mix @ without)
         for row, column in self._gains:
-            slope[:, row, column] = steps[:, row] * mixed[0, :, row]
-        for number, k in enumerate(moving, 1):
-            slope[..., self._p + k] = gain * steps * (mixed[number] - mixed[0]) / _STEP
+            slope[:, row, column] = steps[:, row] * mixed[:, row]
+        for k, change in zip(moving, self._changes(ticks, beta, errors, moving), strict=True):
+            slope[..., self._p + k] = gain * steps * (change @ mix.T)
         for k, T in self._turned.items():
-            slope[..., self._p + k] = gain * steps * (wrench[0] @ T.T)
+            slope[..., self._p + k] = gain * steps * (wrench @ T.T)
         for k, later in self._later(len(gain)):
-            slope[:, self._row[k], self._p + k] = (gain * mixed[0])[:, self._row[k]] * later
-        reading = gain * steps * mixed[0]
+            slope[:, self._row[k], self._p + k] = (gain * mixed)[:, self._row[k]] * later
+        reading = gain * steps * mixed
         for k, one in enumerate(self._errors):
             if one.effect in ("delay", "drift"):
                 row = self._row[k]
@@ -97,18 +92,26 @@ class RowsRemade:
             if one.effect == "step":
                 yield k, (np.arange(ticks) * (STEPS + 1) >= ticks * (1 + (one.axis or 0))).astype(np.float64)
 
-    def _rows(self, ticks: Ticks, tried: Sequence[FloatArray]) -> FloatArray:
-        """Rows of the corrected motion for each of s vectors of errors, (s, t, m, p + 1); what is known last."""
-        parts = [self._corrected(ticks, errors) for errors in tried]
-        q, dq, ddq, force = (np.concatenate(part) for part in zip(*parts, strict=True))
-        still = np.zeros_like(force)
-        none = np.zeros((len(q), len(self._model.rows)))
-        held = np.tile(ticks.attached, len(tried))
-        moved = q, dq, ddq, BaseMotion(still, still, force)
-        Y = self._model.regressor(*moved, held, predicted=none, fold=self._fold)
-        return np.asarray(Y, np.float64).reshape(len(tried), len(ticks.time_s), *Y.shape[1:])
+    def _rows(self, ticks: Ticks, errors: FloatArray) -> FloatArray:
+        """Rows of the corrected motion, (t, m, p + 1); what is known last."""
+        q, dq, ddq, force = self._corrected(ticks, errors)
+        still, none = np.zeros_like(force), np.zeros_like(ticks.measured)
+        motion = BaseMotion(still, still, force)
+        return self._model.regressor(q, dq, ddq, motion, ticks.attached, predicted=none, fold=self._fold)
 
-    def _corrected(self, ticks: Ticks, errors: FloatArray) -> tuple[FloatArray, ...]:
+    def _changes(self, ticks: Ticks, beta: FloatArray, errors: FloatArray, moving: Sequence[int]) -> FloatArray:
+        """Derivatives of the wrenches before gains by errors of the motion, (s, t, m)."""
+        chi = self._known.copy()
+        chi[self._independent] += beta
+        links = chi[: self._model.vehicle.chi.size]
+
+        def readings(by: FloatArray) -> FloatArray:
+            return self._model.readings(links, *self._corrected(ticks, by), ticks.attached)
+
+        about, steps = readings(errors), _STEP * np.eye(len(errors))[moving]
+        return np.array([(readings(errors + step) - about) / _STEP for step in steps])
+
+    def _corrected(self, ticks: Ticks, errors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Motion without the errors of its sensors: angles, rates, accelerations, specific force."""
         zero, scale, delay = np.zeros((3, len(self._joints)))
         tilt = np.zeros(3)

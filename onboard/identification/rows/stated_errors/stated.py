@@ -57,6 +57,7 @@ FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
 _REACHES = 1.96  # sigmas that an interval of 95 % reaches
 _SETTLED = 0.02  # relative change of a width in a step
+_NAMED = 1.05  # times as wide, from which on it is said of others of the kind: two digits show it
 _MOST_STEPS, _PASSES = 60, 3  # of expectation and maximisation; about a new estimate
 
 
@@ -245,7 +246,7 @@ class StatedSigmas:
                 continue
             mine = np.flatnonzero((self._kind == kind) & (width > 1.0))
             worst = mine[np.argmax(width[mine])]
-            more = f", and {len(mine) - 1} like it {width[mine].min():.2g} times or more" if len(mine) > 1 else ""
+            more = others(width[mine[mine != worst]])
             said.append(f"the rows contradict {self.stated[worst].key}: taken {width[worst]:.3g} times as wide{more}")
         return tuple(said)
 
@@ -256,6 +257,12 @@ class StatedSigmas:
         return float(b @ np.linalg.solve(M, b) - np.linalg.slogdet(M)[1]) / 2.0 + float(
             wide.paid[wide.width > 1.0].sum()
         )
+
+
+def others(width: FloatArray) -> str:
+    """What is said of others of a kind, (n,) times as wide as stated; empty where two digits show none wider."""
+    wider = width[width >= _NAMED]
+    return f", and {len(wider)} like it {wider.min():.2g} times or more" if len(wider) else ""
 
 
 class _Widths(NamedTuple):

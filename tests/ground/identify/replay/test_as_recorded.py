@@ -59,6 +59,14 @@ def test_the_quantum_of_readings_is_found_and_none_where_there_is_none(rng, quan
     assert quantum_of(np.arange(0.0, 1e6, 1000.0) + np.rint(30.0 * rng.normal(size=1000))) == 1.0  # a steady motion
 
 
+def test_the_quantum_of_an_encoder_whose_angles_were_written_with_few_digits(rng):
+    """14 bits in degrees to three places, as a mapping of 1e-5 degrees reads them; and digits alone."""
+    angle_deg = np.cumsum(rng.normal(0.0, 0.05, 4000))
+    encoder = np.rint(angle_deg / 360.0 * 2**14) / 2**14 * 360.0
+    assert quantum_of(np.rint(1e5 * np.round(encoder, 3))) == pytest.approx(1e5 * 360.0 / 2**14, rel=0.01)
+    assert quantum_of(np.rint(1e5 * np.round(angle_deg, 3))) == 100.0
+
+
 def test_a_rounded_angle_that_is_slow_is_not_stuck_and_one_that_stands_still_in_motion_is(vehicle, tmp_path):
     """Rounded to 1e-4 rad, 0.02 rad/s at 100 Hz and less: equal readings, then a step of 10,000 counts."""
     t = 0.01 * np.arange(4000)

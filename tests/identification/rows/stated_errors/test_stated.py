@@ -6,7 +6,7 @@ import pytest
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
-from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken
+from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken, others
 from onboard.regressor.base_parameters import BaseParameters
 
 NOISE, SIGMA = 1e-3, 0.01  # of the rows; of both parameters, drawn as one
@@ -52,6 +52,11 @@ def test_one_of_two_links_that_is_ten_sigmas_off_widens_both_by_students_t(rng):
     assert said.endswith("and 1 like it 1.4 times or more")
     assert found.rls.solve().mean == pytest.approx([1.1, 1.0], abs=5 * NOISE / 40)
     assert np.array_equal(found.covariance, found.prior_root @ found.prior_root.T)
+
+
+def test_what_is_hardly_wider_is_not_said_to_be():
+    assert others(np.array([1.004, 1.6, 2.0])) == ", and 2 like it 1.6 times or more"
+    assert others(np.array([1.004])) == others(np.empty(0)) == ""
 
 
 def test_gains_that_contradict_each_other_are_considered_as_wide_as_they_differ(rng):

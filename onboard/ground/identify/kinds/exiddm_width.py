@@ -1,0 +1,54 @@
+"""How wide the smoothing of joints on a recorded base that floats is, where its file does not say: by its own motion.
+
+The base IMU is predicted from smoothed joints. What a narrow kernel passes of rounded angles, differentiated twice, is
+taken for motion and makes the payload too light; a wide one smooths the motion itself away. What is predicted is the
+same by every width, so the width by which one half of the flight best predicts the other is taken.
+"""
+
+import math
+from collections.abc import Callable
+
+from onboard import config
+from onboard.devices.recorded import RecordedDevice
+from onboard.flight.estimate.readings.roles import roles_of
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.replay.smoothing_choice import FEWEST_SAMPLES, narrowest, with_settings
+from onboard.recording.reader import LogReader
+
+_NARROWER_ms, _WIDER_ms = (
+    (400.0, 200.0, 100.0),
+    (800.0,),
+)  # each way until the error grows: a fit of noise takes minutes
+
+
+def with_chosen_width(
+    vehicle: config.Vehicle, log: LogReader, identify: Callable[[config.Vehicle, LogReader], Identified] | None
+) -> tuple[config.Vehicle, tuple[str, ...]]:
+    """A recorded vehicle that floats, with the width of smoothing that its recording asks for, and what is said of it.
+
+    As it is, without words, is any other vehicle, one whose file says how wide, and one whose recording does not tell.
+
+    Args:
+        vehicle: its file.
+        log: its recording.
+        identify: estimates from it; None where rows do.
+    """
+    devices, settings = vehicle.file.device.values(), vehicle.file.estimation
+    recorded = all(isinstance(one, RecordedDevice) for one in devices)
+    floats = vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
+    if identify is None or not floats or not recorded or "smoothing_ms" in settings.model_fields_set:
+        return vehicle, ()
+    slowest_ms = 1e3 * max(signal.period_s for signal in roles_of(vehicle).signals.values())
+    errors = dict[float, float]()
+    for way in (_NARROWER_ms, _WIDER_ms):
+        for width_ms in (one for one in way if one >= FEWEST_SAMPLES * slowest_ms):
+            held_out = identify(with_settings(vehicle, width_ms), log).held_out
+            if held_out is None:
+                break
+            errors[width_ms] = math.sqrt(held_out.later.relative_error * held_out.earlier.relative_error)
+            if errors[width_ms] > min(errors.values()):
+                break
+    if not errors:
+        return vehicle, ()
+    best_ms, said = narrowest(dict(sorted(errors.items())))
+    return with_settings(vehicle, best_ms), (said,)

@@ -1,0 +1,65 @@
+"""A free-flyer that somebody else recorded, by the files that heft writes: momentum is kept, by Pinocchio's own map."""
+
+import json
+
+import numpy as np
+import pinocchio as pin
+
+from onboard.cli import OK, main
+
+MASS_kg, CENTRE_m = 3.0, np.array([0.08, 0.02, -0.03])
+_S = 2e-3  # of a step
+_JOINTS = ("joint_1", "joint_2", "joint_3")
+
+
+def flown(urdf):
+    """Angles (n, 3), rate and specific force of the base at its origin (n, 3), each 2 ms for 50 s."""
+    model = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+    hand = model.frames[model.getFrameId("payload")]
+    held = pin.Inertia(MASS_kg, CENTRE_m, np.diag([0.012, 0.02, 0.018]))
+    model.appendBodyToJoint(hand.parentJoint, held, hand.placement)
+    data, q, momentum = model.createData(), pin.neutral(model), np.array([0.03, -0.02, 0.04, 0.02, -0.03, 0.01])
+    t = _S * np.arange(25_000)
+    turns = 2.0 * np.pi * np.array([0.13, 0.17, 0.11]) * t[:, None] + [0.0, 1.0, 2.0]
+    angles = 0.5 * np.sin(turns) + 0.2 * np.sin(1.7 * turns)
+    rates, velocity = np.gradient(angles, _S, axis=0), np.zeros((len(t), 6))
+    for k in range(len(t)):
+        q[7:] = angles[k]
+        A = pin.computeCentroidalMap(model, data, q)
+        velocity[k] = np.linalg.solve(A[:, :6], momentum - A[:, 6:] @ rates[k])
+        q = pin.integrate(model, q, np.concatenate([velocity[k], rates[k]]) * _S)
+    accelerated = np.gradient(velocity, _S, axis=0)
+    return t, angles, velocity[:, 3:], accelerated[:, :3] + np.cross(velocity[:, 3:], velocity[:, :3])
+
+
+def test_a_recording_at_100_Hz_with_rounded_angles_and_no_line_edited(tmp_path, rng):
+    """14 bits, written in degrees to three places: through 100 ms they make the payload a third too light."""
+    lab = tmp_path / "lab"
+    asked = ["--base", "free", "--joints", ",".join(_JOINTS), "--imu", "recorded", "--encoder", "recorded"]
+    assert main(["init", str(lab), *asked]) == OK
+    t, angles, rate, force = (one[::5] for one in flown((lab / "vehicle.urdf").read_text()))
+    counts = np.rint(angles / (2.0 * np.pi) * 2**14)
+    columns = [1e3 * t[:, None], force + rng.normal(0.0, 0.02, force.shape)]
+    columns += [np.degrees(rate + rng.normal(0.0, 1.5e-3, rate.shape)), counts * 360.0 / 2**14]
+    names = [*(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_dps" for axis in "xyz"), *_JOINTS]
+    table = tmp_path / "flight.csv"
+    header = ",".join(["t_ms", *names[:6], *(f"{name}_deg" for name in names[6:])])
+    np.savetxt(table, np.hstack(columns), "%.3f", ",", header=header, comments="")
+    mapping, answer = tmp_path / "m.toml", tmp_path / "answer.json"
+    assert main(["import", "--guess", str(table), "--vehicle", str(lab / "vehicle.toml"), "-o", str(mapping)]) == OK
+    assert main(["import", str(mapping), str(table), "-o", str(tmp_path)]) == OK
+    command = ["identify", "--vehicle", str(lab / "vehicle.toml"), str(tmp_path / "flight.mcap")]
+    assert main([*command, "--json", str(answer)]) == OK
+    whole = json.loads(answer.read_text())
+    (log,) = whole["logs"]
+    found = {one["name"]: one for one in log["quantities"]}
+    assert found["m_payload"]["low"] < MASS_kg < found["m_payload"]["high"]
+    assert found["m_payload"]["high"] - found["m_payload"]["low"] < 0.3 * MASS_kg
+    assert log["refused"].get("stuck", 0) == 0
+    for said in (
+        "period_ms: samples are 10 ms apart",
+        "noise_rad: angles are rounded",
+        "row_rate_hz: 50,",
+        "smoothing_ms: ",
+    ):
+        assert any(said in one for one in whole["recorded"]), said
