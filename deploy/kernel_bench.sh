@@ -6,7 +6,7 @@
 #
 # Needs Debian 12 or newer on x86-64, and no root: packages are fetched by apt-get, with its signatures checked, and
 # unpacked under HEFT_KERNEL_CACHE (default ~/.cache/heft), 160 MB, once; nothing is installed or changed on the machine.
-# HEFT_KERNEL_RESULTS=DIR keeps what the guest writes to /run/results; HEFT_KERNEL_TIMEOUT (300) limits the guest, seconds.
+# HEFT_KERNEL_RESULTS=DIR keeps what the guest writes to /run/results; HEFT_KERNEL_TIMEOUT (500) limits the guest, seconds.
 # Exit codes: the command's; 69 when this machine cannot run it (the message says why), 70 when the guest died,
 # 75 when the packages could not be fetched, 124 when the time was over.
 set -eu
@@ -139,12 +139,12 @@ boot() {
     guest=
 }
 
-boot "${HEFT_KERNEL_TIMEOUT:-300}" "$work/init"
+boot "${HEFT_KERNEL_TIMEOUT:-500}" "$work/init"
 if [ -f "$work/results/status" ]; then
     exit "$(cat "$work/results/status")"
 fi
 cat "$work/uml/errors" >&2
-[ $code -ne 124 ] || heft_die 124 "the guest was stopped after ${HEFT_KERNEL_TIMEOUT:-300} s."
+[ $code -ne 124 ] || heft_die 124 "the guest was stopped after ${HEFT_KERNEL_TIMEOUT:-500} s."
 died=$code
 boot 30 /bin/true    # the kernel says with which exit code its first program ended: 0, where programs run in it
 grep -q 'Attempted to kill init! exitcode=0x00000000' "$work/uml/errors" ||

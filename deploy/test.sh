@@ -15,7 +15,7 @@ trap 'rm -rf "$said"; [ -z "$beside" ] || kill "$beside"' EXIT
 trap 'exit 130' INT TERM
 code=0 began=$(date +%s)
 tests() {    # a part; one that hangs beyond each test's own limit is ended, and has failed
-    timeout --kill-after=60 2400 "$@"
+    timeout --kill-after=60 3600 "$@"
 }
 python=$heft_venv/bin/python
 timed=$(grep -rl --include='test_*.py' realtime tests | sort)    # only these are collected: a quarter of the time

@@ -69,6 +69,12 @@ def parsed(path: str, source: str) -> ast.Module:
 
 
 @cache
+def nodes(path: str, source: str) -> tuple[ast.AST, ...]:
+    """All nodes of that tree."""
+    return tuple(ast.walk(parsed(path, source)))
+
+
+@cache
 def imports(path: str, source: str) -> tuple[Import, ...]:
     """Every import of a file, relative ones resolved, ``importlib.import_module("a.b")`` included."""
     package = module_of(path).split(".")
@@ -180,11 +186,10 @@ def mathematics_knows_no_keys(path: str, source: str) -> list[str]:
     """Configuration says which key of vehicle.toml states a parameter."""
     if module_of(path).removeprefix("onboard.").split(".")[0] not in MATHEMATICS:
         return []
-    tree = parsed(path, source)
     documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-    docs = [n.body[0] for n in ast.walk(tree) if isinstance(n, documented) and ast.get_docstring(n) is not None]
+    docs = [n.body[0] for n in nodes(path, source) if isinstance(n, documented) and ast.get_docstring(n) is not None]
     silent = {id(doc.value) for doc in docs if isinstance(doc, ast.Expr)}
-    texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in silent]
+    texts = [n for n in nodes(path, source) if isinstance(n, ast.Constant) and id(n) not in silent]
     return [f"{path}:{n.lineno}: {n.value}" for n in texts if isinstance(n.value, str) and KEYS.search(n.value)]
 
 
@@ -200,7 +205,7 @@ def campaigns_foresee_nothing(path: str, source: str) -> list[str]:
 def only_the_command_line_prints(path: str, source: str) -> list[str]:
     if allowed(path, PRINTERS):
         return []
-    calls = (node for node in ast.walk(parsed(path, source)) if isinstance(node, ast.Call))
+    calls = (node for node in nodes(path, source) if isinstance(node, ast.Call))
     return [f"{path}:{c.lineno}: print" for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
 
 
@@ -208,9 +213,8 @@ def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]
     """A reference counts as a call: a clock handed on as an argument is read somewhere else."""
     if allowed(path, CLOCK_READERS):
         return []
-    tree = parsed(path, source)
     bound: dict[str, str] = {}  # local name -> what it stands for
-    for node in ast.walk(tree):
+    for node in nodes(path, source):
         if isinstance(node, ast.Import):
             bound |= {alias.asname or alias.name.split(".")[0]: alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -224,10 +228,11 @@ def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]
                 return f"{dotted(node.value)}.{node.attr}"
         return ""
 
-    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
-    return [f"{path}:{node.lineno}: {dotted(node)}" for node in nodes if dotted(node) in CLOCKS]
+    names = (node for node in nodes(path, source) if isinstance(node, ast.Name | ast.Attribute))
+    return [f"{path}:{node.lineno}: {dotted(node)}" for node in names if dotted(node) in CLOCKS]
 
 
+@cache
 def code_lines(path: str, source: str) -> int:
     """Lines that hold code: not blank, not a comment, not a docstring."""
     silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
@@ -235,7 +240,7 @@ def code_lines(path: str, source: str) -> int:
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type not in silent:
             lines.update(range(token.start[0], token.end[0] + 1))
-    for node in ast.walk(parsed(path, source)):
+    for node in nodes(path, source):
         if (
             isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
             and ast.get_docstring(node, clean=False) is not None
@@ -255,7 +260,7 @@ def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
     if not path.startswith("heft/"):
         return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "heft")]
     made = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Lambda
-    found = [f"{path}:{n.lineno}: a definition" for n in ast.walk(parsed(path, source)) if isinstance(n, made)]
+    found = [f"{path}:{n.lineno}: a definition" for n in nodes(path, source) if isinstance(n, made)]
     names = [i for i in imports(path, source) if not within(i.name, "onboard.ground")]
     return found + [f"{path}:{i.line}: {i.name}" for i in names]
 
@@ -334,8 +339,8 @@ def sources() -> dict[str, str]:
 @pytest.fixture(scope="module")
 def package_sources() -> Iterator[dict[str, str]]:
     yield sources()
-    parsed.cache_clear()  # 160 MB
-    imports.cache_clear()
+    for each in (parsed, nodes, imports, code_lines):  # 200 MB
+        each.cache_clear()
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
