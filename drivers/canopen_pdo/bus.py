@@ -181,7 +181,9 @@ class CanopenBus:
             node.stop()
         self._dispatch(self._receive(0.0))
         last = self._sync.tick  # up to here a node that was not stopped yet had to answer, and may have been cut off
-        any(not self._read_past_a_sync() for _ in range(DRAINS))  # a busy node stops late, and answers meanwhile
+        for _ in range(DRAINS):  # a busy node stops late, and answers meanwhile
+            if not self._read_past_a_sync() or all(channel.is_silent for channel in self._synchronous):
+                break
         self._port.mute()
         for _ in range(DRAINS):
             frames = self._receive(DRAIN_S)
@@ -205,14 +207,14 @@ class CanopenBus:
     def _read_past_a_sync(self) -> bool:
         """Read on to the next SYNC: a node that is stopped between a SYNC and its answer loses a sample unseen.
 
-        It may be some periods late. Returns whether it came, and a node answered the one before.
+        It may be some periods late. Returns whether it came.
         """
-        before, silent, rests, heard = self._sync.tick, 0, 0, sum(channel.heard for channel in self._synchronous)
+        before, silent, rests = self._sync.tick, 0, 0
         while self._sync.tick == before and silent <= SILENT_RESTS and rests < RESTS:
             frames = self._receive(2e-9 * self._period_ns)
             silent, rests = 0 if frames else silent + 1, rests + 1
             self._dispatch(frames)
-        return self._sync.tick != before and sum(channel.heard for channel in self._synchronous) != heard
+        return self._sync.tick != before
 
     def _stop_drives(self, now_ns: int) -> None:
         """Quick stop, and its frames read until the drives have left the enabled state."""

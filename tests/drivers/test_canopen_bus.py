@@ -289,20 +289,28 @@ def test_no_node_is_stopped_before_a_sync_that_is_late(bench):
     assert len(port.sent) > before
 
 
-def test_what_nodes_answer_until_they_have_read_the_stop_is_taken(bench):
+@pytest.mark.parametrize("together", ["a SYNC and its answers", "answers and the next SYNC"])
+def test_what_nodes_answer_until_they_have_read_the_stop_is_taken(bench, together):
     """Nodes on a busy computer: the SYNC before the stop and two after it are answered late, one by one."""
     bench.start()
     bench.run(200)
     port, receive, before = bench.port, bench.port.receive, len(bench.port.sent)
-    late = iter(range(3))
+    late, on_the_way = iter(range(3)), []
 
     def receive_late(timeout_s):
+        port.inbox += on_the_way
+        on_the_way.clear()
         if timeout_s > 0.0 and not port.muted:
             bench.clock.advance(5_000_000)
+            held = len(port.inbox)
             if len(port.sent) == before or next(late, None) is not None:
                 bench._sync(bench.clock())
             else:
                 port.put(bench.clock(), 0x080, [bench.number % 240 + 1])
+                bench.number += 1
+            if together.startswith("answers"):
+                on_the_way.extend(port.inbox[held + 1 :])
+                del port.inbox[held + 1 :]
         return receive(timeout_s)
 
     port.receive = receive_late

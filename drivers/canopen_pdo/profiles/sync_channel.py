@@ -38,10 +38,14 @@ class SyncChannel(PdoChannel):
         self._before_sync = 0  # TPDOs that came before any SYNC
         self._unanswered = 0  # SYNCs seen since the last row without an answer
         self._silent = 0  # the same, since the node went live or answered
-        self.heard = 0  # TPDOs
         self._owed = 0  # answers missing in the last gap
         self._owed_tick = 0
         self._reset_since_row = False
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the SYNC before the last one seen was not answered, nor was the last one yet."""
+        return self._unanswered > 0 and not self._held
 
     def go_live(self) -> None:
         """The node has been started."""
@@ -58,7 +62,6 @@ class SyncChannel(PdoChannel):
 
     def accept(self, host_ns: int, data: bytes) -> None:
         """See ``PdoChannel``. TPDOs before the first SYNC answer none: they are a gap before the first row."""
-        self.heard += 1
         if self.live and self._sync.tick is not None:
             self._held.append((host_ns, data))
         elif self.live:
