@@ -1,11 +1,15 @@
 """Base of polled serial devices: one request, one answer, stamped before and after.
 
+A device may ask for other things between its samples (``_aside``). An answer may be incomplete: of several stations on
+a line one is silent, and its channels lack that sample.
+
 The value was sampled at some time between request and answer. SCALAR rows carry both stamps: ``tick`` is
 CLOCK_MONOTONIC ns just before the request was written, ``host_ns`` when the last byte of the answer was read. The error
 of their mean is at most half their difference, plus the device's filter delay.
 """
 
 from abc import abstractmethod
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +32,16 @@ class Value(NamedTuple):
     unit: str
     device_status: int = 0
     status: int = 0
+
+
+@dataclass
+class _Channel:
+    """What is not told of a channel yet: samples from ``following`` on, and why the first of them is missing."""
+
+    following: int = 0
+    last_ns: int | None = None
+    cause: str = ""
+    counted: bool = True
 
 
 class PolledDevice(SerialDevice):
@@ -72,6 +86,8 @@ class PolledDevice(SerialDevice):
         self._cause = ""
         self._last_ns: int | None = None  # of the last answer
         self._was_down = False  # the port was closed since the last answer
+        self._is_aside = False  # the open request is no sample
+        self._untold = {channel: _Channel() for channel in self._value_channels()}
 
     @property
     def channels(self) -> Channels:
@@ -98,6 +114,16 @@ class PolledDevice(SerialDevice):
             FrameError: The bytes are not the answer.
         """
 
+    def _aside(self, now_ns: int) -> bytes:
+        """A request that is no sample, to be sent now; empty for none. ``_answer`` gets what comes."""
+        del now_ns
+        return b""
+
+    def _given_up(self, now_ns: int, cause: str) -> tuple[int, list[Value]]:
+        """The open request is not answered in time, or by bad bytes: what came of it before, and when."""
+        del cause
+        return now_ns, []
+
     def _opened(self, now_ns: int) -> None:
         self._asked_ns = None
         self._earliest_ns = self._due_ns = now_ns
@@ -113,21 +139,29 @@ class PolledDevice(SerialDevice):
         if self._asked_ns is not None:
             if now_ns < self._deadline_ns:
                 return False
-            self._lose("no_answer")
-            if self._unanswered == UNANSWERED_TO_TELL:
-                text = f"{UNANSWERED_TO_TELL} requests without an answer: check power, address, baud rate and wiring"
-                self._report.event(now_ns, Severity.ERROR, "no_answer", text)
-            if self._unanswered % UNANSWERED_TO_REOPEN == 0:
-                text = f"{UNANSWERED_TO_REOPEN} requests without an answer ({self._last_error}): port is reopened"
-                self._link.drop(now_ns, "silent", text)
-                return False
-        if now_ns < max(self._earliest_ns, self._due_ns):
+            is_sample = not self._is_aside
+            if not self._give_up(now_ns, "no_answer") and is_sample:
+                if self._unanswered == UNANSWERED_TO_TELL:
+                    text = (
+                        f"{UNANSWERED_TO_TELL} requests without an answer: check power, address, baud rate and wiring"
+                    )
+                    self._report.event(now_ns, Severity.ERROR, "no_answer", text)
+                if self._unanswered % UNANSWERED_TO_REOPEN == 0:
+                    text = f"{UNANSWERED_TO_REOPEN} requests without an answer ({self._last_error}): port is reopened"
+                    self._link.drop(now_ns, "silent", text)
+                    return False
+        if now_ns < self._earliest_ns:
             return False
-        before_ns = self._link.write(now_ns, self._question(retry=self._unanswered > 0))
+        aside = self._aside(now_ns)
+        if not aside and now_ns < self._due_ns:
+            return False
+        before_ns = self._link.write(now_ns, aside or self._question(retry=self._unanswered > 0))
         if before_ns is None:
             return False
         self._asked_ns, self._deadline_ns = before_ns, before_ns + self._timeout_ns
-        self._due_ns = max(self._due_ns + self._sample_period_ns, now_ns)
+        self._is_aside = bool(aside)
+        if not aside:
+            self._due_ns = max(self._due_ns + self._sample_period_ns, now_ns)
         self._broken = False
         return True
 
@@ -142,55 +176,78 @@ class PolledDevice(SerialDevice):
             values = self._answer(chunk.host_ns, chunk.data)
         except FrameError as error:
             self._bad_frame(chunk.host_ns, error)
-            self._lose("bad_frame")
+            self._give_up(chunk.host_ns, "bad_frame")
             self._earliest_ns = chunk.host_ns + self._settle_ns
             return
         if values is None:
             return
-        asked_ns, self._asked_ns = self._asked_ns, None
         self._earliest_ns = chunk.host_ns + self._pause_ns
         self._broken = False
         self._heard(now_ns)
-        if values:
-            self._append(asked_ns, chunk.host_ns, values)
+        if self._is_aside:
+            self._asked_ns = None
+        elif values:
+            self._append(chunk.host_ns, values)
         else:
-            self._asked_ns = asked_ns
             self._lose("refused")
 
-    def _append(self, asked_ns: int, host_ns: int, values: list[Value]) -> None:
+    def _append(self, host_ns: int, values: list[Value], cause: str = "no_answer") -> None:
+        """Record the answer to the open request; channels without a value lack it for ``cause``."""
         if self._last_ns is None:
             self._report.event(host_ns, Severity.INFO, "started", "it answers")
-        self._name_gap(host_ns)
+        self._count_lost(host_ns)
         for value in values:
+            self._name_gap(host_ns, value.channel)
             rows = np.zeros(1, SCALAR)
             number = value.value_raw, value.scale, value.unit
-            rows[0] = (self._next, host_ns, asked_ns, *number, 0, value.device_status, value.status)
+            rows[0] = (self._next, host_ns, self._asked_ns, *number, 0, value.device_status, value.status)
             self._report.rows(value.channel, rows)
+            self._untold[value.channel] = _Channel(self._next + 1, host_ns)
         self._next += 1
-        self._last_ns = host_ns
+        for untold in self._untold.values():
+            if untold.following < self._next:
+                untold.cause = untold.cause or cause
+        self._last_ns, self._asked_ns = host_ns, None
+
+    def _give_up(self, now_ns: int, cause: str) -> bool:
+        """Give up the open request; whether a part of its answer had come, which is recorded."""
+        stamp_ns, values = self._given_up(now_ns, cause)
+        if values:
+            self._append(stamp_ns, values, cause)
+        else:
+            self._lose(cause)
+        return bool(values)
 
     def _lose(self, cause: str) -> None:
         """Give up the open request, if any."""
-        if self._asked_ns is not None:
+        if self._asked_ns is not None and not self._is_aside:
             self._unanswered += 1
             self._cause = self._cause or cause
-            self._asked_ns = None
+        self._asked_ns = None
 
-    def _name_gap(self, now_ns: int) -> None:
-        """Record unanswered and unsent requests as a gap (without a period: at least one)."""
-        elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
+    def _count_lost(self, now_ns: int) -> None:
+        """Number unanswered and unsent requests (without a period: at least one)."""
         lost, counted = self._unanswered, not self._was_down
         if self._was_down and self._last_ns is not None:
             period_ns = self._sample_period_ns
-            lost = max(lost, round(elapsed_ns / period_ns) - 1 if period_ns else 1)
+            lost = max(lost, round((now_ns - self._last_ns) / period_ns) - 1 if period_ns else 1)
         if lost:
-            first, last = self._next, self._next + lost - 1
-            for channel in self._value_channels():
-                cause = self._cause or "port_lost"
-                self._report.gap(now_ns, channel, first, last, elapsed_ns, cause, counted=counted)
-            self._next = last + 1
+            self._next += lost
+            for untold in self._untold.values():
+                untold.cause = untold.cause or self._cause or "port_lost"
+                untold.counted = untold.counted and counted
         self._unanswered, self._cause, self._was_down = 0, "", False
+
+    def _name_gap(self, now_ns: int, channel: str) -> None:
+        """Record as a gap what a channel lacks."""
+        following, last_ns, cause, counted = astuple(self._untold[channel])
+        if following < self._next:
+            elapsed_ns = 0 if last_ns is None else now_ns - last_ns
+            self._report.gap(now_ns, channel, following, self._next - 1, elapsed_ns, cause, counted=counted)
+            self._untold[channel] = _Channel(self._next, last_ns)
 
     def _finish(self, now_ns: int) -> None:
         self._lose("stopped")
-        self._name_gap(now_ns)
+        self._count_lost(now_ns)
+        for channel in self._value_channels():
+            self._name_gap(now_ns, channel)
