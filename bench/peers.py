@@ -298,6 +298,17 @@ def modbus_answer(request: bytes, gross: int) -> bytes:
     return body + modbus_crc(body)
 
 
+def dynamixel_packet(head: str, data: bytes) -> bytes:
+    """A packet of DYNAMIXEL protocol 2.0, or the next part of one: bytes in hex, data, CRC over all of it."""
+    packet = bytes.fromhex(head) + data
+    crc = 0
+    for byte in packet:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return packet + crc.to_bytes(2, "little")
+
+
 def cobs_stuffed(data: bytes) -> bytes:
     """COBS of ``data``, and the delimiter."""
     out, block = bytearray(), bytearray()

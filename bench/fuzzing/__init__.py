@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "node_frame", "sync_pulse")
+DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse")
 I2C = ("nau7802", "as5600")
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
 NAMES = DECODERS + I2C + FILES

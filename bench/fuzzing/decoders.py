@@ -13,7 +13,7 @@ from cobs import cobs
 
 from bench import peers
 from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, cut, drive, exhaust, leading, polled, split, spoken
-from drivers import dsc_load_cell, modbus_load_cell, mpu6050, node_frame
+from drivers import dsc_load_cell, dynamixel, modbus_load_cell, mpu6050, node_frame
 from drivers import nimu as nimu_room
 from drivers import qsb as qsb_room
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, Cia402Config, Cia404Config, Cia406Config, SyncConfig
@@ -29,6 +29,7 @@ from drivers.transports.can.can_slcan import SlcanDecoder, decode_line, encode_l
 
 TRANSFER_NS = 100_000  # three bytes at 400 kHz: no bus is faster, and no two stamps are the same
 ERRNOS = (5, 6, 121, 110, 11)  # EIO, ENXIO, EREMOTEIO, ETIMEDOUT, EAGAIN
+DYNAMIXEL_IDS = (1, 2)
 NODE_CHANNELS = ("angle", "force")
 CAN_IDS = (
     *(0x080, 0x281, 0x182, 0x183, 0x184, 0x284),
@@ -211,6 +212,25 @@ def dsc(data: bytes) -> None:
     polled(device, port, clock, iter(answers), how)
 
 
+def dynamixel_line(data: bytes) -> None:
+    """Answers of servos by the decoder and by the device of a line of them."""
+    (how, which, fail_at), body = leading(data, 3)
+    answers = list(split(body))
+    if which & 0x80:
+        answers = [said[:-2] + dynamixel.crc16(said[:-2]).to_bytes(2, "little") for said in answers]
+    for said in answers:
+        reply = dynamixel.Reply(DYNAMIXEL_IDS, 10, fast=bool(which & 1))
+        with contextlib.suppress(FrameError):
+            for piece in cut(said, how >> 4):
+                reply.receive(piece)
+                assert reply.missing >= 1
+        assert len(reply.blocks) <= len(DYNAMIXEL_IDS)
+    servos = [dynamixel.DynamixelConfig(f"joint_{one}", one, velocity=True, torque=True) for one in DYNAMIXEL_IDS]
+    timing = dynamixel.DynamixelTiming(20.0 if which & 2 else 0.0, fast_sync_read=not which & 4)
+    clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
+    polled(dynamixel.DynamixelBus("arm", servos, lambda: port, clock, timing), port, clock, iter(answers), how)
+
+
 def _frames_taken(data: bytes) -> list[bytes]:
     stream, taken = node_frame.FrameStream(), []
     stream.receive(data)
@@ -288,6 +308,7 @@ CALLS: dict[str, Callable[[bytes], None]] = {
     "qsb": qsb,
     "modbus": modbus,
     "dsc": dsc,
+    "dynamixel": dynamixel_line,
     "node_frame": node,
     "sync_pulse": sync_pulse,
 }

@@ -51,6 +51,23 @@ def _node_seeds() -> list[bytes]:
     return [b"\0\0\0" + wire, b"\2\0\0" + late, b"\0\x80\0" + joined(descriptor, *frames), b"\0\0\0" + descriptor]
 
 
+def _dynamixel_seeds() -> list[bytes]:
+    who = [peers.dynamixel_packet(f"fffffd000{n}0e005500fc03000000002d{n:02x}03fa", b"") for n in (1, 2)]
+    limits = [peers.dynamixel_packet(f"fffffd000{n}05005500", b"P") for n in (1, 2)]
+    present = bytes(range(10))
+    rounds = [peers.dynamixel_packet(f"fffffd000{n}0e005500", present) for n in (1, 2)]
+    fast = peers.dynamixel_packet("fffffd00fe1d00550001", present)
+    fast = peers.dynamixel_packet((fast + b"\0\2").hex(), present)
+    failing = peers.dynamixel_packet("fffffd00fe1d00558001", present)
+    failing = peers.dynamixel_packet((failing + b"\0\2").hex(), present)
+    error = peers.dynamixel_packet("fffffd000105005500", b"\x20")
+    return [
+        b"\1\1\0" + joined(*who, limits[0], fast, limits[1], fast, failing, error),
+        b"\0\4\0" + joined(*who, *limits, *([b"".join(rounds)] * 3)),
+        b"\x19\x81\x09" + joined(who[0], fast[:30], fast, rounds[0]),
+    ]
+
+
 def seeds() -> dict[str, list[bytes]]:
     """Seeds by target."""
     packets = b"".join(peers.nimu_packet(at) for at in range(14))
@@ -80,6 +97,7 @@ def seeds() -> dict[str, list[bytes]]:
             b"\1\x40\0" + joined(asked[0] + weights[0], weights[1]),
         ],
         "dsc": [b"\1\0\0" + joined(*numbers), b"\x19\1\x09" + joined(*numbers[::-1], b"+1\r+2\r", b"1" * 40)],
+        "dynamixel": _dynamixel_seeds(),
         "node_frame": _node_seeds(),
         "sync_pulse": [
             bytes([0, 1, 0, 0]) * 20,

@@ -20,6 +20,7 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "qsb": 100,
     "modbus": 500,
     "dsc": 900,
+    "dynamixel": 120,
     "node_frame": 500,
     "sync_pulse": 500,
     "nau7802": 60,

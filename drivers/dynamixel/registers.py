@@ -1,0 +1,147 @@
+"""Control table of DYNAMIXEL X (addresses, models, units) and the configuration of servos on a line.
+
+Source: ROBOTIS e-manual, pages of XM430-W350, XH430-V350, XL430-W250, XL330-M288, XW540-T260. The unit of Present
+Velocity is 0.229 rev/min on all of them. Models that are not listed here need ``ampere_per_count``, and are read by
+Sync Read.
+"""
+
+import struct
+from dataclasses import dataclass
+from math import tau
+from typing import NamedTuple
+
+from drivers.dynamixel.packet import LARGEST_ID
+from drivers.errors import ConfigurationError, FrameError
+
+IDENTITY, IDENTITY_BYTES = 0, 10  # Model Number, Model Information, Firmware Version, ID, Baud Rate, Return Delay Time
+TEMPERATURE_LIMIT = 31
+HARDWARE_ERROR = 70
+PRESENT, PRESENT_BYTES = 126, 10  # Present Current (or Load), Velocity, Position: one block
+HEALTH, HEALTH_BYTES = 144, 3  # Present Input Voltage, Present Temperature
+COUNTS = 4096  # in a revolution of the horn
+VELOCITY_RAD_S = 0.229 * tau / 60.0  # of a count
+LOAD_SHARE = 1e-3  # of a count of Present Load
+ENCODER_ERROR = 0x08
+FAULTS = {
+    0x01: "input voltage out of its limits: check the supply",
+    0x04: "overheated: let it cool down, load it less",
+    ENCODER_ERROR: "its encoder fails: replace it",
+    0x10: "electrical shock to its circuit, or too little power: check the supply",
+    0x20: "overloaded: it holds more than it can for long",
+}
+
+
+class Model(NamedTuple):
+    """What differs between models.
+
+    Attributes:
+        ampere: Of a count of Present Current; 0: it has Present Load there, or is not known.
+        fast_from: Oldest firmware with Fast Sync Read; 256: none has it.
+    """
+
+    ampere: float
+    fast_from: int
+
+
+UNKNOWN = Model(0.0, 256)
+_XM, _XH24, _X330, _X430_LOAD, _2X = Model(2.69e-3, 45), Model(1.34e-3, 45), Model(1e-3, 46), Model(0.0, 45), UNKNOWN
+MODELS = {
+    **dict.fromkeys((1000, 1010, 1020, 1030, 1100, 1110, 1120, 1130, 1170, 1180), _XM),  # XH430-W, XM430, X540, XW540
+    **dict.fromkeys((1040, 1050), _XH24),  # XH430-V
+    **dict.fromkeys((1190, 1200, 1210, 1220, 1230, 1240), _X330),  # XL330, XC330
+    **dict.fromkeys((1060, 1070, 1080), _X430_LOAD),  # XL430, XC430
+    **dict.fromkeys((1090, 1160), _2X),  # 2XL430, 2XC430
+}
+
+
+class Identity(NamedTuple):
+    """Who a servo is, and how long it waits before it answers."""
+
+    model: int
+    firmware: int
+    return_delay_us: int
+
+
+class Present(NamedTuple):
+    """One reading, counts."""
+
+    current: int
+    velocity: int
+    position: int
+
+
+def decode_identity(data: bytes) -> Identity:
+    """Addresses 0 to 9.
+
+    Raises:
+        FrameError: Fewer bytes.
+    """
+    if len(data) < IDENTITY_BYTES:
+        raise FrameError(f"{len(data)} bytes of an identity, {IDENTITY_BYTES} are needed: read addresses 0 to 9")
+    return Identity(int.from_bytes(data[:2], "little"), data[6], 2 * data[9])
+
+
+def decode_present(data: bytes) -> Present:
+    """Addresses 126 to 135, and more.
+
+    Raises:
+        FrameError: Fewer bytes.
+    """
+    if len(data) < PRESENT_BYTES:
+        raise FrameError(f"{len(data)} bytes of a reading, {PRESENT_BYTES} are needed: read addresses 126 to 135")
+    return Present(*struct.unpack_from("<hii", data))
+
+
+@dataclass(frozen=True)
+class DynamixelConfig:
+    """One servo.
+
+    Attributes:
+        name: Channel of its position; those of velocity and current are ``NAME_velocity`` and ``NAME_torque``.
+        id: Its ID on the line.
+        counts_per_revolution: 4096 for each turn of the horn in one of the joint; negative: reversed direction.
+        zero_count: Reading at joint angle zero, counts.
+        velocity: Record its velocity too.
+        torque: Record its current too.
+        ampere_per_count: Unit of its current; by its model number where not given.
+
+    Raises:
+        ConfigurationError: A value out of range.
+    """
+
+    name: str
+    id: int = 1
+    counts_per_revolution: int = COUNTS
+    zero_count: int = 0
+    velocity: bool = False
+    torque: bool = False
+    ampere_per_count: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.id <= LARGEST_ID:
+            raise ConfigurationError(f"id = {self.id}: DYNAMIXEL IDs are 0 to {LARGEST_ID}")
+        if not self.counts_per_revolution or (self.ampere_per_count is not None and not self.ampere_per_count > 0.0):
+            raise ConfigurationError("counts_per_revolution is not 0, ampere_per_count more than 0: correct them")
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Position, and what else is recorded."""
+        others = [f"{self.name}_velocity"] * self.velocity + [f"{self.name}_torque"] * self.torque
+        return (self.name, *others)
+
+
+@dataclass(frozen=True)
+class DynamixelTiming:
+    """How the servos of a line are asked, all at once.
+
+    Attributes:
+        sample_period_ms: Time between two requests; 0: as fast as the link allows.
+        timeout_ms: How long an answer may take.
+        poll_period_ms: How often the port is read; 0: the port waits.
+        fast_sync_read: Use it where the firmware of all servos has it.
+    """
+
+    sample_period_ms: float = 5.0
+    timeout_ms: float = 50.0
+    poll_period_ms: float = 1.0
+    fast_sync_read: bool = True

@@ -1,0 +1,184 @@
+"""DYNAMIXEL packets against the examples of the e-manual; answers fed three ways; any bytes."""
+
+from itertools import repeat
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
+from drivers.dynamixel import (
+    Block,
+    Reply,
+    answer_bytes,
+    crc16,
+    decode_identity,
+    decode_present,
+    read_request,
+    sync_read_request,
+)
+from drivers.errors import ConfigurationError, FrameError
+from tests.drivers.dynamixel_model import crc, fast_status, status
+from tests.drivers.serial_script import bytewise, pieces
+
+# e-manual, protocol 2.0: Read; Sync Read of ids 1 and 2; Fast Sync Read of ids 3, 7 and 4; all of Present Position
+READ = bytes.fromhex("FF FF FD 00 01 07 00 02 84 00 04 00 1D 15")
+READ_ANSWER = bytes.fromhex("FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0")
+SYNC = bytes.fromhex("FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA")
+SYNC_ANSWER = READ_ANSWER + bytes.fromhex("FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE")
+FAST = bytes.fromhex("FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2")
+FAST_ANSWER = bytes.fromhex(
+    "FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00 D1 9E"
+)
+POSITIONS = [(166).to_bytes(4, "little"), (2079).to_bytes(4, "little"), (1023).to_bytes(4, "little")]
+FED = [repeat(1 << 20), bytewise(), *(pieces(seed, 9) for seed in range(8))]
+
+
+def fed(reply, data, sizes):
+    """Whether the answer was whole at its last byte, and not before."""
+    done, at = False, 0
+    while at < len(data):
+        assert not done
+        assert 1 <= reply.missing <= len(data) - at
+        size = next(sizes)
+        done = reply.receive(data[at : at + size])
+        at += size
+    return done
+
+
+def test_crc_check_value():
+    assert crc16(b"123456789") == 0xFEE8
+    assert crc16(b"6789", crc16(b"12345")) == 0xFEE8
+
+
+def test_requests_of_the_manual():
+    assert read_request(1, 132, 4) == READ
+    assert sync_read_request([1, 2], 132, 4) == SYNC
+    assert sync_read_request([3, 7, 4], 132, 4, fast=True) == FAST
+
+
+@pytest.mark.parametrize("sizes", FED)
+def test_answers_of_the_manual(sizes):
+    for identifiers, fast, answer in (([1], False, READ_ANSWER), ([1, 2], False, SYNC_ANSWER)):
+        reply = Reply(identifiers, 4, fast=fast)
+        assert fed(reply, answer, sizes)
+        assert reply.blocks == [Block(one, 0, data) for one, data in zip(identifiers, POSITIONS, strict=False)]
+    reply = Reply([3, 7, 4], 4, fast=True)
+    assert reply.missing == len(FAST_ANSWER) == answer_bytes(3, 4, fast=True)
+    assert fed(reply, FAST_ANSWER, sizes)
+    assert reply.blocks == [Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)]
+
+
+@pytest.mark.parametrize("sizes", FED)
+def test_an_adapter_that_hears_itself(sizes):
+    for fast, request, answer in ((False, SYNC, SYNC_ANSWER), (True, FAST, FAST_ANSWER)):
+        reply = Reply([3, 7, 4] if fast else [1, 2], 4, fast=fast)
+        said = request + answer
+        assert [reply.receive(said[at : at + 1]) for at in range(len(said))] == [False] * (len(said) - 1) + [True]
+
+
+@given(st.binary(min_size=4, max_size=12), st.binary(min_size=4, max_size=12), st.integers(0, 30))
+def test_stuffing_is_taken_out_wherever_it_is_cut(first, second, at):
+    second = second.ljust(len(first), b"\xfd")[: len(first)]
+    said = status(5, 0x80, b"\xff\xff\xfd" + first) + status(6, 0, second + b"\xff\xff\xfd")
+    reply = Reply([5, 6], len(first) + 3)
+    assert [reply.receive(said[:at]), reply.receive(said[at:])] == [False, True]
+    assert reply.blocks == [Block(5, 0x80, b"\xff\xff\xfd" + first), Block(6, 0, second + b"\xff\xff\xfd")]
+
+
+def test_a_request_with_a_header_inside_is_stuffed():
+    request = read_request(1, 0xFFFF, 0xFD)  # FF FF FD 00
+    assert request[7:-2] == bytes.fromhex("02 FF FF FD FD 00")
+    assert request[5] == len(request) - 7
+    assert request[-2:] == crc(request[:-2])
+
+
+def test_a_fast_answer_has_no_stuffing():
+    data = bytes.fromhex("FF FF FD FD FF FF FD 00")
+    reply = Reply([9, 1], 8, fast=True)
+    assert reply.receive(fast_status([(9, 0, data), (1, 0x80, data)], 2))
+    assert reply.blocks == [Block(9, 0, data), Block(1, 0x80, data)]
+
+
+def test_blocks_before_a_silent_servo_are_there():
+    reply = Reply([3, 7, 4], 4, fast=True)
+    assert not reply.receive(FAST_ANSWER[:24])
+    assert [block.identifier for block in reply.blocks] == [3, 7]
+    reply = Reply([1, 5, 2], 4)
+    assert reply.receive(SYNC_ANSWER)  # the second of three is silent, and the last one answers
+    assert [block.identifier for block in reply.blocks] == [1, 2]
+
+
+def test_an_error_without_data_is_an_answer():
+    reply = Reply([1], 4)
+    assert reply.receive(status(1, 7, b""))
+    assert reply.blocks == [Block(1, 7, b"")]
+
+
+@pytest.mark.parametrize(
+    ("identifiers", "fast", "said", "match"),
+    [
+        ([1], False, b"\x00", "begins no packet"),
+        ([1], False, b"\xff\xff\xfd\xfd", "begins no packet"),
+        ([2], False, READ_ANSWER, "was not asked"),
+        ([1], False, READ_ANSWER[:-1] + b"\x00", "CRC of id 1"),
+        ([1], False, READ_ANSWER + b"\x00", "1 bytes after"),
+        ([1], False, status(1, 0, bytes(5)), "sent 5 bytes, not 4"),
+        ([1], False, status(1, 0x80, b""), "sent 0 bytes"),
+        ([1], False, status(1, 0, bytes(40)), "a packet of 44 bytes"),
+        ([1], False, b"\xff\xff\xfd\x00\x01\x02\x00\x55", "a packet of 2 bytes"),
+        ([3, 7], True, FAST_ANSWER, "25 bytes of id 254"),
+        ([3, 7, 4], True, READ_ANSWER, "8 bytes of id 1"),
+        ([3, 4, 7], True, FAST_ANSWER, "id 7 where 4 answers"),
+        ([3, 7, 4], True, FAST_ANSWER[:23] + b"\x00", "CRC of id 7"),
+        ([3, 7, 4], True, FAST_ANSWER + b"\xff", "1 bytes after"),
+    ],
+)
+def test_what_is_not_the_answer_is_refused(identifiers, fast, said, match):
+    with pytest.raises(FrameError, match=match):
+        Reply(identifiers, 4, fast=fast).receive(said)
+
+
+@pytest.mark.parametrize("bit", range(8 * len(FAST_ANSWER)))
+def test_no_inverted_bit_passes(bit):
+    spoilt = bytearray(FAST_ANSWER)
+    spoilt[bit // 8] ^= 1 << bit % 8
+    reply = Reply([3, 7, 4], 4, fast=True)
+    try:
+        done = reply.receive(bytes(spoilt))
+    except FrameError:
+        done = False
+    assert not done
+    assert (
+        reply.blocks
+        == [Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)][: len(reply.blocks)]
+    )
+
+
+@given(st.lists(st.binary(max_size=40), max_size=8), st.booleans(), st.booleans())
+def test_any_bytes_give_blocks_or_a_frame_error(said, fast, begun):
+    reply = Reply([3, 7, 4], 4, fast=fast)
+    try:
+        for data in [FAST_ANSWER[:9] if fast else SYNC[:9], *said] if begun else said:
+            reply.receive(data)
+            assert reply.missing >= 1
+    except FrameError:
+        return
+    assert len(reply.blocks) <= 3
+
+
+def test_what_is_out_of_the_protocol_is_refused():
+    for bad in ([], [1, 1], [253], [-1]):
+        with pytest.raises(ConfigurationError):
+            sync_read_request(bad, 132, 4)
+    for address, count in ((-1, 1), (0x10000, 1), (0, 0), (0, 1001)):
+        with pytest.raises(ConfigurationError):
+            read_request(1, address, count)
+
+
+def test_registers():
+    assert decode_identity(bytes.fromhex("FC 03 00 00 00 00 2D 01 03 FA")) == (1020, 45, 500)
+    assert decode_present(bytes.fromhex("FE FF 03 00 00 00 FF FF FF FF")) == (-2, 3, -1)
+    with pytest.raises(FrameError):
+        decode_identity(bytes(9))
+    with pytest.raises(FrameError):
+        decode_present(bytes(9))
