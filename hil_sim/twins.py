@@ -166,7 +166,7 @@ class Twins:
     @staticmethod
     def _plug_serial(bus: SerialBus, twin: Twin) -> Callable[[], int]:
         if twin.sample_length is None:  # it is asked, and makes a sample for each question
-            bus.add(twin.device)
+            bus.add(twin.device, asks=twin.asks)
             return lambda: bus.questions
         bus.add(twin.device, twin.produced, twin.sample_length)
         return lambda: bus.samples

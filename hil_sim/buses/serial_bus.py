@@ -9,8 +9,8 @@ applied.
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
-from typing import Final, Protocol
+from collections.abc import Callable, Iterator
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,8 +24,11 @@ _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after
 class HostLink(Protocol):
     """The flight computer's serial port, seen from the line."""
 
+    asks: Callable[[bytes], bool]
+    """Whether a message of the flight computer asks for a sample."""
+
     messages: int
-    """Times that the flight computer spoke."""
+    """Times that the flight computer asked for one."""
 
     discarded: int
     """Times that it threw away what had come, as far as one can tell from here."""
@@ -47,11 +50,21 @@ class HostLink(Protocol):
         """The adapter is back."""
 
 
-class _Wire(SerialWire):
-    """One that knows which of the device's messages are samples."""
+@runtime_checkable
+class Listens(Protocol):
+    """A station that hears what the others on its line send."""
 
-    def __init__(self, device: SerialStation, sample_length: Callable[[bytes], int]) -> None:
-        self._sample_length = sample_length
+    def overhear(self, data: bytes, end_ns: int) -> None:
+        """Another station sends ``data``, which will have ended at ``end_ns``."""
+
+
+class _Wire(SerialWire):
+    """One that knows which of the device's messages are samples, and tells other stations of all of them."""
+
+    def __init__(
+        self, device: SerialStation, sample_length: Callable[[bytes], int], tell: Callable[["_Wire", bytes, int], None]
+    ) -> None:
+        self._sample_length, self._tell = sample_length, tell
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
         super().__init__(device)
 
@@ -72,13 +85,20 @@ class _Wire(SerialWire):
         if length:
             character_ns = self._device.line.character_ns
             self._ends_ns.append(end_ns - round(len(data) * character_ns) + round(length * character_ns))
+        self._tell(self, data, end_ns)
         return end_ns
+
+    def overhear(self, data: bytes, end_ns: int) -> None:
+        """Another station sends."""
+        if isinstance(self._device, Listens):
+            self._device.overhear(data, end_ns)
 
 
 class SerialBus:
     """A line with the flight computer at one end and a device at the other, or several stations on an RS-485 line.
 
-    Stations do not hear each other, and when two talk at once the flight computer gets both, character by character.
+    Stations hear each other if they are such that :class:`Listens`, whole messages without faults. When two talk at
+    once the flight computer gets both, character by character.
 
     Args:
         link: The flight computer's end.
@@ -114,7 +134,7 @@ class SerialBus:
 
     @property
     def questions(self) -> int:
-        """Times that the flight computer spoke."""
+        """Times that the flight computer asked for a sample."""
         return self._link.messages
 
     @property
@@ -130,6 +150,7 @@ class SerialBus:
         device: SerialStation,
         made: Callable[[], int] = lambda: 0,
         sample_length: Callable[[bytes], int] = lambda message: 0,
+        asks: Callable[[bytes], bool] | None = None,
     ) -> None:
         """Connect a device.
 
@@ -140,9 +161,12 @@ class SerialBus:
                 last had it open; those that it could not hear because something broke included, but not those of
                 which the end is still under way.
             sample_length: How many characters of a message make a sample; 0: it is none.
+            asks: Of a device that is asked: whether a message of the flight computer asks for a sample; None: each.
         """
-        self._wires.append(_Wire(device, sample_length))
+        self._wires.append(_Wire(device, sample_length, self._tell))
         self._made = made
+        if asks is not None:
+            self._link.asks = asks
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks on the line; what can break in the twin is the twin's.
@@ -195,7 +219,7 @@ class SerialBus:
             self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
-        each = [wire.advance(now_ns) for wire in self._wires]
+        each = [wire.advance(until_ns) for until_ns in self._steps(now_ns) for wire in self._wires]
         arrived = each[0] if len(each) == 1 else _joined(sorted(one for other in each for one in other.characters()))
         self._now_ns = now_ns
         if self._faults:
@@ -214,6 +238,17 @@ class SerialBus:
         ready += (len(data) - ready) // _USB_PACKET * _USB_PACKET
         self._held = Arrived(ends_ns[ready:], data[ready:])
         return data[:ready]
+
+    def _steps(self, now_ns: int) -> Iterator[int]:
+        """``now_ns``, and before it when one of several stations acts: what it sends may concern the others."""
+        while len(self._wires) > 1 and (due_ns := min(wire.acts_ns for wire in self._wires)) < now_ns:
+            yield due_ns
+        yield now_ns
+
+    def _tell(self, sender: _Wire, data: bytes, end_ns: int) -> None:
+        for wire in self._wires:
+            if wire is not sender:
+                wire.overhear(data, end_ns)
 
     def _next_plugging(self, until_ns: int) -> int | None:
         if not self._faults:

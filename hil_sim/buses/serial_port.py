@@ -42,7 +42,8 @@ class VirtualSerial:
     def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
         self.path = path
         self.look: Callable[[], None] = lambda: None
-        self.messages = 0  # written to the port
+        self.asks: Callable[[bytes], bool] = bool
+        self.messages = 0  # written to the port, that ask for a sample
         self.discarded = 0  # opening throws away what came before it
         self.overrun = 0  # characters for which there was no room
         self._on_dtr = on_dtr
@@ -101,9 +102,9 @@ class VirtualSerial:
         if self._port is port:
             self._port = None
 
-    def spoke(self) -> None:
-        """Something was written to the open port."""
-        self.messages += 1
+    def spoke(self, data: bytes) -> None:
+        """``data`` was written to the open port."""
+        self.messages += self.asks(data)
 
     def drive_dtr(self, level: bool) -> None:
         """The open port drives its DTR line."""
@@ -200,7 +201,7 @@ class VirtualPort:
         if self.gone:
             raise serial.SerialException(f"write failed: [Errno {errno.EIO}] {os.strerror(errno.EIO)}")
         self.outgoing += data
-        self._adapter.spoke()
+        self._adapter.spoke(data)
         return len(data)
 
     def reset_input_buffer(self) -> None:
@@ -284,7 +285,8 @@ class PtySerial:
     """
 
     def __init__(self, link: Path | None = None) -> None:
-        self.messages = 0  # taken
+        self.asks: Callable[[bytes], bool] = bool
+        self.messages = 0  # taken, that ask for a sample
         self.discarded = 0  # times that the user emptied the terminal's input
         self.overrun = 0  # characters for which there was no room
         self._link = link
@@ -326,7 +328,7 @@ class PtySerial:
             self._output.clear()
             return b""
         self.discarded += status & _FLUSHREAD
-        self.messages += bool(data)
+        self.messages += self.asks(bytes(data))
         return bytes(data)
 
     def give(self, data: bytes) -> None:

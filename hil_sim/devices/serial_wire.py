@@ -161,9 +161,12 @@ class SerialWire:
     @property
     def due_ns(self) -> int:
         """When something next happens on the line or in the device."""
-        to_device_ns = self._to_device[0].end_ns if self._to_device else NEVER
-        to_host_ns = self._to_host_ns[0] if self._to_host_ns else NEVER
-        return min(self._device.due_ns, to_device_ns, to_host_ns)
+        return min(self.acts_ns, self._to_host_ns[0] if self._to_host_ns else NEVER)
+
+    @property
+    def acts_ns(self) -> int:
+        """When something next happens in the device, or reaches it."""
+        return min(self._device.due_ns, self._to_device[0].end_ns if self._to_device else NEVER)
 
     def send(self, data: bytes, ready_ns: int) -> None:
         """Send characters of the host, not before ``ready_ns``; a closed port sends nothing."""

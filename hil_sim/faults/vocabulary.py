@@ -67,7 +67,8 @@ EFFECTS: Final = {
     FaultKind.STUCK_BUS: "SDA is held low: no transfer begins (EBUSY)",
     FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
     FaultKind.FIELD: "the magnet's field is 1 + VALUE times the nominal one: weak below 0.5, strong above 1.5",
-    FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY (the end is not used)",
+    FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY; a DYNAMIXEL with hardware "
+    "error VALUE (0: 20h, overload), until it has no supply (the end is not used)",
     FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h",
     FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
     FaultKind.PULSE_SPURIOUS: "one more edge every VALUE seconds",
@@ -104,7 +105,11 @@ _WITHIN: Final = {
     FaultKind.WHO_AM_I: (0, 0xFF, "the byte to read (0 to 255)"),
     FaultKind.FLOOD: (0, 0x7FF, "the COB-ID to send (0 to 7FFh)"),
     FaultKind.FRAME_DROP: (0, 0x7FF, "the COB-ID to lose (0: all)"),
-    FaultKind.TRIP: (0, 0xFFFF, "an error code of CiA 402 (0: 2310h, over current)"),
+    FaultKind.TRIP: (
+        0,
+        0xFFFF,
+        "an error code of CiA 402 (0: 2310h, over current), or a hardware error of a DYNAMIXEL",
+    ),
     FaultKind.NACK: (0, 133, "an errno (0: EREMOTEIO)"),
     FaultKind.BYTE_LOSS: (1e-9, 1.0, "a probability above 0 and up to 1"),
     FaultKind.BYTE_GARBLE: (1e-9, 1.0, "a probability above 0 and up to 1"),
