@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 GOOD_BRACKET_NS = 20_000
-TRIES = 4
+TRIES = 4  # brackets, until one is narrower than GOOD_BRACKET_NS
 SPIN_NS = 150_000  # the end of a wait is a busy loop on the clock: a kernel wake-up takes 50 us or more
 
 
@@ -19,21 +19,18 @@ def wait_until(
         pass
 
 
-def realtime_minus_monotonic(
-    clock: Callable[[], int], realtime: Callable[[], int] = time.time_ns, tries: int = TRIES
-) -> int:
+def realtime_minus_monotonic(clock: Callable[[], int], realtime: Callable[[], int] = time.time_ns) -> int:
     """CLOCK_REALTIME minus CLOCK_MONOTONIC, ns, from a reading of one between two readings of the other.
 
-    Preemption can only widen the bracket, so the narrowest of up to ``tries`` brackets is taken; its half width bounds
-    the error. It is measured at every receive, so that a step of the wall clock affects only stamps in flight.
+    Preemption can only widen the bracket, so the narrowest of up to :data:`TRIES` brackets is taken; its half width
+    bounds the error. It is measured at every receive: a step of the wall clock affects only stamps in flight.
 
     Args:
         clock: CLOCK_MONOTONIC, ns.
         realtime: CLOCK_REALTIME, ns.
-        tries: Brackets to try until one is narrower than ``GOOD_BRACKET_NS``.
     """
     best_width, best = 1 << 62, 0
-    for _ in range(tries):
+    for _ in range(TRIES):
         before = clock()
         wall = realtime()
         after = clock()

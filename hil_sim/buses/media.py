@@ -365,11 +365,10 @@ class PulseLine:
     Args:
         link: Where its edges go.
         seed: Of the stamp jitter.
-        capture: The input; None: one that sees every edge a few microseconds late.
     """
 
-    def __init__(self, link: EdgeLink, seed: int = 0, capture: EdgeCapture | None = None) -> None:
-        self.capture = capture or EdgeCapture(seed)
+    def __init__(self, link: EdgeLink, seed: int = 0) -> None:
+        self.capture = EdgeCapture(seed)
         self.seen = 0
         self.heard = 0  # of these, taken by a receiver
         self._link = link

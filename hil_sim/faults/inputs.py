@@ -1,7 +1,6 @@
 """Applies input faults to analogue inputs: stuck, saturated, wrong, delayed."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,15 +95,12 @@ class FaultyImu:
         return counts
 
 
-def reported_phases(
-    changes: list[tuple[int, int]], faults: DeviceFaults, wrap: Callable[[int], int] = lambda code: code & 0xFF
-) -> list[tuple[int, int]]:
+def reported_phases(changes: list[tuple[int, int]], faults: DeviceFaults) -> list[tuple[int, int]]:
     """Reported changes (time in ns, code) of the true ones, with the faults of an input.
 
     Args:
         changes: What changes, in order.
         faults: Faults of the device: ``stuck``, ``wrong``, ``delayed``.
-        wrap: What a sum becomes in the code's type.
     """
     windows = [w for w in faults.windows if w.kind in INPUT_KINDS]
     if not windows:
@@ -121,7 +117,7 @@ def reported_phases(
         if faults.active(FaultKind.STUCK, now_ns) is not None:
             continue
         wrong = faults.active(FaultKind.WRONG, now_ns)
-        code = code if wrong is None else wrap(code + int(wrong.value))
+        code = code if wrong is None else (code + int(wrong.value)) & 0xFF
         if code != (told[-1][1] if told else 0):
             told.append((now_ns, code))
     return told

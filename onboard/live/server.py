@@ -45,7 +45,6 @@ class LiveServer:
         name: shown to clients.
         host: to bind to.
         port: to listen on; 0 takes any.
-        backlog: queue length per client, messages; the oldest is dropped when full.
         stall_s: time without acknowledgement after which a client is disconnected.
 
     Raises:
@@ -53,10 +52,10 @@ class LiveServer:
         RuntimeError: the SDK's socket is not found.
     """
 
-    def __init__(self, name: str, host: str, port: int, backlog: int = BACKLOG, stall_s: float = STALL_S) -> None:
+    def __init__(self, name: str, host: str, port: int, stall_s: float = STALL_S) -> None:
         self._context = foxglove.Context()
         self._server = foxglove.start_server(
-            name=name, host="127.0.0.1", port=0, message_backlog_size=backlog, context=self._context
+            name=name, host="127.0.0.1", port=0, message_backlog_size=BACKLOG, context=self._context
         )
         address = any_loopback()
         try:

@@ -49,7 +49,7 @@ class NoFileError(OSError):
     """A link, a pipe, a device or a directory where a file is expected."""
 
 
-def open_file(path: Path, flags: int, mode: int = 0o600) -> int:
+def open_file(path: Path, flags: int) -> int:
     """Descriptor of a regular file; a link is not followed, and a pipe not waited for.
 
     Raises:
@@ -57,7 +57,7 @@ def open_file(path: Path, flags: int, mode: int = 0o600) -> int:
         OSError: it cannot be opened.
     """
     try:
-        descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+        descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
             raise _no_file(path) from error

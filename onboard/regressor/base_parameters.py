@@ -114,7 +114,6 @@ def base_parameters(
     rng: np.random.Generator,
     motion: SampledMotion | None = None,
     released: bool | None = None,
-    ticks: int = 0,
     known: NDArray[np.bool_] | None = None,
 ) -> BaseParameters:
     """Finds the base parameters of a row model (Gautier 1991; Limparis 2.123-2.128).
@@ -124,7 +123,6 @@ def base_parameters(
         rng: seeded, so that the names are reproducible.
         motion: base motions that may occur; default: all that the base kind allows.
         released: whether there are also rows without the payload; default: if there is a payload link.
-        ticks: number of sampled ticks; 0: five per column.
         known: (P,) columns with exactly known parameters, left out of the base parameters.
 
     Raises:
@@ -133,7 +131,7 @@ def base_parameters(
     vehicle = model.vehicle
     allowed = SampledMotion.of(vehicle.spec.base, vehicle.spec.gravity_m_s2) if motion is None else motion
     let_go = vehicle.spec.payload_link is not None if released is None else released
-    W = sampled_rows(model, rng, ticks or 5 * len(model.names) + 20, allowed, let_go)
+    W = sampled_rows(model, rng, 5 * len(model.names) + 20, allowed, let_go)
     if known is not None:
         W[:, known] = 0.0
     norms = np.sqrt(np.einsum("ij,ij->j", W, W))

@@ -29,8 +29,6 @@ class PulseTrain:
 
     Args:
         sync_period_ns: nominal length of a sync period.
-        tolerance_ns: largest distance of an edge from its place due to jitter; drift of the two oscillators since the
-            last edge is allowed in addition.
     """
 
     EDGES_TO_NAME = 4
@@ -38,11 +36,11 @@ class PulseTrain:
     EDGES_HELD = 8
     STRANGERS_TO_FORGET = 4
     CLEARLY_WORSE, JITTER_NS = 3.0, 30e3  # factor by which any other place must fit worse
+    TOLERANCE_NS = 200e3  # largest distance of an edge from its place by jitter; drift since the last edge is added
     CRYSTALS = 100e-6  # two of them, 50 ppm each
     LONGEST_SILENCE_NS = 60_000_000_000  # longer silences: the drift exceeds the spacing that identifies a pulse
 
-    def __init__(self, sync_period_ns: float, tolerance_ns: float = 200_000.0) -> None:
-        self.tolerance_ns = tolerance_ns
+    def __init__(self, sync_period_ns: float) -> None:
         self._cycle_ns = code.cycle_sync_periods() * sync_period_ns
         rise_ns = code.sync_numbers() * sync_period_ns + code.dither_ns()
         self._rise_ns = np.concatenate([rise_ns, rise_ns + self._cycle_ns])
@@ -90,7 +88,7 @@ class PulseTrain:
         before = after - 1
         later = self._rise_ns[after] - expected_ns < expected_ns - self._rise_ns[before]
         nearest = np.where(later, after, before)
-        allowed_ns = self.tolerance_ns + self.CRYSTALS * after_ns
+        allowed_ns = self.TOLERANCE_NS + self.CRYSTALS * after_ns
         return nearest, np.abs(self._rise_ns[nearest] - expected_ns) < allowed_ns
 
     def _name(self, edges: EdgeTimes) -> int | None:

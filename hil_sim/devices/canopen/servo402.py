@@ -27,7 +27,6 @@ whenever there is no current.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Final
 
 from hil_sim.devices.canopen.canopen_node import OFF, OPERATIONAL, PRE_OPERATIONAL
@@ -65,7 +64,6 @@ class ServoDrive402(Drive402):
         reversed_count: It counts against the joint.
         rated_torque_nm: 6076h, N m, of the motor itself.
         gear_ratio: Revolutions of the motor in one of the axis.
-        trips: (mission time in s, error code) at which it faults.
         faults: What breaks.
 
     Raises:
@@ -83,7 +81,6 @@ class ServoDrive402(Drive402):
         reversed_count: bool = False,
         rated_torque_nm: float = 10.0,
         gear_ratio: float = 1.0,
-        trips: Sequence[tuple[float, int]] = (),
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
         told = [
@@ -101,7 +98,7 @@ class ServoDrive402(Drive402):
             rated_torque_nm=rated_torque_nm,
             gear_ratio=gear_ratio,
             commands=(),
-            trips=(*trips, *told),
+            trips=tuple(told),
             faults=faults,
             extra_faults=(FaultKind.TRIP, FaultKind.EMERGENCY_STOP),
         )

@@ -7,6 +7,7 @@ import numpy as np
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultError, FaultKind
 
 _MOST_CHATTER = 1e4  # edges a second
+_LATENCY_NS = 3_000  # fixed part of the latency
 
 
 class EdgeCapture:
@@ -17,7 +18,6 @@ class EdgeCapture:
 
     Args:
         seed: Of the jitter and of random misses and extra edges.
-        latency_ns: Fixed part of the latency.
         jitter_ns: Mean of the random part.
         miss_probability: Share of edges that are not seen.
         spurious_rate_hz: Mean rate of spurious edges.
@@ -27,7 +27,6 @@ class EdgeCapture:
         self,
         seed: int = 0,
         *,
-        latency_ns: int = 3_000,
         jitter_ns: int = 2_000,
         miss_probability: float = 0.0,
         spurious_rate_hz: float = 0.0,
@@ -35,7 +34,6 @@ class EdgeCapture:
         self.missed = 0
         self.spurious = 0
         self._rng = np.random.default_rng([seed, 0x9E])
-        self._latency_ns = latency_ns
         self._jitter_ns = jitter_ns
         self._miss_probability = miss_probability
         self._spurious_mean_ns = 1e9 / spurious_rate_hz if spurious_rate_hz else 0.0
@@ -96,7 +94,7 @@ class EdgeCapture:
         return seen
 
     def _stamp(self, edge_ns: int) -> None:
-        late_ns = self._latency_ns + round(self._rng.exponential(self._jitter_ns))
+        late_ns = _LATENCY_NS + round(self._rng.exponential(self._jitter_ns))
         delayed = self._faults.active(FaultKind.DELAYED, edge_ns)
         late_ns += 0 if delayed is None else round(delayed.value * 1e9)
         heapq.heappush(self._stamps, edge_ns + late_ns)

@@ -65,7 +65,6 @@ def reorient(
     rotation_vector: FloatArray,
     most_cycles: int = 64,
     harmonics: int = 2,
-    seed: int = 0,
 ) -> Reorientation:
     """Arm cycles that turn the base by ``rotation_vector`` and return the arm (2.100; search derived here).
 
@@ -78,7 +77,6 @@ def reorient(
         rotation_vector: base axes at the start, (3,) rad, shorter than a half turn.
         most_cycles: to try.
         harmonics: of the path.
-        seed: of the first guesses.
 
     Raises:
         SignalError: no rotation vector shorter than a half turn, or joint positions of another shape.
@@ -87,7 +85,7 @@ def reorient(
     wanted = np.asarray(rotation_vector, np.float64)
     if wanted.shape != (3,) or not np.linalg.norm(wanted) < np.pi or q_start.shape != (arm.joints,):
         raise SignalError("give joint positions (n,) and a rotation vector (3,) shorter than pi")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)  # of the first guesses
     low = np.array([joint.low for joint in arm.vehicle.joints])
     high = np.array([joint.high for joint in arm.vehicle.joints])
     cycles = 1

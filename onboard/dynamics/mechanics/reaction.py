@@ -21,7 +21,6 @@ class Reaction(NamedTuple):
 
     wheel_moment: FloatArray  # (3,) N m that the wheels must exert on the base (2.23)
     arm_force: FloatArray  # (3,) N that the base exerts on the arm (2.20)
-    base_acceleration: FloatArray  # (3,) m/s^2 of the base frame's origin
 
 
 def reaction(arm: FloatingArm, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> Reaction:
@@ -44,4 +43,4 @@ def reaction(arm: FloatingArm, q: FloatArray, dq: FloatArray, ddq: FloatArray) -
     force = arm.inverse_dynamics(full, nu, resting)[:3]
     acceleration = -force / arm.mass_kg
     wrench = arm.inverse_dynamics(full, nu, np.concatenate([acceleration, np.zeros(3), ddq]))
-    return Reaction(wrench[3:6], -float(arm.model.inertias[1].mass) * acceleration, acceleration)
+    return Reaction(wrench[3:6], -float(arm.model.inertias[1].mass) * acceleration)

@@ -32,14 +32,6 @@ def virtual_tip(chain: Chain, q: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("iab,ib->a", rotations(chain, q), virtual_links(chain, q)), np.float64)
 
 
-def virtual_ground(chain: Chain, q: FloatArray) -> FloatArray:
-    """The virtual ground, the vehicle's centre of mass, from the base frame's origin, (3,) m, base axes (2.24)."""
-    R, a = rotations(chain, q), offsets(chain, q)
-    origins = np.vstack([np.zeros(3), np.cumsum(np.einsum("iab,ib->ia", R, a), axis=0)[:-1]])
-    centres = origins + np.einsum("iab,ib->ia", R, chain.centre)
-    return np.asarray(chain.mass @ centres / chain.mass.sum(), np.float64)
-
-
 def virtual_jacobian(chain: Chain, q: FloatArray, axes_rate: FloatArray) -> FloatArray:
     """The tip's velocity per joint rate, (3, n), with bodies turning by ``axes_rate`` (n + 1, 3, n), base axes.
 

@@ -57,9 +57,7 @@ def pair_measure(arm: FloatingArm, q: FloatArray, pair: tuple[int, int]) -> floa
     return float(first @ normal) if parallel else float(np.sqrt(normal @ normal))
 
 
-def singularity_map(
-    arm: FloatingArm, q: FloatArray, pair: tuple[int, int], samples: int = 91, span: Span | None = None
-) -> SingularityMap:
+def singularity_map(arm: FloatingArm, q: FloatArray, pair: tuple[int, int], samples: int = 91) -> SingularityMap:
     """Singularities and workspaces over two joints (Limparis 2.1.3; Papadopoulos and Dubowsky).
 
     Args:
@@ -67,7 +65,6 @@ def singularity_map(
         q: joint positions, (n,); those of the pair are varied.
         pair: indices of the joints.
         samples: of each joint, evenly from limit to limit, a whole turn at most.
-        span: of both joints in place of their limits, rad.
 
     Raises:
         SignalError: a pair that is not two joints of the arm, or fewer than three samples.
@@ -76,8 +73,8 @@ def singularity_map(
         raise SignalError(f"joints {pair} of {arm.joints}, {samples} samples: name two joints, three samples or more")
     axes = []
     for joint in pair:
-        low, high = span or (arm.vehicle.joints[joint].low, arm.vehicle.joints[joint].high)
-        axes.append(np.linspace(max(low, -np.pi), min(high, np.pi), samples))
+        limits = arm.vehicle.joints[joint]
+        axes.append(np.linspace(max(limits.low, -np.pi), min(limits.high, np.pi), samples))
     measure, distance = np.empty((samples, samples)), np.empty((samples, samples))
     at = np.array(q, np.float64)
     for i, at[pair[0]] in enumerate(axes[0]):

@@ -8,7 +8,6 @@ cannot leave the cone.
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, elements, parallel_axis, pseudo_inertia, symmetric
@@ -94,29 +93,6 @@ def standard_root(chi: FloatArray, mass_relative: float, centre_m: float, inerti
     half_trace = max(half_trace, float(chi[0]) * centre_m**2)
     sigma = np.array([mass_relative * chi[0], *[centre_m] * 3, *[inertia_relative * half_trace] * 6])
     return np.asarray(np.linalg.solve(body_jacobian(chi), np.diag(sigma)), np.float64)
-
-
-def log_cholesky(body: RigidBody) -> FloatArray:
-    """Log-Cholesky parameters (Rucker and Wensing 2022), (10,): ``[alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3]``.
-
-    The pseudo-inertia is ``e^{2 alpha} U U'`` with U upper triangular, its diagonal ``e^d`` and 1.
-
-    Raises:
-        SignalError: a physically impossible body.
-    """
-    try:
-        U = np.linalg.cholesky(pseudo_inertia(standard_of(body))[::-1, ::-1])[::-1, ::-1]  # upper: P = U U'
-    except np.linalg.LinAlgError as error:
-        raise SignalError("no body has this mass and inertia: its pseudo-inertia is not positive definite") from error
-    scale = U[3, 3]
-    U = U / scale
-    return np.array([np.log(scale), *np.log(np.diag(U)[:3]), U[0, 1], U[1, 2], U[0, 2], *U[:3, 3]])
-
-
-def from_log_cholesky(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Standard parameters (10,) and their derivative (10, 10) by the log-Cholesky ones (Rucker and Wensing 2022)."""
-    parameters = pin.LogCholeskyParameters(theta)
-    return np.asarray(parameters.toDynamicParameters()), np.asarray(parameters.calculateJacobian())
 
 
 def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:

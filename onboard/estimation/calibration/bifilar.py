@@ -65,8 +65,6 @@ class BifilarSwing(NamedTuple):
     amplitude_rad: float  # at the start
     period_s: float  # of small swings
     viscous: float  # C, N m s
-    quadratic: float  # K_D, N m s^2
-    residual_rad_s: float  # rms of the rate
     by_scale_kg_m2: float  # what a gyro that shows so many times more than it turns does to the inertia
 
 
@@ -88,8 +86,8 @@ def swing(
     _check(t, w, suspension)
     t = t - t[0]
     start = _start(t, w, suspension)
-    found, own, by_scale, residual = _fitted(t, w, start, suspension, gyro_scale_sigma)
-    inertia, viscous, quadratic, angle, rate = found[:5].tolist()
+    found, own, by_scale = _fitted(t, w, start, suspension, gyro_scale_sigma)
+    inertia, viscous, _, angle, rate = found[:5].tolist()
     parts = {"swings": own / inertia, "gyro scale": abs(by_scale) * gyro_scale_sigma / inertia}
     parts |= suspension.relative_sigmas()
     omega = math.sqrt(suspension.stiffness() / inertia)
@@ -104,8 +102,6 @@ def swing(
         amplitude,
         2.0 * math.pi / omega,
         viscous * inertia,
-        quadratic * inertia,
-        residual,
         by_scale,
     )
 
@@ -138,8 +134,8 @@ def _start(t: FloatArray, w: FloatArray, suspension: Suspension) -> FloatArray:
 
 def _fitted(
     t: FloatArray, w: FloatArray, start: FloatArray, suspension: Suspension, scale_sigma: float
-) -> tuple[FloatArray, float, float, float]:
-    """Parameters (6 or 7,); of the inertia, sigma by noise and slope by the gyro's scale; rms of the residual.
+) -> tuple[FloatArray, float, float]:
+    """Parameters (6 or 7,); of the inertia, sigma by noise and slope by the gyro's scale.
 
     The residual is taken for the noise with its colour. As far as the swing does not tell the scale, which starts at
     zero with its sigma, the gyro's own scale s is left in the result: ``-P_Is s / sigma^2``, P the covariance.
@@ -183,10 +179,10 @@ def _fitted(
     covariance = np.linalg.inv((J / length).T @ (J / length)) / np.outer(length, length)
     variance = float(found.fun @ found.fun) / (len(t) - x.size) * _colour(found.fun[:-1])
     if not scale_sigma:
-        return x, float(np.sqrt(variance * covariance[0, 0])), 0.0, rms
+        return x, float(np.sqrt(variance * covariance[0, 0])), 0.0
     left = float(covariance[0, 6]) * (noise / scale_sigma) ** 2  # the prior's row of J is noise / sigma
     by_noise = float(covariance[0, 0]) - float(covariance[0, 6]) ** 2 * (noise / scale_sigma) ** 2
-    return x, float(np.sqrt(variance * by_noise)), -left, rms
+    return x, float(np.sqrt(variance * by_noise)), -left
 
 
 def _swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: bool = False) -> FloatArray:

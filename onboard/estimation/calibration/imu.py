@@ -28,11 +28,6 @@ class TriadCalibration(NamedTuple):
     residual: float  # rms, stated sigmas
 
     @property
-    def scale_error(self) -> FloatArray:
-        """Relative, (3,)."""
-        return np.asarray(np.diag(self.matrix) - 1.0, np.float64)
-
-    @property
     def misalignment_rad(self) -> FloatArray:
         """Small rotation of the triad against the reference, (3,): the antisymmetric part of E."""
         E = self.matrix

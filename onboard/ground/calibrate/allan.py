@@ -19,7 +19,6 @@ class Allan(NamedTuple):
     tau_s: FloatArray  # (m,)
     deviation: FloatArray  # (m, 6) rad/s, m/s^2
     sample_noise: FloatArray  # (6,) of white samples at the sample rate, 1 sigma
-    instability: FloatArray  # (6,) the lowest deviation
     relative_sigma: float  # of sample_noise
 
 
@@ -50,7 +49,7 @@ def allan_deviation(read: Readings, span: Span) -> Allan:
     white = (tau >= _WHITE_s[0]) & (tau <= _WHITE_s[1])
     noise = np.sqrt(np.mean(deviation[white] ** 2 * tau[white, None] * rate, axis=0))
     independent = (span.end_s - span.start_s) / _WHITE_s[1] * 2.0
-    return Allan(tau, deviation, noise, deviation.min(axis=0), float(1.0 / np.sqrt(2.0 * independent)))
+    return Allan(tau, deviation, noise, float(1.0 / np.sqrt(2.0 * independent)))
 
 
 def plot(allan: Allan, path: Path) -> None:

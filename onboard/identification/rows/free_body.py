@@ -116,13 +116,12 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_root: Floa
     )
 
 
-def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95, exact: bool = False) -> Whole:
+def whole_body(identifier: Identifier, mass_kg: float, exact: bool = False) -> Whole:
     """The vehicle as a rigid body, by the identifier's current estimate.
 
     Args:
         identifier: with the quantities of :func:`free_body_quantities`.
         mass_kg: weighed, of the whole.
-        level: of all intervals that follow.
         exact: the instruments are taken as they are: a calibration, since which their errors are stated.
 
     Raises:
@@ -134,7 +133,7 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95, exac
     if not identifier.rows_used:
         raise SignalError("no row could be used; see what the gates say")
     stacked = np.array([weights[name] for name in FREE_BODY])
-    jackknife = identifier.block_jackknife(level, exact)
+    jackknife = identifier.block_jackknife(exact=exact)
     found = stacked @ jackknife.mean
     return Whole(RigidBody(mass_kg, found[:3], symmetric(found[3:])), stacked, jackknife)
 

@@ -63,7 +63,6 @@ class Pooled(NamedTuple):
     x: tuple[FloatArray, ...]  # parameters of each flight, (p,)
     misfit: float  # residual sum over its degrees of freedom
     by_instrument: dict[str, float]
-    misfits: tuple[float, ...]  # of each flight, over its rows
     disagreements: tuple[Disagreement, ...]  # of each flight
     held_out: HeldOut | None  # later flights from earlier ones and the reverse; None of a single one
     rows: int
@@ -143,9 +142,6 @@ class Pool:
         rows = sum(block.rows for block in blocks)
         unknown = int((self._prior == 0.0).sum()) + 3 * sum(len(flight.segments) for flight in self._flights)
         misfit = self._cost(z, parts) / max(1, rows - unknown)
-        misfits = tuple(
-            sum(b.normal.squares for b in part.blocks) / max(1, sum(b.rows for b in part.blocks)) for part in parts
-        )
         return Pooled(
             body_estimate(z[:10], P[_PAYLOAD, _PAYLOAD]),
             z[:10],
@@ -156,7 +152,6 @@ class Pool:
             tuple(x),
             misfit,
             misfit_by_instrument(blocks),
-            misfits,
             tuple(_disagreement(part, P, misfit) for part in parts),
             self._halves(x, z, parts),
             rows,

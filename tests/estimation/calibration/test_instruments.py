@@ -36,7 +36,7 @@ def test_misalignment_is_a_rotation(rng):
     R = np.eye(3) - np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     found = six_positions(G * FACES @ R.T, FACES, G)
     np.testing.assert_allclose(found.misalignment_rad, turn, atol=1e-12)
-    np.testing.assert_allclose(found.scale_error, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diag(found.matrix), 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,6 @@ _LEAST_INERTIA: Final = 1e-3  # kg m^2 for each N m of effort: gains of the firs
 _PILOTS: Final = 2  # trials with an empty gripper; a joint may stick in the first, on friction that is guessed
 _FREQUENCIES: Final = 60  # at which the convergence is computed
 COMPUTED: Final = "computed_torque"
-CONTROLLERS: Final = (*(kind.value for kind in Kind), COMPUTED)
 
 
 class Stage(StrEnum):
@@ -139,7 +138,7 @@ class Asked(NamedTuple):
     """What is asked for.
 
     Attributes:
-        controller: one of ``CONTROLLERS``.
+        controller: a value of :class:`Kind`, or :data:`COMPUTED`.
         trials: of the controller.
         adopted: URDF with the payload identified; None where there is none.
         model_error: relative.
