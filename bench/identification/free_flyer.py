@@ -19,8 +19,8 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
 from onboard.dynamics.model.bases import BaseKind
-from onboard.dynamics.model.inertia import RigidBody, elements
-from onboard.dynamics.model.payload import BodyEstimate, standard_covariance, standard_of
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import BodyEstimate, numbers_of, standard_covariance, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.ground.campaign.results import Answer
@@ -153,19 +153,15 @@ def answers(body: free_flyer.Body, found: BodyEstimate | None, least: BodyEstima
     truth, bound = _rigid(body), np.sqrt(np.diag(least.covariance))
     told = [
         Answer(name, unit, float(true), bound=float(own), level=str(Level.WEAK))
-        for name, unit, true, own in zip(BODY, BODY_UNITS, _ten(truth), bound, strict=True)
+        for name, unit, true, own in zip(BODY, BODY_UNITS, numbers_of(truth), bound, strict=True)
     ]
     if found is None:
         return tuple(told)
-    values, sigmas = _ten(found.body), np.sqrt(np.diag(found.covariance))
+    values, sigmas = numbers_of(found.body), np.sqrt(np.diag(found.covariance))
     return tuple(
         one._replace(value=v, low=v - NORMAL * s, high=v + NORMAL * s, sigma=s, supported=True, level=str(Level.GOOD))
         for one, v, s in zip(told, values.tolist(), sigmas.tolist(), strict=True)
     )
-
-
-def _ten(body: RigidBody) -> Floats:
-    return np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
 
 
 def _rigid(body: free_flyer.Body) -> RigidBody:

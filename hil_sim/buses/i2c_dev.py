@@ -10,7 +10,6 @@ import errno
 import fcntl
 import os
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 from smbus2 import smbus2
@@ -184,9 +183,7 @@ class InstalledI2c:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.uninstall()
 
     def uninstall(self) -> None:

@@ -138,13 +138,6 @@ class Flight(SerialFlight):
         return whole(self.batches, "cell")
 
 
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
-
-
 def test_rows_carry_the_digits(flight):
     flight.fly(50)
     flight.dsc.value = -0.25

@@ -47,13 +47,6 @@ class Flight(SerialFlight):
         return whole(self.batches, channel)
 
 
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
-
-
 def test_it_asks_as_fast_as_the_link_allows(flight):
     flight.fly(600)
     rows = flight.rows()

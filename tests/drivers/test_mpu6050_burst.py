@@ -12,15 +12,12 @@ from drivers.mpu6050 import Mpu6050, Mpu6050Config
 from drivers.records import SampleStatus
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, whole
+from tests.drivers.mpu6050_flight import numbers
 from tests.drivers.mpu6050_model import MS, Mpu6050Model, ScriptedI2c
 
 NAME = "imu"
 CONFIG = Mpu6050Config(sample_rate_hz=100, mode="burst")
 PERIOD_NS = 10 * MS
-
-
-def numbers(rows):
-    return rows["accel_raw"][:, 0].astype(int) | rows["accel_raw"][:, 1].astype(int) << 14
 
 
 class Flight:

@@ -9,14 +9,11 @@ from drivers.mpu6050 import Mpu6050, Mpu6050Config
 from drivers.mpu6050.sample_clock import Onset, SampleClock
 from tests.conftest import VirtualClock
 from tests.drivers.batches import of, whole
+from tests.drivers.mpu6050_flight import numbers
 from tests.drivers.mpu6050_model import MS, Mpu6050Model
 
 NAME = "imu"
 BYTE_400_KHZ_NS, BYTE_100_KHZ_NS = 22_500, 90_000
-
-
-def numbers(rows):
-    return rows["accel_raw"][:, 0].astype(int) | rows["accel_raw"][:, 1].astype(int) << 14
 
 
 class Preempted:

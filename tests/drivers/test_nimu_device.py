@@ -38,13 +38,6 @@ class Flight(SerialFlight):
         return whole(self.batches, "imu")
 
 
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
-
-
 def numbers(rows):
     return rows["gyro_raw"][:, 0].astype(int) | rows["accel_raw"][:, 0].astype(int) << 14
 

@@ -11,9 +11,7 @@ from tests.drivers.serial_script import MS
 
 
 @pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
+def flight(flight):
     flight.descend()
     return flight
 

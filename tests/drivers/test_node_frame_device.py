@@ -15,9 +15,7 @@ from tests.drivers.serial_script import MS, Pty, ScriptedSerial, fault_at_any_ca
 
 
 @pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
+def flight(flight):
     flight.descend()
     return flight
 

@@ -15,13 +15,6 @@ from tests.drivers.qsb_model import QsbModel
 from tests.drivers.serial_script import MS, Pty
 
 
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
-
-
 def test_it_is_set_up_with_the_manuals_commands_and_streams(flight):
     assert flight.qsb.commands == [
         *("W161", "W15F", "R14", "W000", "W0303", "W04000", "W0B0", "W0C1", "W0D1", "W02010"),

@@ -9,13 +9,6 @@ from tests.drivers.qsb_flight import Flight, S, model_counts
 from tests.drivers.serial_script import fault_at_any_call
 
 
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
-
-
 @pytest.mark.parametrize("greets", [True, False])
 def test_an_adapter_that_was_reset_is_set_up_again(flight, greets):
     flight.fly(100)

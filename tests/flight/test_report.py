@@ -25,8 +25,8 @@ from onboard.ground.log.tables.phases import Phase
 from onboard.ground.report import report
 from onboard.ground.report.flight.alone import alone
 from onboard.ground.report.flight.flight_data import SweepData
-from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
+from tests.recording.logs import make_log
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SECTIONS = [
@@ -260,9 +260,7 @@ def test_a_log_of_one_channel_and_no_vehicle_makes_a_page(tmp_path: Path) -> Non
     rows = np.zeros(50, records.IMU)
     rows["sequence"] = range(50)
     rows["host_ns"] = np.arange(50) * 1_000_000
-    with LogWriter.create(tmp_path / "bare.mcap", durable=False) as writer:
-        writer.register("imu_0", records.IMU)
-        writer.write("imu_0", rows)
+    make_log(tmp_path / "bare.mcap", {"imu_0": rows})
     report(tmp_path / "bare.mcap", tmp_path / "bare.html")
     text = (tmp_path / "bare.html").read_text()
     assert "carries no vehicle" in text
@@ -273,9 +271,7 @@ def test_a_log_without_a_vehicle_file_is_reported_with_the_one_that_is_given(tmp
     rows = np.zeros(100, records.SCALAR)
     rows["sequence"] = rows["tick"] = np.arange(100)
     rows["host_ns"], rows["scale"], rows["unit"] = 1_000_000_000 + np.arange(100) * 5_000_000, 1e-5, b"rad"
-    with LogWriter.create(tmp_path / "imported.mcap") as writer:
-        writer.register("joint_1", records.SCALAR)
-        writer.write("joint_1", rows)
+    make_log(tmp_path / "imported.mcap", {"joint_1": rows})
     told = ["report", str(tmp_path / "imported.mcap"), "-o", str(tmp_path / "page.html")]
     assert cli.main(told) == cli.OK
     page = (tmp_path / "page.html").read_text()

@@ -20,7 +20,7 @@ from onboard.recording.format import mcap_format
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
-from tests.recording.logs import MemorySink
+from tests.recording.logs import MemorySink, make_log
 
 ROCKSAT = config.packaged("rocksat").read_text(encoding="utf-8")
 URDF = config.packaged("rocksat").with_name("rocksat.urdf").read_bytes()
@@ -219,10 +219,7 @@ def test_names_in_rows_are_shown_and_not_obeyed(tmp_path, capsys):
     rows["sequence"] = rows["host_ns"] = range(len(NAMES))
     clocks = np.zeros(len(NAMES), channels.CLOCK)
     clocks["channel"], clocks["sequence"] = NAMES, range(len(NAMES))
-    with LogWriter.create(tmp_path / "x.mcap", durable=False) as writer:
-        for name, some in (("quantity", rows), ("clock", clocks), ("[/b]", clocks)):
-            writer.register(name, some.dtype)
-            writer.write(name, some)
+    make_log(tmp_path / "x.mcap", {"quantity": rows, "clock": clocks, "[/b]": clocks})
     assert cli.main(["info", str(tmp_path / "x.mcap")]) in (cli.OK, cli.DAMAGED)
     shown = capsys.readouterr().out
     assert "[/b]" in shown
@@ -296,9 +293,7 @@ def test_steps_of_the_estimator_that_are_none_are_refused(tmp_path):
         rows = np.zeros(2, dtype)
         rows["host_ns"][1] = now_ns
         path = tmp_path / f"{now_ns}.mcap"
-        with LogWriter.create(path, durable=False) as writer:
-            writer.register("tick", dtype)
-            writer.write("tick", rows)
+        make_log(path, {"tick": rows})
         with pytest.raises(ChannelError, match=why):
             list(steps(Pass(LogReader(path), ["tick"]), ("imu_base",)))
 

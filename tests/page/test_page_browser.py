@@ -27,6 +27,7 @@ from onboard.recording.writer import LogWriter
 from tests.page.browser import Tab
 from tests.page.made import MARKUP, SECOND, START, Rings, flight
 from tests.page.served import served
+from tests.recording.logs import make_log
 
 pytestmark = pytest.mark.realtime
 CARD = "document.querySelector('.answer[data-name=\"m_payload\"]')"
@@ -87,9 +88,7 @@ def test_an_answer_that_is_lost_again_is_not_one_that_never_was(tab: Tab, tmp_pa
     rows = np.zeros(3, channels.QUANTITY)
     rows["host_ns"], rows["supported"], rows["level"] = START + np.arange(3) * SECOND, [0, 1, 0], [1, 0, 1]
     rows["name"], rows["unit"], rows["value"], rows["high"] = b"m_payload", b"kg", 1.0, 2.0
-    with LogWriter.create(tmp_path / "lost.mcap", durable=False) as writer:
-        writer.register("quantity", rows.dtype)
-        writer.write("quantity", rows)
+    make_log(tmp_path / "lost.mcap", {"quantity": rows})
     with served(Recorded(LogReader(tmp_path / "lost.mcap"))) as one:
         tab.open(f"http://127.0.0.1:{one.port}/")
         tab.wait(f"{CARD}?.querySelector('.number').innerText.trim() === 'no longer determined'")
@@ -164,10 +163,7 @@ def test_many_reasons_and_long_texts_leave_room_for_what_is_held(tab: Tab, tmp_p
     rows["name"] = [b"m_[red]<b>%02d%s" % (number, b"W" * 20) for number in range(40)]
     rows["why"] = [b"reason %d %s" % (number, b"W" * 100) for number in range(40)]
     event["host_ns"], event["code"], event["text"] = START, b"phase", b"W" * 160
-    with LogWriter.create(tmp_path / "long.mcap", durable=False) as writer:
-        for name, content in (("quantity", rows), ("event", event)):
-            writer.register(name, content.dtype)
-            writer.write(name, content)
+    make_log(tmp_path / "long.mcap", {"quantity": rows, "event": event})
     with served(Recorded(LogReader(tmp_path / "long.mcap"))) as one:
         tab.screen(360, 740)
         tab.open(f"http://127.0.0.1:{one.port}/")

@@ -19,6 +19,7 @@ from onboard.page.state import State
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.page.made import MARKUP, SECOND, START, Rings, flight
+from tests.recording.logs import make_log
 
 
 def whole(*, live: bool = False) -> State:
@@ -239,9 +240,7 @@ def test_numbers_that_are_none_and_levels_of_another_version() -> None:
 def test_a_log_from_time_zero_and_one_without_rows(tmp_path: Path) -> None:
     rows = np.zeros(50, records.IMU)
     rows["sequence"], rows["host_ns"] = range(50), np.arange(50) * 10_000_000
-    with LogWriter.create(tmp_path / "bare.mcap", durable=False) as writer:
-        writer.register("imu_0", records.IMU)
-        writer.write("imu_0", rows)
+    make_log(tmp_path / "bare.mcap", {"imu_0": rows})
     found = Recorded(LogReader(tmp_path / "bare.mcap"))
     assert found.about()["steps"][-1] == pytest.approx(0.49)
     with LogWriter.create(tmp_path / "empty.mcap", durable=False) as writer:

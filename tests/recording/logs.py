@@ -36,6 +36,16 @@ def label_rows(first, count, step_ns=1000):
     return rows
 
 
+def make_log(path, channels, overwrite=False):
+    """A log of rows by channel; its path."""
+    with LogWriter.create(path, durable=False, overwrite=overwrite) as writer:
+        for name, rows in channels.items():
+            writer.register(name, rows.dtype)
+        for name, rows in channels.items():
+            writer.write(name, rows)
+    return path
+
+
 def random_rows(rng, dtype, count):
     """Rows of any bytes, except that time does not run backwards and numbers count up. NaN are made plain zeros."""
     rows = np.frombuffer(rng.bytes(count * dtype.itemsize), dtype).copy()

@@ -4,18 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
+from hil_sim.devices.can_bus.pdo import FIRST_EVENT, LAST_CYCLIC, Pdo
 
-_INVALID = 0x8000_0000  # COB-ID bit 31: the PDO does not exist
-_MAX_MAPPED = 8
 ANSWER_NS = 40_000  # from the end of a SYNC until the TPDO that answers it is offered to the bus
-_LAST_CYCLIC, _FIRST_EVENT = 240, 254
 
 
-class Tpdo:
+class Tpdo(Pdo):
     """Communication parameter 18xxh, mapping 1Axxh and the SYNC counting of one TPDO.
 
-    A parameter that must not change while the PDO exists is refused with 06090030h, a mapping that must not change
-    with 06010000h. Type 0 (on the SYNC after an event) is not offered.
+    Type 0 (on the SYNC after an event) is not offered.
 
     Args:
         dictionary: Where its objects go.
@@ -25,6 +22,8 @@ class Tpdo:
         mapping: Mapped objects as (index << 16 | sub << 8 | bits).
         event_timer_ms: Default of sub-index 5.
     """
+
+    _LOWEST_TYPE = 1
 
     def __init__(
         self,
@@ -38,44 +37,19 @@ class Tpdo:
         self.number = number
         self.produced = 0
         self.pending = False  # an event that waits for the inhibit time
-        self._dictionary = dictionary
         self._syncs = 0
         self._started = False
         index = 0x1800 + number - 1
-        dictionary.add(index, 0, Entry(DataType.U8, Access.RO, 6))
-        self._cob_id = dictionary.add(index, 1, Entry(DataType.U32, Access.RW, cob_id, check=self._check_cob_id))
-        self._type = dictionary.add(index, 2, Entry(DataType.U8, Access.RW, transmission_type, check=self._check_type))
+        super().__init__(dictionary, index, 6, cob_id, transmission_type, mapping, self._compile)
         self._inhibit = dictionary.add(index, 3, Entry(DataType.U16, Access.RW, 0, check=self._check_not_valid))
         self.event_timer = dictionary.add(index, 5, Entry(DataType.U16, Access.RW, event_timer_ms))
         self._start = dictionary.add(index, 6, Entry(DataType.U8, Access.RW, 0, check=self._check_not_valid))
-        index += 0x200
-        self._count = dictionary.add(
-            index, 0, Entry(DataType.U8, Access.RW, len(mapping), check=self._check_count, changed=self._compile)
-        )
-        self._slots = [
-            dictionary.add(
-                index,
-                1 + k,
-                Entry(DataType.U32, Access.RW, mapping[k] if k < len(mapping) else 0, check=self._check_slot),
-            )
-            for k in range(_MAX_MAPPED)
-        ]
         self._mapped: list[Entry] = []
-
-    @property
-    def valid(self) -> bool:
-        """Whether the PDO exists."""
-        return not self._cob_id.value & _INVALID
-
-    @property
-    def cob_id(self) -> int:
-        """Identifier it is sent with."""
-        return self._cob_id.value & 0x7FF
 
     @property
     def on_event(self) -> bool:
         """Whether events and the event timer send it (types 254 and 255)."""
-        return self._type.value >= _FIRST_EVENT
+        return self._type.value >= FIRST_EVENT
 
     @property
     def inhibit_ns(self) -> int:
@@ -86,7 +60,7 @@ class Tpdo:
     def every_sync(self) -> bool | None:
         """Whether it answers each SYNC from now on, or none; None where it counts them or waits for a first one."""
         kind = self._type.value
-        if kind > _LAST_CYCLIC or not self.valid:
+        if kind > LAST_CYCLIC or not self.valid:
             return False
         return True if kind == 1 and self._started and self._mapped else None
 
@@ -104,7 +78,7 @@ class Tpdo:
             counter: The SYNC counter, None for a SYNC without one.
         """
         kind = self._type.value
-        if kind > _LAST_CYCLIC or self._cob_id.value & _INVALID:
+        if kind > LAST_CYCLIC or not self.valid:
             return False
         if not self._started:
             start = self._start.value
@@ -135,41 +109,9 @@ class Tpdo:
 
     def _compile(self, value: int, now_ns: int) -> None:
         del value, now_ns
-        self._mapped = [self._entry(slot.value) for slot in self._slots[: self._count.value]]
-
-    def _entry(self, mapping: int) -> Entry:
-        entry = self._dictionary.find(mapping >> 16, mapping >> 8 & 0xFF)
-        if not entry.mappable or mapping & 0xFF != 8 * entry.size:
-            raise DictionaryError(Abort.NOT_MAPPABLE)
-        return entry
-
-    def _check_cob_id(self, value: int, now_ns: int) -> None:
-        del now_ns
-        if value & 0x3FFF_F800 or (self.valid and not value & _INVALID and value & 0x7FF != self.cob_id):
-            raise DictionaryError(Abort.VALUE_RANGE)
-
-    def _check_type(self, value: int, now_ns: int) -> None:
-        del now_ns
-        if not value or _LAST_CYCLIC < value < _FIRST_EVENT:
-            raise DictionaryError(Abort.VALUE_RANGE)
+        self._mapped = self._entries()
 
     def _check_not_valid(self, value: int, now_ns: int) -> None:
         del value, now_ns
         if self.valid:
             raise DictionaryError(Abort.VALUE_RANGE)
-
-    def _check_slot(self, value: int, now_ns: int) -> None:
-        del now_ns
-        if self.valid or self._count.value:
-            raise DictionaryError(Abort.UNSUPPORTED_ACCESS)
-        if value:
-            self._entry(value)
-
-    def _check_count(self, value: int, now_ns: int) -> None:
-        del now_ns
-        if self.valid:
-            raise DictionaryError(Abort.UNSUPPORTED_ACCESS)
-        if value > _MAX_MAPPED:
-            raise DictionaryError(Abort.VALUE_RANGE)
-        if sum(self._entry(slot.value).size for slot in self._slots[:value]) > 8:
-            raise DictionaryError(Abort.PDO_LENGTH)

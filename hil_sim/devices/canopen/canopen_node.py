@@ -54,6 +54,8 @@ class CanopenNode:
         FaultError: a fault that this node cannot have.
     """
 
+    _sampled: Tpdo  # answers every SYNC
+
     def __init__(
         self,
         node_id: int,
@@ -101,6 +103,11 @@ class CanopenNode:
             if back_ns != NEVER:
                 self._at(f"recovery {away_ns}", back_ns, self._recovered_bus)
         self._add_communication_objects(device_type)
+
+    @property
+    def produced(self) -> int:
+        """Samples so far, one for each SYNC in Operational."""
+        return self._sampled.produced
 
     def guard_for_heartbeat(self) -> None:
         """Make it a node without heartbeat, that can be guarded."""

@@ -118,7 +118,7 @@ class Drive402(CanopenNode):
         i16, i32, ro, rw = DataType.I16, DataType.I32, Access.RO, Access.RW
         self._error_code = add(0x603F, 0, Entry(u16, ro, mappable=True))
         self._controlword = add(0x6040, 0, Entry(u16, rw, changed=self._on_controlword, mappable=True))
-        self._rpdos = [Rpdo(self.dictionary, 1, 0x200 + node_id, 255, (0x6040_00_10,))]
+        self._rpdos = [Rpdo(self.dictionary, 1, 0x200 + node_id, (0x6040_00_10,))]
         add(0x6041, 0, Entry(u16, ro, read=self.statusword, mappable=True))
         self._mode = add(0x6060, 0, Entry(u8, rw, _MODE_CSP, check=self._check_mode))
         add(0x6061, 0, Entry(u8, ro, read=lambda _: self._mode.value, mappable=True))
@@ -130,16 +130,11 @@ class Drive402(CanopenNode):
             add(0x608F, sub, Entry(u32 if sub else u8, ro, value))
         add(0x6502, 0, Entry(u32, ro, _CSP | _CST))
         self._tpdo_1 = self._add_tpdo(1, 255, (0x6041_00_10,))
-        self._tpdo_2 = self._add_tpdo(2, 1, (0x6064_00_20, 0x606C_00_20))
+        self._sampled = self._add_tpdo(2, 1, (0x6064_00_20, 0x606C_00_20))
         self._tpdo_3 = self._add_tpdo(3, 1, (0x6077_00_10, 0x6041_00_10))
         self._drive_state = SWITCH_ON_DISABLED
         self._last_controlword = 0
         self._next_step()
-
-    @property
-    def produced(self) -> int:
-        """TPDO2 samples (one for each SYNC in Operational)."""
-        return self._tpdo_2.produced
 
     @property
     def drive_state(self) -> int:
@@ -148,7 +143,7 @@ class Drive402(CanopenNode):
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
         """A frame has ended on the wire."""
-        mine = [rpdo for rpdo in self._rpdos if rpdo.cob_id == identifier]
+        mine = [rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.cob_id == identifier]
         if not mine:
             super().receive(identifier, data, now_ns)
         elif self.state == OPERATIONAL and not self._is_silent(now_ns):
@@ -159,7 +154,7 @@ class Drive402(CanopenNode):
 
     def hears(self, identifier: int) -> bool:
         """See ``CanopenNode``."""
-        return super().hears(identifier) or any(rpdo.cob_id == identifier for rpdo in self._rpdos)
+        return super().hears(identifier) or any(rpdo.valid and rpdo.cob_id == identifier for rpdo in self._rpdos)
 
     def statusword(self, now_ns: int) -> int:
         """Object 6041h."""

@@ -65,14 +65,9 @@ class Encoder406(CanopenNode):
         add(0x6503, 0, Entry(u16, Access.RO, 0, mappable=True))  # alarms
         add(0x6505, 0, Entry(u16, Access.RO, 0, mappable=True))  # warnings
         self._tpdo_1 = self._add_tpdo(1, 254, (_POSITION,), event_timer_ms=20)
-        self._tpdo_2 = self._add_tpdo(2, 1, (_POSITION,))
+        self._sampled = self._add_tpdo(2, 1, (_POSITION,))
         self._physical = counts_per_revolution
         self._before_start()
-
-    @property
-    def produced(self) -> int:
-        """TPDO2 samples (one for each SYNC in Operational)."""
-        return self._tpdo_2.produced
 
     @property
     def produced_cyclic(self) -> int:

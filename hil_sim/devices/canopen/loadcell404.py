@@ -71,12 +71,7 @@ class LoadCell404(CanopenNode):
         self._add_channel(
             0x9130, Entry(i32, Access.RO, read=self.process_value, mappable=True, read_many=self.process_values)
         )
-        self._tpdo_1 = self._add_tpdo(1, 1, (_PROCESS_VALUE, _STATUS))
-
-    @property
-    def produced(self) -> int:
-        """TPDO1 samples (one for each SYNC in Operational)."""
-        return self._tpdo_1.produced
+        self._sampled = self._add_tpdo(1, 1, (_PROCESS_VALUE, _STATUS))
 
     def process_value(self, now_ns: int) -> int:
         """Object 9130h:1 at ``now_ns``: force less tare, in units of 10^-decimals N."""

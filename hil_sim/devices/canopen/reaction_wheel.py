@@ -41,12 +41,7 @@ class ReactionWheel(CanopenNode):
         super().__init__(node_id, 0x0002_0192, start_ns, faults, INPUT_KINDS)
         self._analog, self._step_rad_s = FaultyScalar(analog, faults, start_ns), step_rad_s
         self.dictionary.add(0x606C, 0, Entry(DataType.I32, Access.RO, read=self.velocity, mappable=True))
-        self._tpdo_1 = self._add_tpdo(1, 1, (_VELOCITY,))
-
-    @property
-    def produced(self) -> int:
-        """TPDO1 samples (one for each SYNC in Operational)."""
-        return self._tpdo_1.produced
+        self._sampled = self._add_tpdo(1, 1, (_VELOCITY,))
 
     def velocity(self, now_ns: int) -> int:
         """Object 606Ch at ``now_ns``."""

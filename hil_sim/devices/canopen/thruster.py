@@ -36,12 +36,7 @@ class Thruster(CanopenNode):
         super().__init__(node_id, 0x0008_0191, start_ns, faults, INPUT_KINDS)
         self._analog, self._step_n = FaultyScalar(analog, faults, start_ns), step_n
         self.dictionary.add(0x2101, 0, Entry(DataType.I16, Access.RO, read=self.force, mappable=True))
-        self._tpdo_1 = self._add_tpdo(1, 1, (_FORCE,))
-
-    @property
-    def produced(self) -> int:
-        """TPDO1 samples (one for each SYNC in Operational)."""
-        return self._tpdo_1.produced
+        self._sampled = self._add_tpdo(1, 1, (_FORCE,))
 
     def force(self, now_ns: int) -> int:
         """Object 2101h at ``now_ns``."""

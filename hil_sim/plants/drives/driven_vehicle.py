@@ -17,11 +17,10 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
-from hil_sim.plants.drives.servo_axis import STEP_S, Controller
+from hil_sim.plants.drives.servo_axis import KEPT, STEP_S, Controller, Stepped
 from hil_sim.plants.parts.pucks import Puck, drag_wrench
 from hil_sim.scenario.vehicle_tables import JointFriction
 
-_KEPT: Final = 512  # steps that can be asked for
 _NOISE: Final = 1 << 14  # samples of encoder noise, one a millisecond, then again from the first
 _STIFF: Final = (0.004, 1.0)  # of dry friction: time constant, s, and damping ratio
 _HARD: Final = (0.99, 0.999, 0.001, 0.5, 2.0)
@@ -92,7 +91,7 @@ class Drivable(NamedTuple):
     pucks: Sequence[Puck] = ()
 
 
-class DrivenVehicle:
+class DrivenVehicle(Stepped):
     """The vehicle.
 
     Args:
@@ -110,15 +109,14 @@ class DrivenVehicle:
     def __init__(self, built: Drivable, noise_rad: float = 0.0, seed: int = 0) -> None:
         self.built = built
         self._nb = built.empty.nv - len(built.joints)
-        self._count, self._is_stepping = 0, False
         self.model = self._prepared(built.empty)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[self.model.nq - len(built.joints) :] = built.posture_rad
         self.data.qvel[: self._nb] = built.velocity
         mujoco.mj_forward(self.model, self.data)
         self._noise = noise_rad * np.random.default_rng([seed, 0xE1]).standard_normal((_NOISE, len(built.joints)))
-        self._past = deque([self.angles_rad], _KEPT)
-        self._torques = deque([[0.0] * len(built.joints)], _KEPT)  # of the step before each
+        super().__init__(self.angles_rad)
+        self._torques = deque([[0.0] * len(built.joints)], KEPT)  # of the step before each
         self.axes = {
             name: DrivenJoint(self, place, built.efforts_n_m[name], self._inertia(place))
             for place, name in enumerate(built.joints)
@@ -159,11 +157,6 @@ class DrivenVehicle:
         found: list[float] = self.data.qvel[self._nb :].tolist()
         return found
 
-    @property
-    def newest_s(self) -> float:
-        """Time of the newest step."""
-        return self._count * STEP_S
-
     def capture(self) -> None:
         """The gripper closes about a payload that moves as the gripper does: no momentum is exchanged."""
         before = self.data
@@ -172,24 +165,9 @@ class DrivenVehicle:
         self.data.qpos[:], self.data.qvel[:] = before.qpos, before.qvel
         mujoco.mj_forward(self.model, self.data)
 
-    def advance(self, time_s: float) -> None:
-        """Compute up to ``time_s``, and the step after it."""
-        while not self._is_stepping and self._count * STEP_S < time_s + 1e-9:
-            self._is_stepping = True  # controllers may look at the joints
-            self._step()
-            self._is_stepping = False
-
     def angle_rad(self, place: int, time_s: float) -> float:
         """Angle of a joint at ``time_s``, up to half a second ago, with the encoder's noise."""
-        self.advance(time_s)
-        at = max(time_s / STEP_S, 0.0)
-        last = min(math.floor(at), self._count - 1)
-        noise = float(self._noise[round(at) % _NOISE, place])
-        back = last - self._count - 1  # index from the end of the past
-        if -back > len(self._past):
-            return self._past[0][place] + noise
-        before, after = self._past[back][place], self._past[back + 1][place]
-        return before + (at - last) * (after - before) + noise
+        return self._angle_rad(place, time_s) + float(self._noise[round(max(time_s / STEP_S, 0.0)) % _NOISE, place])
 
     def motor_n_m(self, place: int, time_s: float) -> float:
         """Torque of a joint's motor in the step that ``time_s`` is in, up to half a second ago."""

@@ -7,11 +7,11 @@ What hangs on the joint does not act back: its inertia is that of a motor behind
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 STEP_S: Final = 1e-3
-_KEPT: Final = 512  # steps that can be asked for
+KEPT: Final = 512  # steps that can be asked for
 _ROUNDING_RAD_S: Final = 1e-3  # of Coulomb friction
 
 Controller = Callable[[float, float], float | None]
@@ -47,7 +47,45 @@ class Axis(Protocol):
         """Torque of the motor at ``time_s``, up to half a second ago."""
 
 
-class ServoAxis:
+class Stepped:
+    """Angles that are computed in steps of :data:`STEP_S`; a controller that a step asks may look at them.
+
+    Args:
+        angles_rad: At time 0.
+    """
+
+    def __init__(self, angles_rad: Sequence[float]) -> None:
+        self._count, self._is_stepping = 0, False  # number of the newest step
+        self._past = deque([angles_rad], KEPT)
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest step."""
+        return self._count * STEP_S
+
+    def advance(self, time_s: float) -> None:
+        """Compute up to ``time_s``, and the step after it."""
+        while not self._is_stepping and self._count * STEP_S < time_s + 1e-9:
+            self._is_stepping = True
+            self._step()
+            self._is_stepping = False
+
+    def _step(self) -> None:
+        raise NotImplementedError
+
+    def _angle_rad(self, place: int, time_s: float) -> float:
+        """Angle at a place at ``time_s``, up to half a second ago."""
+        self.advance(time_s)
+        at = max(time_s / STEP_S, 0.0)
+        last = min(math.floor(at), self._count - 1)
+        back = last - self._count - 1  # index from the end of the past
+        if -back > len(self._past):
+            return self._past[0][place]
+        before, after = self._past[back][place], self._past[back + 1][place]
+        return before + (at - last) * (after - before)
+
+
+class ServoAxis(Stepped):
     """One joint, at rest at time 0.
 
     Args:
@@ -77,6 +115,7 @@ class ServoAxis:
         viscous_n_m_s: float = 0.5,
         stops_rad: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
+        super().__init__([angle_rad])
         self.controller: Controller | None = None
         self.inertia_kg_m2, self.largest_n_m = inertia_kg_m2, torque_n_m
         self._brake_n_m, self._coulomb_n_m, self._viscous_n_m_s = brake_n_m, coulomb_n_m, viscous_n_m_s
@@ -84,37 +123,15 @@ class ServoAxis:
         self._angle, self._rate, self.torque_n_m = angle_rad, 0.0, 0.0
         self.lowest_rad = self.highest_rad = angle_rad
         self.fastest_rad_s = 0.0
-        self._count = 0  # of the newest step
-        self._is_stepping = False
-        self._past = deque([(angle_rad, 0.0)], _KEPT)
 
     @property
     def rate_rad_s(self) -> float:
         """Rate at the newest step."""
         return self._rate
 
-    @property
-    def newest_s(self) -> float:
-        """Time of the newest step."""
-        return self._count * STEP_S
-
-    def advance(self, time_s: float) -> None:
-        """Compute up to ``time_s``, and the step after it."""
-        while not self._is_stepping and self._count * STEP_S < time_s + 1e-9:
-            self._is_stepping = True  # the controller may look at the axis
-            self._step()
-            self._is_stepping = False
-
     def angle_rad(self, time_s: float) -> float:
         """Angle at ``time_s``, up to half a second ago."""
-        self.advance(time_s)
-        place = max(time_s / STEP_S, 0.0)
-        last = min(math.floor(place), self._count - 1)
-        back = last - self._count - 1  # index from the end of the past
-        if -back > len(self._past):
-            return self._past[0][0]
-        before, after = self._past[back][0], self._past[back + 1][0]
-        return before + (place - last) * (after - before)
+        return self._angle_rad(0, time_s)
 
     def motor_n_m(self, time_s: float) -> float:
         """Torque of the motor in the step at ``time_s``, or in the newest."""
@@ -140,7 +157,7 @@ class ServoAxis:
         self.lowest_rad, self.highest_rad = min(self.lowest_rad, angle), max(self.highest_rad, angle)
         self.fastest_rad_s = max(self.fastest_rad_s, abs(rate))
         self._count += 1
-        self._past.append((angle, rate))
+        self._past.append([angle])
 
 
 class AxisAngle:

@@ -202,7 +202,7 @@ class JackknifeEstimate:
         causes = (causes * sigma if sigma.ndim == 1 else causes @ sigma).T
         causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
         self._common = T @ np.where(signal, causes / keep, 0.0).T  # (p, k + 1)
-        self._prior_half = T / keep @ _half(A0)  # (p, p)
+        self._prior_half = T / keep @ half_of(A0)  # (p, p)
         mask = np.outer(signal, signal)
         H = T.T @ blocks.normal @ T * mask  # (b, p, p)
         scores = (blocks.moment @ T) * signal - H @ x  # (b, p)
@@ -368,7 +368,7 @@ def corrected_mean(rls: SquareRootRls, blocks: BlockScores) -> FloatArray:
     return _corrected(rls, blocks).mean
 
 
-def _half(matrix: FloatArray) -> FloatArray:
+def half_of(matrix: FloatArray) -> FloatArray:
     """A square root of a symmetric positive semi-definite matrix: ``half half' = matrix``."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), np.float64)

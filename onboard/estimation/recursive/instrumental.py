@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.recursive.blocks import TimeBlocks
-from onboard.estimation.recursive.consistency import JackknifeEstimate
+from onboard.estimation.recursive.consistency import JackknifeEstimate, half_of
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 
@@ -193,10 +193,10 @@ class InstrumentalEstimate(JackknifeEstimate):
         inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)
         self.level, self.floored = level, blocks.count < _FEW_BLOCKS
         self.mean = inverse @ (b[:, -1] + right)
-        self._root = inverse @ _factor(G.sum(axis=0) + information)
+        self._root = inverse @ half_of(G.sum(axis=0) + information)
         causes = inverse @ b[:, :-1]
         self._common = causes * sigma if sigma.ndim == 1 else causes @ sigma
-        self._prior_half = inverse @ _factor(information)
+        self._prior_half = inverse @ half_of(information)
         scores = g[..., -1] - H @ self.mean  # (b, p)
         rest = A - H + np.eye(len(A)) * (1e-12 * np.abs(np.diag(A)))
         self._moves = np.linalg.solve(rest, scores[..., None])[..., 0]
@@ -213,8 +213,3 @@ def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError as error:
         raise SingularError("the instruments do not determine the parameters; give a prior, or move more") from error
     return np.asarray((solved.T / scale).T, np.float64)
-
-
-def _factor(matrix: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), np.float64)

@@ -8,7 +8,7 @@ import pytest
 
 from onboard import channels, config
 from onboard.ground.campaign.instants import CHANGING_S, of_flight
-from onboard.recording.writer import LogWriter
+from tests.recording.logs import make_log
 
 START_NS = 7_000_000_000
 CAPTURE_S, EJECTION_S = 10.0, 20.0
@@ -30,10 +30,7 @@ def told(path: Path, *estimates: tuple[str, float, float, float], level: int = 0
         row["value"], row["low"], row["high"] = value, value - half, value + half
         row["level"], row["supported"] = level, supported
     rows["sequence"] = np.arange(len(rows))
-    with LogWriter.create(path, durable=False) as writer:
-        writer.register("quantity", channels.QUANTITY)
-        writer.write("quantity", rows)
-    return path
+    return make_log(path, {"quantity": rows})
 
 
 def test_an_estimate_that_was_wrong_for_a_while_counts(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.dynamics.model.payload import standard_covariance, standard_of
+from onboard.dynamics.model.payload import numbers_of, standard_covariance, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
@@ -29,21 +29,17 @@ def ticks(samples):
     return tick_signals(*samples[:4], samples[4:], 5, 0.1)
 
 
-def ten(body):
-    return np.r_[body.mass_kg, body.centre_of_mass_m, body.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-
-
 def test_without_noise_the_payload_is_the_truth(flown, rng):
     found = free_exiddm(flown.vehicle, "imu_base", ticks(flown.samples(rng, noise=False)), WIDE, {}).fit()
     assert found.payload.body.mass_kg == pytest.approx(5.0, rel=1e-5)
-    np.testing.assert_allclose(ten(found.payload.body), ten(PAYLOAD), atol=5e-5)
+    np.testing.assert_allclose(numbers_of(found.payload.body), numbers_of(PAYLOAD), atol=5e-5)
 
 
 def test_with_datasheet_noise_the_error_is_what_the_covariance_says(flown, rng):
     signals = ticks(flown.samples(rng))
     exiddm = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, {})
     found = exiddm.fit()
-    error = ten(found.payload.body) - ten(PAYLOAD)
+    error = numbers_of(found.payload.body) - numbers_of(PAYLOAD)
     chi_squared = error @ np.linalg.solve(found.payload.covariance, error)
     assert chi_squared < 29.6  # 99.9 % of chi-squared with ten degrees
     assert found.misfit == pytest.approx(1.0, abs=0.06)
@@ -82,7 +78,7 @@ def test_uncertain_sensor_and_links_widen_the_interval_and_it_still_holds(flown,
     }
     uncertain = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, links, PRIOR)
     found = uncertain.fit()
-    error = ten(found.payload.body) - ten(PAYLOAD)
+    error = numbers_of(found.payload.body) - numbers_of(PAYLOAD)
     assert error @ np.linalg.solve(found.payload.covariance, error) < 29.6
     assert found.misfit == pytest.approx(1.0, abs=0.06)
     assert certain.misfit > 1.2  # a model that is too sure shows it

@@ -18,6 +18,7 @@ from onboard.ground.log.tables.selection import Selection
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.writer import LogWriter
 from onboard.timebase.clock import ClockState
+from tests.recording.logs import make_log
 
 IMU_HEADER = (
     "time_s [s],sequence,host_ns [ns],tick [count],accel_scale_m_s2 [m/s^2],gyro_scale_rad_s [rad/s],"
@@ -43,21 +44,12 @@ def scalar_rows(count, unit=b"N m", scale=0.125):
     return rows
 
 
-def make(path, channels):
-    with LogWriter.create(path) as writer:
-        for name, rows in channels.items():
-            writer.register(name, rows.dtype)
-        for name, rows in channels.items():
-            writer.write(name, rows)
-    return path
-
-
 def lines(path):
     return path.read_text().splitlines()
 
 
 def test_imu_raw_and_si_side_by_side(tmp_path, imu_row):
-    result = dump(make(tmp_path / "a.mcap", {"imu_base": imu_row}), tmp_path / "csv")
+    result = dump(make_log(tmp_path / "a.mcap", {"imu_base": imu_row}), tmp_path / "csv")
     [path] = result.files
     assert path == tmp_path / "csv" / "imu_base.csv"
     assert lines(path) == [
@@ -68,7 +60,7 @@ def test_imu_raw_and_si_side_by_side(tmp_path, imu_row):
 
 
 def test_scalar_in_the_unit_that_its_rows_name(tmp_path):
-    dump(make(tmp_path / "a.mcap", {"load_cell": scalar_rows(3)}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"load_cell": scalar_rows(3)}), tmp_path)
     assert lines(tmp_path / "load_cell.csv") == [
         "time_s [s],sequence,host_ns [ns],tick [count],value_raw [count],value [N m],scale,unit,"
         "sync_counter,device_status,status",
@@ -80,14 +72,14 @@ def test_scalar_in_the_unit_that_its_rows_name(tmp_path):
 
 def test_rows_of_another_unit_are_not_taken_for_the_first_s(tmp_path):
     rows = np.concatenate([scalar_rows(1), scalar_rows(2, unit=b"N")])
-    dump(make(tmp_path / "a.mcap", {"load_cell": rows}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"load_cell": rows}), tmp_path)
     assert [line.split(",")[5] for line in lines(tmp_path / "load_cell.csv")[1:]] == ["-0.125", "nan", "nan"]
 
 
 def test_counts_times_scale_keeps_every_digit_of_a_large_count(tmp_path):
     rows = scalar_rows(1, scale=2 * np.pi / 500_000)
     rows["value_raw"] = 2**40 + 1
-    dump(make(tmp_path / "a.mcap", {"joint": rows}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"joint": rows}), tmp_path)
     value = float(lines(tmp_path / "joint.csv")[1].split(",")[5])
     assert value == (2**40 + 1) * (2 * np.pi / 500_000)
 
@@ -106,7 +98,7 @@ def test_text_and_arrays(tmp_path):
     )
     rows = np.zeros(1, dtype)
     rows[0] = (0, 1, (1, 2, 3), (0.5, 0.25, 0.1), ((1, 2), (3, 4)), b'a,"b"')
-    dump(make(tmp_path / "a.mcap", {"mixed": rows}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"mixed": rows}), tmp_path)
     assert lines(tmp_path / "mixed.csv") == [
         "time_s [s],sequence,host_ns [ns],masses_0,masses_1,masses_2,"
         "force_base_n_x [N],force_base_n_y [N],force_base_n_z [N],pair_0_0,pair_0_1,pair_1_0,pair_1_1,name",
@@ -141,7 +133,7 @@ def test_units_by_name(field, unit):
 
 
 def test_only_some_channels_and_an_odd_name(tmp_path, imu_row):
-    log = make(tmp_path / "a.mcap", {"imu": imu_row, "arm/joint 1": scalar_rows(2), "arm_joint_1": scalar_rows(3)})
+    log = make_log(tmp_path / "a.mcap", {"imu": imu_row, "arm/joint 1": scalar_rows(2), "arm_joint_1": scalar_rows(3)})
     result = dump(log, tmp_path / "some", Selection(("arm/joint 1", "arm_joint_1")))
     assert [path.name for path in result.files] == ["arm_joint_1_1.csv", "arm_joint_1.csv"]
     assert result.rows == {"arm/joint 1": 2, "arm_joint_1": 3}
@@ -153,7 +145,7 @@ def test_only_some_channels_and_an_odd_name(tmp_path, imu_row):
 def test_many_blocks_make_one_table(tmp_path, rng):
     rows = scalar_rows(40_000)
     rows["value_raw"] = rng.integers(-(2**50), 2**50, len(rows))
-    dump(make(tmp_path / "a.mcap", {"many": rows}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"many": rows}), tmp_path)
     with (tmp_path / "many.csv").open(newline="") as file:
         table = list(csv.reader(file))[1:]
     assert [int(line[4]) for line in table] == rows["value_raw"].tolist()
@@ -161,7 +153,7 @@ def test_many_blocks_make_one_table(tmp_path, rng):
 
 
 def test_a_cut_log_is_dumped_to_the_last_whole_chunk_and_says_so(tmp_path):
-    log = make(tmp_path / "a.mcap", {"many": scalar_rows(5000)})
+    log = make_log(tmp_path / "a.mcap", {"many": scalar_rows(5000)})
     log.write_bytes(log.read_bytes()[:100_000])
     result = dump(log, tmp_path)
     assert result.exit_code == 3
@@ -171,7 +163,7 @@ def test_a_cut_log_is_dumped_to_the_last_whole_chunk_and_says_so(tmp_path):
 
 
 def test_progress_ends_at_the_size_of_the_log(tmp_path):
-    log = make(tmp_path / "a.mcap", {"many": scalar_rows(5000)})
+    log = make_log(tmp_path / "a.mcap", {"many": scalar_rows(5000)})
     progress = Progress(disable=True)
     dump(log, tmp_path, progress=progress)
     [task] = progress.tasks
@@ -201,7 +193,7 @@ def test_an_instant_has_utc_where_the_wall_clock_was_set(tmp_path):
 def test_what_only_replay_needs_is_in_the_raw_dump_alone(tmp_path):
     rows = np.zeros(2, [("sequence", "<u8"), ("host_ns", "<i8"), ("vehicle_ns", "<i8"), ("triangle", "<f8", (3,))])
     ticks = np.zeros(2, tick_dtype(2))
-    log = make(tmp_path / "a.mcap", {"estimate": rows, "tick": ticks})
+    log = make_log(tmp_path / "a.mcap", {"estimate": rows, "tick": ticks})
     assert [path.name for path in dump(log, tmp_path / "both").files] == ["estimate.csv"]
     assert "triangle" not in lines(tmp_path / "both" / "estimate.csv")[0]
     assert dump(log, tmp_path / "raw", values="raw").rows == {"estimate": 2, "tick": 2}
@@ -209,7 +201,7 @@ def test_what_only_replay_needs_is_in_the_raw_dump_alone(tmp_path):
 
 
 def test_files_are_replaced_only_by_force(tmp_path, capsys):
-    log = make(tmp_path / "a.mcap", {"load_cell": scalar_rows(3)})
+    log = make_log(tmp_path / "a.mcap", {"load_cell": scalar_rows(3)})
     told = ["dump", str(log), "--to", "csv", str(tmp_path / "out")]
     assert cli.main(told) == cli.OK
     (tmp_path / "out" / "load_cell.csv").write_text("mine")
@@ -223,7 +215,7 @@ def test_files_are_replaced_only_by_force(tmp_path, capsys):
 def test_a_spreadsheet_computes_no_cell(tmp_path):
     rows = np.zeros(1, records.EVENT)
     rows["code"], rows["source"], rows["text"] = b"=1+1", b"-2", b"@now,+3"
-    dump(make(tmp_path / "a.mcap", {"event": rows}), tmp_path)
+    dump(make_log(tmp_path / "a.mcap", {"event": rows}), tmp_path)
     assert lines(tmp_path / "event.csv")[1] == """0.000000000,0,0,0,'=1+1,'-2,"'@now,+3\""""
 
 

@@ -15,7 +15,7 @@ from onboard import cli
 from onboard.ground.log.export.dump import dump
 from onboard.ground.log.export.spool import BLOCK_BYTES
 from onboard.ground.log.tables.selection import Selection
-from onboard.recording.writer import LogWriter
+from tests.recording.logs import make_log
 
 SECOND = 1_000_000_000
 
@@ -43,18 +43,9 @@ def channels(rng):
     return {"imu_base": imu_rows(20_000, rng), "load_cell": scalar_rows(4000, rng)}
 
 
-def make(path, channels):
-    with LogWriter.create(path) as writer:
-        for name, rows in channels.items():
-            writer.register(name, rows.dtype)
-        for name, rows in channels.items():
-            writer.write(name, rows)
-    return path
-
-
 @pytest.fixture
 def log(tmp_path, channels):
-    return make(tmp_path / "flight.mcap", channels)
+    return make_log(tmp_path / "flight.mcap", channels)
 
 
 def test_npz(tmp_path, log, channels):
@@ -88,7 +79,7 @@ def test_mat_text_longer_than_a_block(tmp_path, rng):
     rows = np.zeros(count, dtype)
     rows["sequence"] = np.arange(count)
     rows["text"] = rng.choice(np.array([b"ab", b"c", b""]), count)
-    dump(make(tmp_path / "a.mcap", {"said": rows}), tmp_path, kind="mat")
+    dump(make_log(tmp_path / "a.mcap", {"said": rows}), tmp_path, kind="mat")
     texts = scipy.io.loadmat(tmp_path / "said.mat")["text"]
     assert np.array_equal(np.char.rstrip(texts), rows["text"].astype(str))
 
@@ -106,7 +97,7 @@ def test_parquet(tmp_path, log, channels):
 @pytest.mark.parametrize("kind", ["csv", "parquet", "npz", "mat"])
 def test_a_channel_without_rows_is_a_table_without_rows(tmp_path, kind):
     result = dump(
-        make(tmp_path / "a.mcap", {"load_cell": scalar_rows(0, np.random.default_rng(1))}), tmp_path, kind=kind
+        make_log(tmp_path / "a.mcap", {"load_cell": scalar_rows(0, np.random.default_rng(1))}), tmp_path, kind=kind
     )
     [path] = result.files
     assert path.stat().st_size > 0
@@ -175,7 +166,7 @@ def test_a_reader_that_leaves_the_pipe_is_no_error(log):
 
 
 def test_several_logs_each_get_a_directory(tmp_path, channels, capsys):
-    logs = [make(tmp_path / f"{name}.mcap", channels) for name in ("one", "two")]
+    logs = [make_log(tmp_path / f"{name}.mcap", channels) for name in ("one", "two")]
     logs[1].write_bytes(logs[1].read_bytes()[:-100])
     code = cli.main(["dump", *map(str, logs), "--to", "npz", str(tmp_path / "out"), "--channel", "load_cell"])
     assert code == cli.DAMAGED

@@ -12,7 +12,7 @@ from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sampl
 from onboard import cli
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
-from onboard.recording.writer import LogWriter
+from tests.recording.logs import make_log
 
 RATE, FIRST_S, ENCODERS_S, DURATION_S = 0.013, 1.234, 11.0, 13.0
 PAYLOAD = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
@@ -142,9 +142,7 @@ def test_imus_whose_rows_share_arrival_stamps_are_aligned_by_their_ticks(
         for axis in range(3):
             imu["gyro_raw"][:, axis] = np.round(np.interp(own_s, rows["t"], rows["gyro"][:, axis]) * 1e3)
         assert (np.diff(imu["host_ns"]) == 0).mean() > 0.8
-        with LogWriter.create(tmp_path / f"{name}.mcap") as writer:
-            writer.register("imu", records.IMU)
-            writer.write("imu", imu)
+        make_log(tmp_path / f"{name}.mcap", {"imu": imu})
         logs.append(str(tmp_path / f"{name}.mcap"))
 
     assert cli.main(["resync", *logs, "--json", "-"]) == cli.OK

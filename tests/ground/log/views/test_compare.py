@@ -9,7 +9,7 @@ from onboard import cli
 from onboard.channels import QUANTITY
 from onboard.ground.log.views.compare import _compared, compare
 from onboard.recording.reader import LogReader
-from onboard.recording.writer import LogWriter
+from tests.recording.logs import make_log
 
 
 def log_of(path, mass, sigma, supported=1):
@@ -17,10 +17,7 @@ def log_of(path, mass, sigma, supported=1):
     rows["host_ns"] = [1, 2]
     rows["name"], rows["unit"] = b"mass", b"kg"
     rows["value"], rows["sigma"], rows["supported"] = [99.0, mass], sigma, supported
-    with LogWriter.create(path) as writer:
-        writer.register("quantity", QUANTITY)
-        writer.write("quantity", rows)
-    return path
+    return make_log(path, {"quantity": rows})
 
 
 def compared(tmp_path, *masses, sigma=0.1):

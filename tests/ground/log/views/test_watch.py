@@ -13,9 +13,9 @@ from onboard.cli import watch as watching
 from onboard.estimation.gates import GateReason
 from onboard.flight.store import manifest
 from onboard.ground.log.views.watch import Board, trend
-from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.clock import ClockState
+from tests.recording.logs import make_log
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -194,9 +194,7 @@ def test_rings_as_they_turn_up(tmp_path):
 
 
 def test_a_log_played_without_a_terminal_ends_with_the_board(tmp_path, capsys):
-    with LogWriter.create(tmp_path / "a.mcap", durable=False) as writer:
-        writer.register("joint", records.SCALAR)
-        writer.write("joint", scalars(0, 100))
+    make_log(tmp_path / "a.mcap", {"joint": scalars(0, 100)})
     assert cli.main(["watch", str(tmp_path / "a.mcap"), "--speed", "0"]) == cli.OK
     assert "joint" in capsys.readouterr().out
 
