@@ -155,13 +155,13 @@ class Mission:
         """
         if self._twins is None:
             raise RuntimeError("no buses yet; call Mission.attach first")
-        self._forget()
+        self.forget()
         self.plant.advance(1e-9 * (now_ns - self.start_ns), self.ahead_s)
         self.now_ns = now_ns
         for bus in self._buses:
             bus.advance(now_ns)
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Give back the truth that no device asks for any more."""
         before = int((1e-9 * (self.now_ns - self.start_ns) - self._kept_s) / self.plant.step_s)
         if before > 0:

@@ -173,7 +173,7 @@ def do_not_wait() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
 
 
-class _Leash:
+class Leash:
     """Stdin of a process that whoever started it holds: a line lets it begin, the end of it asks for an end.
 
     Attributes:
@@ -247,7 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         asked: deque[str] = deque()
         if options.wait:
             signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a terminal is gone: whoever started this goes on, or ends it
-            leash = _Leash(stops)
+            leash = Leash(stops)
             asked = leash.asked
             say(about)
             about = {}

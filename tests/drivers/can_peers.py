@@ -299,7 +299,7 @@ class Bench:
             now = self.clock.advance(MS)
             self._serve(now)
             if now // MS % 5 == 0 and self.sync_on:
-                self._sync(now)
+                self.sync_round(now)
             for node in self.nodes.values():
                 for identifier, data in node.heartbeat(now):
                     self.port.put(now, identifier, data)
@@ -317,7 +317,7 @@ class Bench:
         for identifier, data in frames:
             self.port.put(self.clock(), identifier, data)
 
-    def _sync(self, now):
+    def sync_round(self, now):
         number = self.number
         self.number += 1
         if not self.drop(number, 0x080):

@@ -304,7 +304,7 @@ def test_what_nodes_answer_until_they_have_read_the_stop_is_taken(bench, togethe
             bench.clock.advance(5_000_000)
             held = len(port.inbox)
             if len(port.sent) == before or next(late, None) is not None:
-                bench._sync(bench.clock())
+                bench.sync_round(bench.clock())
             else:
                 port.put(bench.clock(), 0x080, [bench.number % 240 + 1])
                 bench.number += 1

@@ -5,7 +5,6 @@ import pytest
 
 from drivers.canopen_pdo import Cia402Config, Cia406Config
 from drivers.canopen_pdo.profiles.cia406 import Encoder
-from drivers.position import Position
 from drivers.records import SampleStatus
 
 TURN = 500_000
@@ -22,16 +21,15 @@ def as_sent(position):
     return int(position % 2**32).to_bytes(4, "little")
 
 
-def test_unwrapping_goes_both_ways_in_steps_up_to_a_revolution(data):
+@pytest.mark.parametrize("wrap", [2**31, 2**32])
+def test_unwrapping_goes_both_ways_in_steps_up_to_a_revolution(data, wrap):
     steps = [5, -10, TURN, *[TURN] * 12, *[-TURN] * 30, -7, TURN // 2]
-    for wrap in (2**31, 2**32):
-        data._position = Position(TURN)
-        positions = wrap - 5 * TURN + np.cumsum(steps)
-        got = [data.decode(as_sent(position)) for position in positions]
-        offset = got[0].value_raw - positions[0]
-        assert offset % 2**32 == 0
-        assert [sample.value_raw for sample in got] == (positions + offset).tolist()
-        assert not any(sample.status for sample in got)
+    positions = wrap - 5 * TURN + np.cumsum(steps)
+    got = [data.decode(as_sent(position)) for position in positions]
+    offset = got[0].value_raw - positions[0]
+    assert offset % 2**32 == 0
+    assert [sample.value_raw for sample in got] == (positions + offset).tolist()
+    assert not any(sample.status for sample in got)
 
 
 def test_garbage_is_not_valid_and_leaves_no_turn_of_the_counter_behind(data, rng):

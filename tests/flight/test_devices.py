@@ -192,7 +192,7 @@ def test_the_generator_makes_the_syncs_of_a_bus_that_has_no_other(tmp_path):
 def test_a_node_without_heartbeat_is_guarded_as_the_vehicle_says(tmp_path):
     guarded = 'node = 1\nsupervision = "guarding"\nguard_time_ms = 50\nlife_time_factor = 4\n'
     with MixedWorld(tmp_path) as world:
-        del world.encoder.dictionary._entries[0x1017, 0]
+        world.encoder.dictionary.remove(0x1017, 0)
         channel = world.urls["can_0"].removeprefix("can+virtual://").partition("?")[0]
         with can.Bus(channel, interface="virtual", preserve_timestamps=True) as listener:
             _, rows = fly(tmp_path, world, DEVICES.replace("node = 1\n", guarded), 1.0)

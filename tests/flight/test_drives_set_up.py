@@ -20,10 +20,9 @@ def bench(tmp_path):
 
 
 def never_enables(drive):
-    command = drive._on_controlword
-
-    drive._on_controlword = lambda word, now: command(word & ~0x08, now)
-    drive.dictionary.find(0x6040, 0).changed = drive._on_controlword
+    controlword = drive.dictionary.find(0x6040, 0)
+    command = controlword.changed
+    controlword.changed = lambda word, now: command(word & ~0x08, now)
 
 
 def keeps_its_mode(drive):

@@ -53,7 +53,7 @@ def kept(flown: Result) -> Kept:
     run = estimator.online
     assert isinstance(run, PivotRun)
     rows = [*flown.table["centres"], *flown.table["inertias"]]
-    return Kept(run._ticks[0], run._held[0], {row["quantity"]: row["truth"] for row in rows})
+    return Kept(*run.taken, {row["quantity"]: row["truth"] for row in rows})
 
 
 def test_the_body_is_told_on_board_as_it_was_built(flown: Result) -> None:
@@ -92,7 +92,7 @@ def again(ticks: Ticks, held: FloatArray, change: Callable[[PivotRun], None] = l
     run, _ = build_online(config.load(config.packaged("spherical_bearing")))
     assert isinstance(run, PivotRun)
     change(run)
-    run._ticks, run._held, run._count = [ticks], [np.asarray(held, np.bool_)], len(ticks.time_s)
+    run.take(ticks, np.asarray(held, np.bool_))
     run.finish()
     return run
 

@@ -27,7 +27,7 @@ from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.report.flight.base_rate import base_rate
 from onboard.ground.report.flight.flight_data import FlightData, gather
-from onboard.ground.report.flight.sections import _base_rate
+from onboard.ground.report.flight.sections import base_rate_section
 from onboard.identification.change import Change
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
@@ -233,7 +233,7 @@ def test_the_identified_payload_predicts_the_gyro_in_the_report(gathered: Flight
     assert (swing > np.radians(5.0)).all()
     assert (found.rms < 0.03 * swing.max()).all()
     with theme.figures():
-        assert "gyro less prediction" in _base_rate(gathered, Gallery())
+        assert "gyro less prediction" in base_rate_section(gathered, Gallery())
 
 
 def test_another_vehicle_does_not(gathered: FlightData, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def read(scenario, seed: int, until_s: float) -> list[np.ndarray]:
     said = []
     for time_s in np.arange(0.02, until_s, 0.02):
         flying.now_ns = flying.start_ns + round(1e9 * time_s)
-        flying._forget()
+        flying.forget()
         flying.plant.advance(time_s)
         words = flying.sensors["imu_base"].counts(time_s - 1e-3 * np.arange(20)[::-1], *SETTINGS)
         said.append(
@@ -93,7 +93,7 @@ def test_a_time_that_is_not_kept_is_an_error_and_a_delayed_input_keeps_more() ->
         flying = Mission(scenario_of("dymaflex", SHORT | {"fault": fault}), 3)
         flying.now_ns = flying.start_ns + 1_200_000_000
         flying.plant.advance(1.2)
-        flying._forget()
+        flying.forget()
         if kept:
             assert flying.sensors["joint_1"].value(0.3) != 0.0
         else:

@@ -22,7 +22,7 @@ import pytest
 import serial
 
 from hil_sim.buses.realtime import MissionServer
-from hil_sim.serve import _Leash, open_sockets
+from hil_sim.serve import Leash, open_sockets
 from tests.hil_sim.devices.twin_bench import BUSES, MS, SmallMission
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -213,7 +213,7 @@ def test_an_unknown_scenario_is_a_sentence_and_a_status(tmp_path):
 def test_lines_after_the_start_ask_for_segments(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO("start\nask s1\nnothing\nask mass_2kg\n"))
     stops = []
-    leash = _Leash(stops)
+    leash = Leash(stops)
     leash.wait()
     for _ in range(100):
         if stops:

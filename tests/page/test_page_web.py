@@ -25,6 +25,7 @@ from onboard.recording.reader import LogReader
 from tests.page.made import START, Rings, flight
 from tests.page.served import Served, Stream, ask, raw, served
 
+TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 STATIC = Path(web.__file__).parent / "static"
 FOREIGN = "Origin: http://example.org"
 
@@ -61,7 +62,7 @@ class TestFiles:
             for name in names:
                 reply = ask(one.port, f"/{name}")
                 assert reply.status == 200
-                assert reply.headers["Content-Type"].split(";")[0] == web._TYPES[name.rpartition(".")[2]]
+                assert reply.headers["Content-Type"].split(";")[0] == TYPES[name.rpartition(".")[2]]
                 assert {key: reply.headers[key] for key in web.HEADERS} == web.HEADERS
                 assert int(reply.headers["Content-Length"]) == len(reply.body)
             assert ask(one.port, "/").body == (STATIC / "index.html").read_bytes()

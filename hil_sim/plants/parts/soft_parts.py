@@ -58,7 +58,7 @@ class SoftParts:
         self.joints = len(frequency_Hz)
         self._gap, self.duration_s = np.zeros((2, self.joints)) if gap_rad is None else gap_rad, duration_s
         self.state = np.zeros(2 * self.joints + (0 if slosh is None else 6))
-        self.stiffness_N_m_rad = self._damping = np.zeros(0)
+        self.stiffness_N_m_rad = self.damping_N_m_s_rad = np.zeros(0)
 
     def start(self, inertia: FloatArray, load_n_m: FloatArray, anchor: tuple[FloatArray, FloatArray]) -> None:
         """Set springs and state at rest.
@@ -70,7 +70,7 @@ class SoftParts:
         """
         if self.joints:
             w = 2.0 * np.pi * self._frequency
-            self.stiffness_N_m_rad, self._damping = w**2 * inertia, 2.0 * self._ratio * w * inertia
+            self.stiffness_N_m_rad, self.damping_N_m_s_rad = w**2 * inertia, 2.0 * self._ratio * w * inertia
             self.state[: self.joints] = -load_n_m / self.stiffness_N_m_rad - 0.5 * self._gap[0] * np.sign(load_n_m)
         if self.slosh is not None:
             self.state[2 * self.joints :] = np.concatenate(anchor)
@@ -106,7 +106,7 @@ class SoftParts:
         half = 0.5 * (self._gap[0] + min(1.0, time_s / self.duration_s) * (self._gap[1] - self._gap[0]))
         beyond = bend - np.clip(bend, -half, half)
         touches = (beyond != 0.0) | (half == 0.0)
-        return np.asarray(-self.stiffness_N_m_rad * beyond - self._damping * rate * touches, np.float64)
+        return np.asarray(-self.stiffness_N_m_rad * beyond - self.damping_N_m_s_rad * rate * touches, np.float64)
 
     def pull(self, state: FloatArray, anchor: tuple[FloatArray, FloatArray], *, level: bool) -> FloatArray:
         """Force of the spring on the mass, world axes, (3,)."""

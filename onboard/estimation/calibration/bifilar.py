@@ -143,11 +143,11 @@ def _fitted(
 
     def residual(x: FloatArray) -> FloatArray:
         scale = float(x[6]) if scale_sigma else 0.0
-        off = np.nan_to_num((1.0 + scale) * _swung(x, span, suspension)[:, 1] + x[5] - seen, nan=1e3)
+        off = np.nan_to_num((1.0 + scale) * swung(x, span, suspension)[:, 1] + x[5] - seen, nan=1e3)
         return np.append(off, scale * noise / scale_sigma if scale_sigma else 0.0)
 
     def slopes(x: FloatArray) -> FloatArray:
-        scale, known = (float(x[6]) if scale_sigma else 0.0), np.nan_to_num(_swung(x, span, suspension, carried=True))
+        scale, known = (float(x[6]) if scale_sigma else 0.0), np.nan_to_num(swung(x, span, suspension, carried=True))
         out = np.zeros((len(span) + 1, x.size))
         out[:-1, :5], out[:-1, 5] = (1.0 + scale) * known[:, 3::2], 1.0
         if scale_sigma:
@@ -185,7 +185,7 @@ def _fitted(
     return x, float(np.sqrt(variance * by_noise)), -left
 
 
-def _swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: bool = False) -> FloatArray:
+def swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: bool = False) -> FloatArray:
     """Angle, rate, and if ``carried`` their derivatives by ``x[:5]``, two each, at ``span`` (n,): (n, 2 or 12)."""
     m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
     inertia, viscous, quadratic, angle, rate = x[:5].tolist()

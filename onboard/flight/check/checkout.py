@@ -147,7 +147,7 @@ def _steps(
     yield _checked(bench, operator, "devices", "Nothing touches the vehicle, and it is at rest.", look)
     if not found:
         return
-    yield _pulse(vehicle, bench, found[-1])
+    yield pulse(vehicle, bench, found[-1])
     host = found[-1].host
     hours = f"room for {host.free_bytes / host.bytes_per_s / 3600.0:.1f} h" if host.bytes_per_s else ""
     yield _judged(bench, "disk", CheckResult(host.problems, hours), "")
@@ -206,7 +206,7 @@ def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Call
             return step._replace(said=rest.strip())
 
 
-def _pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> CheckoutStep:
+def pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> CheckoutStep:
     """Whether every recorder that can mark the sync pulse has."""
     line = sync_line(vehicle)
     if line is None or not line.coded:

@@ -132,7 +132,7 @@ def preflight(
     told(f"the devices run for {run_s:.2g} s")
     opened = open_devices(vehicle, clock)
     try:
-        said_by_devices = run(opened, run_s) if run else _run_in_turn(opened.devices, clock, wait, run_s)
+        said_by_devices = run(opened, run_s) if run else run_in_turn(opened.devices, clock, wait, run_s)
         batches = [*opened.problems, *said_by_devices]
     finally:
         opened.close()
@@ -190,7 +190,7 @@ def _self_test(device: SelfTesting, wait: Wait) -> tuple[str, str]:
     return f"passed, {100 * result.worst:.0f} % off", ""
 
 
-def _run_in_turn(devices: Iterable[Device], clock: Clock, wait: Wait, seconds: float) -> list[Batch]:
+def run_in_turn(devices: Iterable[Device], clock: Clock, wait: Wait, seconds: float) -> list[Batch]:
     """What the devices say in so many seconds, but for what they say when stopped."""
     running = list(devices)
     batches = [batch for device in running for batch in device.start(clock())]

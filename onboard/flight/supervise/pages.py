@@ -21,14 +21,14 @@ def give_back() -> int:
     with contextlib.suppress(OSError, AttributeError):
         madvise = ctypes.CDLL(None, use_errno=True).madvise
         madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
-        for first, last, resident in _unchanged(Path("/proc/self/smaps").read_text(encoding="ascii", errors="replace")):
+        for first, last, resident in unchanged(Path("/proc/self/smaps").read_text(encoding="ascii", errors="replace")):
             if madvise(first, last - first, _MADV_DONTNEED):
                 raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
             given += resident
     return given
 
 
-def _unchanged(smaps: str) -> Iterator[tuple[int, int, int]]:
+def unchanged(smaps: str) -> Iterator[tuple[int, int, int]]:
     """First and last address, and resident bytes, of private mappings of files that cannot be and were not written to.
 
     A library's table of relocations is read-only after it was written to: it has anonymous pages.

@@ -130,8 +130,9 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
     if log.before is not None:
         half = 1.96 * log.before.sigma
-        yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s in space, and"
-        yield "", f"came at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s to the gripper, in its axes"
+        yield "before capture", f"turned at {within_interval(log.before.rate_rad_s, half[3:])} rad/s in space, and"
+        velocity = within_interval(1e3 * log.before.velocity_m_s, 1e3 * half[:3])
+        yield "", f"came at {velocity} mm/s to the gripper, in its axes"
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
@@ -148,7 +149,8 @@ def _numbers(values: NDArray[np.float64]) -> str:
     return ", ".join(f"{value:.1f}" for value in values)
 
 
-def _within(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
+def within_interval(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
+    """Values with the half widths of their intervals, to two digits of these."""
     places = (digits(wide) for wide in half)
     return ", ".join(f"{value:.{n}f} ± {wide:.{n}f}" for value, wide, n in zip(values, half, places, strict=True))
 

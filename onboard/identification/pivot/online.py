@@ -72,12 +72,21 @@ class PivotRun(TableRun):
         """Gates new ticks, and takes them in; a fit is made where they are enough more."""
         found = super().update(signals, attached, excluded)
         if self._count < _MOST_TICKS:
-            self._ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
-            self._held.append(attached)
-            self._count += len(signals.time_s)
+            self.take(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)), attached)
             if self._count >= self._next:
                 self._fit()
         return found
+
+    def take(self, ticks: Ticks, held: BoolArray) -> None:
+        """Ticks that are gated, for the next fit."""
+        self._ticks.append(ticks)
+        self._held.append(held)
+        self._count += len(ticks.time_s)
+
+    @property
+    def taken(self) -> tuple[Ticks, BoolArray]:
+        """All ticks so far, and whether something was held at each."""
+        return Ticks.joined(self._ticks), np.concatenate(self._held)
 
     def finish(self) -> None:
         """The fit of all ticks."""
@@ -86,10 +95,11 @@ class PivotRun(TableRun):
 
     def _fit(self) -> None:
         self._next = round(_MORE * self._count)
-        self._ticks, self._held = [Ticks.joined(self._ticks)], [np.concatenate(self._held)]
+        ticks, held = self.taken
+        self._ticks, self._held = [ticks], [held]
         start = None if self.found is None else self.found.fit.x[: self.found.globals]
         try:
-            self.found, self.failure = self.model.fit(self._ticks[0], self._held[0], start), ""
+            self.found, self.failure = self.model.fit(ticks, held, start), ""
             self.rows_used = self.found.rows
         except (EstimationError, SignalError) as error:
             self.found, self.failure = None, str(error)

@@ -218,7 +218,7 @@ class TableExiddm(Exiddm):
         """
         base, mass = self._base, self.layout.estimated("payload")[0]
         coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
-        work, rows = _Work(_MOST_TICKS), 6 * int(coarse._valid.sum())
+        work, rows = Work(_MOST_TICKS), 6 * int(coarse._valid.sum())
         found = list[Searched]()
         for guess in _BODIES:
             of_drag: dict[tuple[float, float], float] = {}  # the least squares that searches from it came to
@@ -241,7 +241,7 @@ class TableExiddm(Exiddm):
         return near
 
     def _continued(
-        self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float], work: "_Work"
+        self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float], work: "Work"
     ) -> "Searched":
         """From a payload and drags that are held at first, Coulomb drag rounded less and less."""
         payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
@@ -261,7 +261,7 @@ class TableExiddm(Exiddm):
         mass_kg = self._base.vehicle.chi[::10].sum()
         return np.tile([viscous_1_s * mass_kg / pucks, coulomb_m_s2 * mass_kg / pucks], pucks)
 
-    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "_Work") -> "Searched":
+    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "Work") -> "Searched":
         """The best in a few steps, for the first ticks, with some unknowns kept as they are."""
         free = np.setdiff1d(np.arange(x.size), held)
         tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]
@@ -280,7 +280,7 @@ class TableExiddm(Exiddm):
         return Searched(whole, descent.squares)
 
 
-class _Work:
+class Work:
     """Ticks that searches may still predict."""
 
     def __init__(self, ticks: int) -> None:

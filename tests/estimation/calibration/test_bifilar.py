@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from onboard.estimation.calibration.bifilar import AxisErrors, Suspension, _swung, axis_errors, inertia_tensor, swing
+from onboard.estimation.calibration.bifilar import AxisErrors, Suspension, axis_errors, inertia_tensor, swing, swung
 from onboard.estimation.errors import CalibrationError
 
 HANGING = Suspension(23.1, 0.40, 1.80, mass_sigma_kg=0.005, spacing_sigma_m=2e-4, length_sigma_m=5e-4)
@@ -47,11 +47,11 @@ def test_inertia_within_half_a_percent_and_covered(rng):
 
 def test_the_derivatives_of_a_swing_are_its_differences():
     span, at = np.linspace(0.0, 20.0, 201), np.array([0.8, 0.003, 0.02, 0.6, 0.2])
-    found = _swung(at, span, HANGING, carried=True)
-    np.testing.assert_allclose(found[:, :2], _swung(at, span, HANGING), atol=1e-5)
+    found = swung(at, span, HANGING, carried=True)
+    np.testing.assert_allclose(found[:, :2], swung(at, span, HANGING), atol=1e-5)
     for number, step in enumerate((1e-5, 1e-5, 1e-4, 1e-5, 1e-5)):
         off = step * np.eye(5)[number]
-        wanted = (_swung(at + off, span, HANGING) - _swung(at - off, span, HANGING)) / (2.0 * step)
+        wanted = (swung(at + off, span, HANGING) - swung(at - off, span, HANGING)) / (2.0 * step)
         columns = found[:, 2 + 2 * number : 4 + 2 * number]
         np.testing.assert_allclose(columns, wanted, rtol=0.0, atol=1e-4 * np.abs(wanted).max())
 

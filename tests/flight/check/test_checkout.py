@@ -16,9 +16,9 @@ from rich.console import Console
 from onboard.cli import main
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.model.vehicle import Joint
-from onboard.flight.check.checkout import Bench, Lengths, Record, _pulse, checkout, render, write
+from onboard.flight.check.checkout import Bench, Lengths, Record, checkout, pulse, render, write
 from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
-from onboard.flight.check.preflight import _run_in_turn
+from onboard.flight.check.preflight import run_in_turn
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
@@ -53,7 +53,7 @@ def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
                 world.advance(MS)
 
         def run(opened, seconds):
-            return _run_in_turn(opened.devices, world.clock, wait, seconds)
+            return run_in_turn(opened.devices, world.clock, wait, seconds)
 
         bench = Bench(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
         return checkout(flying, None, bench, operator, Lengths(None, 1.6, 60.0))
@@ -132,10 +132,10 @@ def test_a_pulse_that_nobody_marks_fails_and_one_that_is_not_wired_is_left_out(t
 
     bench = Bench(None, None, lambda: datetime(2026, 11, 21, tzinfo=UTC), None, None)
     wired = vehicle(tmp_path, {})
-    assert _pulse(wired, bench, Looked(())).outcome == "failed"
+    assert pulse(wired, bench, Looked(())).outcome == "failed"
     text = re.sub(r"\[device\.(pulse|second|loop)\]\n(?:[^\[\n].*\n|\n)*", "", DEVICES)
     bare = vehicle(tmp_path, {}, text)
-    assert _pulse(bare, bench, Looked(()))[2:5:2] == ("left out", "none is wired")
+    assert pulse(bare, bench, Looked(()))[2:5:2] == ("left out", "none is wired")
 
 
 def test_recorded_data_have_nothing_to_check(capsys):

@@ -4,18 +4,23 @@ import numpy as np
 
 from onboard import channels
 from onboard.flight.estimate.answers import Answers
+from onboard.identification.quantities import Estimate, Findings, QuantityEstimate
 from onboard.identification.standing import LEVELS, Level
 from onboard.identification.useful import Useful
 
 
 def said(answers: Answers, supported: bool, level: Level) -> list[str]:
-    row = np.zeros(1, channels.QUANTITY)
-    row["name"], row["supported"], row["level"] = b"m_arm", supported, LEVELS.index(level)
-    return [rows["code"][0].decode() for _, rows in answers._changes(0, row)]
+    """Events of a mass by its level, and whether the data determine it."""
+    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, supported, ""), np.zeros(0)
+    estimate = Estimate((), none, none, none, none, none.astype(bool), (mass,), 10, {})
+    findings = Findings(("refused",) * (level is Level.DO_NOT_USE), ("doubted",) * (level is Level.WEAK))
+    _, rows, events = answers.rows(0, 0, estimate, findings, np.zeros((0, 0)))
+    assert rows["level"].tolist() == [LEVELS.index(level)]
+    return [rows["code"][0].decode() for _, rows in events]
 
 
 def test_an_answer_that_was_told_and_is_not_to_be_used_is_withdrawn_once() -> None:
-    answers = Answers(np.dtype([("host_ns", "i8")]), (), Useful())
+    answers = Answers(channels.estimate_dtype(0, 0), (), Useful())
     assert said(answers, False, Level.DO_NOT_USE) == []  # nothing was told yet
     assert said(answers, True, Level.GOOD) == []
     assert said(answers, False, Level.WEAK) == []  # not determined for some ticks

@@ -48,11 +48,11 @@ def answer(value: float, *, supported: bool) -> records.Rows:
 def test_warnings_errors_and_phases_are_said_and_the_rest_is_not(
     vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, said: pytest.LogCaptureFixture
 ) -> None:
-    estimation = Publisher({"event_estimation": RingWriter(tmp_path / "event_estimation.ring", records.EVENT, 50)}, "")
+    estimation = RingWriter(tmp_path / "event_estimation.ring", records.EVENT, 50)
     announcer = Announcer(vehicle, tmp_path, 0.0, None)
     for severity in Severity:
         devices.publish([event(1, severity, "code", "joint_1", f"text {severity.name}")])
-    estimation._rings["event_estimation"].push(event(1, Severity.INFO, "phase", "estimation", "phase 36").rows)
+    estimation.push(event(1, Severity.INFO, "phase", "estimation", "phase 36").rows)
     announcer.step(0.1)
     recorder = RingWriter(tmp_path / RECORDER_SAID, records.EVENT, 50)  # made after the first look
     recorder.push(event(1, Severity.ERROR, "disk_error", "recorder", "the disk refused").rows)

@@ -154,12 +154,13 @@ def test_no_trains_where_a_fault_is_to_come():
 
 
 def test_no_train_beyond_what_is_known():
-    box, node = SyncBox(RateClock(), START_NS), Encoder406(1, Swing(1.0), START_NS)
+    swing = Swing(1.0)
+    box, node = SyncBox(RateClock(), START_NS), Encoder406(1, swing, START_NS)
     made = CanRig(box, node)
     made.wire.know_ahead(lambda: START_NS + 400 * MS)
     asked = []
-    values = node._analog.values
-    node._analog.values = lambda times_s: (asked.extend(times_s.tolist()), values(times_s))[1]
+    values = swing.values
+    swing.values = lambda times_s: (asked.extend(times_s.tolist()), values(times_s))[1]
     made.run(80)
     made.wire.send(0x601, bytes.fromhex("23 00 18 01 81 01 00 80"), made.now_ns)
     made.send(0x000, 1, 0)

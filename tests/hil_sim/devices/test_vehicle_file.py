@@ -267,7 +267,7 @@ def test_a_payload_that_the_urdf_draws_is_let_go_with_all_its_mass(tmp_path):
     assert mass_kg != drawn_kg
     assert "tip_mass" not in truth["links"]
     assert truth["ejection_s"] > 0.0
-    assert plant._model.model.body("l.tip_mass").mass[0] == 0.0
+    assert plant.flight.model.body("l.tip_mass").mass[0] == 0.0
 
 
 def test_joints_imus_and_zeros_are_off_the_drawing_as_stated_or_by_a_default(tmp_path):

@@ -48,11 +48,11 @@ def test_bus_off_cuts_both_ways_and_says_so():
     assert bus.dropped == 8
     assert bus.heard[0x080] == 20
     assert link.errors == [(START_NS + 20 * MS, 0x040), (START_NS + 60 * MS, 0x100)]
-    cut, well = (can_with(*faults)[0] for faults in ((Fault("bus_off", "x", 0.0, 9.0),), ()))
-    for bus in cut, well:
-        bus._link.sent.append((0x000, b"\x01\x00"))
+    both = [can_with(*faults) for faults in ((Fault("bus_off", "x", 0.0, 9.0),), ())]
+    for bus, link in both:
+        link.sent.append((0x000, b"\x01\x00"))
         bus.advance(START_NS + 110 * MS)
-    assert well.due_ns == cut.due_ns
+    assert both[0][0].due_ns == both[1][0].due_ns
 
 
 def test_error_frames_lose_nothing():

@@ -44,9 +44,7 @@ def test_the_torques_of_servos_explain_the_motion_with_friction_and_rotors(arm) 
     model, data = arm.flight.model, mujoco.MjData(arm.flight.model)
     q, h = arm.rows_true.joints, arm.step_s
     half = np.diff(q, axis=0) / h
-    names = arm._model.joints
-    dry = np.array([arm.drives[name].coulomb_n_m for name in names])
-    viscous = np.array([arm.drives[name].viscous_n_m_s for name in names])
+    dry, viscous = np.array([(one.coulomb_n_m, one.viscous_n_m_s) for one in arm.drives.values()]).T
     model.dof_frictionloss[:] = model.dof_damping[:] = 0.0
     left = []
     for row in range(200, len(q) - 50, 500):

@@ -5,7 +5,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.model.errors import SignalError
-from onboard.ground.identify.identify_view import _within
+from onboard.ground.identify.identify_view import within_interval
 from tests.identification.exiddm.captures import LARGE, Case
 
 
@@ -45,6 +45,6 @@ def test_readings_must_be_there():
 
 
 def test_it_is_shown_to_two_digits_of_its_interval():
-    assert _within(np.array([-2.37, 8.451, 0.0123]), np.array([140.3, 0.59, 0.001])) == (
+    assert within_interval(np.array([-2.37, 8.451, 0.0123]), np.array([140.3, 0.59, 0.001])) == (
         "-2 ± 140, 8.45 ± 0.59, 0.0123 ± 0.0010"
     )

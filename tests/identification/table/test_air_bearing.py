@@ -29,7 +29,7 @@ from onboard.identification.table.air_bearing import (
     DragPrior,
     Searched,
     TableExiddm,
-    _Work,
+    Work,
     air_bearing_exiddm,
     drag_of,
 )
@@ -387,7 +387,7 @@ def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
     for puck, value in zip(range(len(PUCKS)), DRAGS, strict=True):
         x[drag[2 * puck : 2 * puck + 2]] = value.viscous_N_s_m, value.coulomb_N
     x[:3] = [0.02, -0.01, 0.05]
-    done = exiddm._held(x, held, 1e-3, len(exact(run).q), _Work(10**6))
+    done = exiddm._held(x, held, 1e-3, len(exact(run).q), Work(10**6))
     np.testing.assert_array_equal(done.x[held], x[held])
     np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)
 

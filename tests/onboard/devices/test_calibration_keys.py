@@ -8,7 +8,7 @@ from onboard import config
 from onboard.devices import si
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.signals import _values
+from onboard.flight.estimate.readings.signals import values_of
 from onboard.ground.log.tables.columns import columns
 from onboard.ground.log.tables.meaning import Meaning
 
@@ -45,7 +45,7 @@ def test_an_imu_is_corrected_on_board_and_in_tables(rng):
     )
     true, rows = imu_rows(rng, vehicle)
     signal = roles_of(vehicle).signals["imu_base"]
-    on_board, usable = _values(signal, rows)
+    on_board, usable = values_of(signal, rows)
     np.testing.assert_allclose(on_board, true, atol=2e-4)
     assert usable.all()
     shown = {c.name: c.values(rows) for c in columns(IMU, {}, rows, Meaning(frame="imu_base", signal=signal))}
@@ -53,7 +53,7 @@ def test_an_imu_is_corrected_on_board_and_in_tables(rng):
         np.testing.assert_array_equal(shown[f"gyro_imu_base_{axis}"], on_board[:, number])
         np.testing.assert_array_equal(shown[f"accel_imu_base_{axis}"], on_board[:, 3 + number])
     assert roles_of(vehicle).signals["imu_2"].corrections == ()
-    plain, _ = _values(roles_of(vehicle).signals["imu_2"], rows)
+    plain, _ = values_of(roles_of(vehicle).signals["imu_2"], rows)
     assert np.abs(plain - true).max() > 0.1
 
 
@@ -61,13 +61,13 @@ def test_a_cell_and_a_joint_are_corrected_and_judged_by_what_they_read():
     vehicle = with_keys("device.load_cell", "gain = 1.25\noffset_N = 0.5\n")
     rows = np.zeros(3, SCALAR)
     rows["value_raw"], rows["scale"], rows["unit"] = [500, 3000, 51_000], 1e-3, b"N"
-    values, usable = _values(roles_of(vehicle).signals["load_cell"], rows)
+    values, usable = values_of(roles_of(vehicle).signals["load_cell"], rows)
     np.testing.assert_allclose(values[:, 0], [0.0, 2.0, 40.4])
     assert usable.tolist() == [True, True, False]  # 51 N is read where the capacity is 50 N
     np.testing.assert_allclose(si.scalar(rows, roles_of(vehicle).signals["load_cell"]), values[:, 0])
     joint = with_keys("device.joint_2", "gain = -1.01\n")
     rows["value_raw"], rows["scale"], rows["unit"] = [1_000_000, 1_000_101, 999_899], 1e-3, b"rad"
-    values, _ = _values(roles_of(joint).signals["joint_2"], rows)
+    values, _ = values_of(roles_of(joint).signals["joint_2"], rows)
     np.testing.assert_allclose(values[:, 0], [0.0, -0.1, 0.1], atol=1e-12)
 
 

@@ -96,7 +96,7 @@ class SignalSmoother:
                 if not signal.absolute:
                     self._zero_lost.add(name)
             rows = arrived[restarts[-1] :] if len(restarts) else arrived
-            values, usable = _values(signal, rows)
+            values, usable = values_of(signal, rows)
             if signal.is_pose:  # one that repeats is not usable already
                 history.append(rows, self._continued(name, values, usable), reasons(~usable, GateReason.SATURATED))
                 continue
@@ -375,7 +375,7 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
     return rate if np.isfinite(rate).all() else np.nan_to_num(rate)
 
 
-def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
+def values_of(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
     """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
     usable = si.usable(rows)
     if signal.is_pose:

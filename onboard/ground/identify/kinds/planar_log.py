@@ -38,7 +38,7 @@ from onboard.regressor.signals import Signals
 _UNDERWAY_m_s = 0.5  # sigma of the velocity at any time but the start
 
 
-class _Recorder(TableRun):
+class Recorder(TableRun):
     """The onboard part; also keeps its ticks, without joints outside identification phases."""
 
     def __init__(self, payload: str, joints: int) -> None:
@@ -47,6 +47,7 @@ class _Recorder(TableRun):
         self._told: list[BoolArray] = [np.zeros(0, np.bool_)]
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """See :class:`TableRun`."""
         found = super().update(signals, attached, excluded)
         told = attached & ((excluded & GateReason.PHASE) == 0)
         self._told.append(told)
@@ -74,7 +75,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     _, model = build_planar(vehicle)
     at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
-    recorder = _Recorder(payload, len(model.joints))
+    recorder = Recorder(payload, len(model.joints))
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     period_s, samples, frame = (

@@ -216,10 +216,10 @@ def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int],
     for channel_rows, channel in ((rows.waiting(name), channel) for name, channel in channels.items()):
         channel.add(channel_rows)
         channel.end(times_ns[0])
-    return _judged(channels, elsewhere(log.metadata), short, log.damage)
+    return judged(channels, elsewhere(log.metadata), short, log.damage)
 
 
-def _judged(
+def judged(
     channels: Mapping[str, Comparison], elsewhere: tuple[str, ...], short: str, damage: tuple[object, ...]
 ) -> Replay:
     """What the comparison of all channels comes to; ``short`` is input that the log lacks."""

@@ -105,12 +105,13 @@ def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> Comp
     names = dict.fromkeys(name for one in answers for name, row in one.items() if row["supported"])
     if not names:
         raise ValueError("none of the logs answers anything; identify from them with heft identify")
-    quantities = [_compared(name, answers) for name in names]
+    quantities = [compared_quantity(name, answers) for name in names]
     with_unit = tuple(one for one in quantities if one.unit)
     return Comparison(flights, with_unit or tuple(quantities))
 
 
-def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> ComparedQuantity:
+def compared_quantity(name: str, answers: Sequence[dict[str, np.void]]) -> ComparedQuantity:
+    """One quantity by the last answers of each log, and whether they agree."""
     rows = [one.get(name) for one in answers]
     known = [row is not None and bool(row["supported"]) and row["sigma"] > 0 for row in rows]
     value = np.array(

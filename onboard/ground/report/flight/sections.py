@@ -56,7 +56,7 @@ def _sections(flight: FlightData, draw: Gallery) -> Iterator[tuple[str, str]]:
     yield "Accelerations and rates", _imus(flight, draw)
     yield "Spectra", instruments.spectra_section(flight, draw)
     yield "Arm", arm.section(flight, draw)
-    yield "Base rate", _base_rate(flight, draw)
+    yield "Base rate", base_rate_section(flight, draw)
     yield "Torque and acceleration", _torques(flight, draw)
     yield "Sweep by sweep", by_sweep(flight, draw, truths)
     yield (
@@ -201,7 +201,8 @@ def _imus(flight: FlightData, draw: Gallery) -> str:
     return body
 
 
-def _base_rate(flight: FlightData, draw: Gallery) -> str:
+def base_rate_section(flight: FlightData, draw: Gallery) -> str:
+    """The measured rate of a free base and the predicted one; empty where it cannot be predicted."""
     found = base_rate(flight)
     if found is None:
         return ""

@@ -213,7 +213,7 @@ class WindowSolve:
             return
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
         self._checked = False  # whether the iteration moved what the ticks do not tell
-        self._problem: _Problem = self._problem_of(self._hypothesis)
+        self._problem: Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
         self._stopped_at: Fit | None = None  # short of a minimum, where no guess leads to one
         if self._given is None:
@@ -222,7 +222,7 @@ class WindowSolve:
         else:
             self._settle(self._given)
 
-    def _problem_of(self, hypothesis: Hypothesis) -> "_Problem":
+    def _problem_of(self, hypothesis: Hypothesis) -> "Problem":
         (mean, covariance), p = self._predictor.anew(*self._prior), len(self._prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
@@ -235,7 +235,7 @@ class WindowSolve:
             mean[PAYLOAD] = 0.0
         if hypothesis is Hypothesis.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
-        return _Problem(mean, information, active)
+        return Problem(mean, information, active)
 
     def _next_guess(self) -> None:
         """Fit from the next guess, stopping at a good fit; settle on the best one."""
@@ -383,7 +383,9 @@ class WindowSolve:
         yield from (standard_of(guess) for guess in guesses(rough))
 
 
-class _Problem(NamedTuple):
+class Problem(NamedTuple):
+    """A prior, and the parameters that a solve estimates."""
+
     mean: FloatArray  # (p,)
     information: FloatArray  # (p, p)
     active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean

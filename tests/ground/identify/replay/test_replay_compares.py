@@ -8,7 +8,7 @@ from onboard.channels import QUANTITY
 from onboard.flight.store.flight_log import computed_on
 from onboard.ground.identify.replay import comparison
 from onboard.ground.identify.replay.comparison import Comparison
-from onboard.ground.identify.replay.replay import _judged, elsewhere
+from onboard.ground.identify.replay.replay import elsewhere, judged
 
 
 def rows(first, count, wrong_at=None):
@@ -101,7 +101,7 @@ def replayed_answers(value, metadata):
     said = Comparison(QUANTITY)
     said.add(recorded, [replayed])
     said.end(0)
-    return _judged({"quantity": said}, elsewhere(metadata), "", ())
+    return judged({"quantity": said}, elsewhere(metadata), "", ())
 
 
 def test_rounding_is_allowed_for_where_the_log_was_computed_elsewhere_and_only_there():

@@ -7,7 +7,7 @@ import pytest
 
 from onboard import cli
 from onboard.channels import QUANTITY
-from onboard.ground.log.views.compare import _compared, compare
+from onboard.ground.log.views.compare import compare, compared_quantity
 from onboard.recording.reader import LogReader
 from tests.recording.logs import make_log
 
@@ -49,7 +49,7 @@ def test_the_trend_s_interval_covers(rng):
         sigma = rng.uniform(0.05, 0.3, 5)
         x = 2.0 + 0.1 * at + sigma * rng.standard_normal(5)
         flights = [{"mass": np.array([(v, s, 1, b"kg")], kind)[0]} for v, s in zip(x, sigma, strict=True)]
-        slope, own = _compared("mass", flights).trend
+        slope, own = compared_quantity("mass", flights).trend
         design = np.column_stack([np.ones(5), at]) / sigma[:, None]
         reference = np.linalg.inv(design.T @ design)
         assert own == pytest.approx(np.sqrt(reference[1, 1]))

@@ -10,7 +10,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RAT
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
 from onboard.identification.exiddm.recursion.pieces import Pieces
-from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve, _Problem
+from onboard.identification.exiddm.recursion.window import Hypothesis, Problem, Solved, WindowSolve
 from onboard.identification.exiddm.steps import Steps
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
@@ -98,7 +98,7 @@ def test_what_the_ticks_do_not_tell_goes_back_to_its_prior_mean():
     """A joint's place and the place of what hangs on it, by which the same ticks are explained."""
     stated = np.diag([1.0, 1e-4, 4.0])
     told = 1e6 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    problem = _Problem(np.array([0.0, 0.0, 7.0, 0.5]), np.diag([1.0, 1e-4, 0.0, 4.0]), np.array([0, 1, 3]))
+    problem = Problem(np.array([0.0, 0.0, 7.0, 0.5]), np.diag([1.0, 1e-4, 0.0, 4.0]), np.array([0, 1, 3]))
     near = problem.as_stated(np.array([-1.3, 2.3, 0.9]), told)
     assert near[0] == pytest.approx(0.0, abs=1e-3)
     assert near[0] + near[1] == pytest.approx(1.0, abs=1e-3)
