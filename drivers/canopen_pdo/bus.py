@@ -186,8 +186,7 @@ class CanopenBus:
                 break
         self._port.mute()
         for _ in range(DRAINS):
-            frames = self._receive(DRAIN_S)
-            if not frames:
+            if not (frames := self._receive(DRAIN_S)):
                 break
             self._dispatch(frames)
         last = self._lost_at_the_end(now_ns, last)
@@ -352,8 +351,7 @@ class CanopenBus:
         if self._sync.silence(frames[-1].host_ns) <= STALLED:
             return frames
         for _ in range(0 if all_read else MOST_RECEIVES):
-            more = self._port.receive(0.0)
-            if not more:
+            if not (more := self._port.receive(0.0)):
                 break
             frames += more
         syncs = [host_ns for host_ns, identifier, _, is_error in frames if identifier == frame.SYNC and not is_error]

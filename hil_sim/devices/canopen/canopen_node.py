@@ -37,6 +37,7 @@ OPERATIONAL = 0x05
 PRE_OPERATIONAL = 0x7F
 OFF = -1
 _DEAF = (OFF, BOOTING)
+_FAULTS = (FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.GARBAGE, FaultKind.SLOW)
 
 
 class CanopenNode:
@@ -72,15 +73,7 @@ class CanopenNode:
         self.dictionary = ObjectDictionary()
         self.uploads: Counter[tuple[int, int]] = Counter()  # SDO reads answered, by object
         self.emergencies = 0  # messages sent
-        self._faults = faults.require(
-            FaultKind.OFF,
-            FaultKind.RESET,
-            FaultKind.SILENT,
-            FaultKind.INTERMITTENT,
-            FaultKind.GARBAGE,
-            FaultKind.SLOW,
-            *extra_faults,
-        )
+        self._faults = faults.require(*_FAULTS, *extra_faults)
         self._is_faulty = bool(faults)  # at any time
         self._rng = faults.rng()
         self._start_ns = start_ns

@@ -15,10 +15,9 @@ from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.replay.smoothing_choice import FEWEST_SAMPLES, narrowest, with_settings
 from onboard.recording.reader import LogReader
 
-_NARROWER_ms, _WIDER_ms = (
-    (400.0, 200.0, 100.0),
-    (800.0,),
-)  # each way until the error grows: a fit of noise takes minutes
+# Widths are tried in each order until the error grows: a fit of noise takes minutes.
+_NARROWER_ms = (400.0, 200.0, 100.0)
+_WIDER_ms = (800.0,)
 
 
 def with_chosen_width(
