@@ -13,7 +13,11 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
+from onboard.page.web import Source
+from tests.page.served import served
+
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CARD = "document.querySelector('.answer[data-name=\"m_payload\"]')"
 _START_S = 90.0
 _COMPLAINTS = ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded")
 
@@ -110,3 +114,11 @@ def browser(profile: Path) -> Iterator[Tab]:
                 yield Tab(socket)
         finally:
             running.terminate()
+
+
+@contextmanager
+def opened(tab: Tab, source: Source, plan: Any = None) -> Iterator[None]:
+    """The page of a source, open in the tab."""
+    with served(source, plan=plan) as one:
+        tab.open(f"http://127.0.0.1:{one.port}/")
+        yield

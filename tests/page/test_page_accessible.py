@@ -9,8 +9,7 @@ import pytest
 
 from onboard.page.recorded import Recorded
 from onboard.recording.reader import LogReader
-from tests.page.browser import Tab
-from tests.page.served import served
+from tests.page.browser import Tab, opened
 
 pytestmark = pytest.mark.realtime
 AXE = find_spec("axe_core_python")
@@ -20,8 +19,7 @@ SCREENS = [(*size, scheme) for size in ((1280, 800), (390, 844)) for scheme in (
 @pytest.fixture
 def page(tab: Tab, made_log: Path) -> Iterator[Tab]:
     """A log's last frame, everything unfolded."""
-    with served(Recorded(LogReader(made_log))) as one:
-        tab.open(f"http://127.0.0.1:{one.port}/")
+    with opened(tab, Recorded(LogReader(made_log))):
         tab.wait("document.querySelector('.answer[data-name]') !== null")
         tab.run("document.querySelectorAll('details').forEach(one => { one.open = true; })")
         yield tab
