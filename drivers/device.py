@@ -37,7 +37,7 @@ class Device(Protocol):
 
 @runtime_checkable
 class Rests(Protocol):
-    """A device that knows until when it neither sends nor says anything of its own accord."""
+    """A device that knows until when it will neither send a frame nor emit an event by itself."""
 
     @property
     def name(self) -> str:

@@ -105,7 +105,7 @@ class PulseOutputPort(Protocol):
 
 
 class SerialAdapter(NamedTuple):
-    """A serial port that is there: a bus URL with a usual speed, and what the adapter says that it is."""
+    """A serial port that exists: a bus URL with a usual speed, and the name that the adapter reports."""
 
     url: str
     what: str

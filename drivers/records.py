@@ -62,7 +62,7 @@ POSE = np.dtype(  # of a frame M of the vehicle in the tracker's frame L; number
         ("tick", "<u8"),  # us of the tracker's clock
         ("position_m", "<f4", (3,)),  # of M's origin in L
         ("quaternion", "<f4", (4,)),  # w, x, y, z: v_L = q v_M q*
-        ("covariance", "<f4", (21,)),  # the tracker's own, m^2, m rad, rad^2: upper triangle by rows; NaN: not told
+        ("covariance", "<f4", (21,)),  # the tracker's own, m^2, m rad, rad^2: upper triangle by rows; NaN: not given
         ("link_sequence", "u1"),  # the message's own number
         ("status", "u1"),  # SampleStatus
     ],
@@ -142,7 +142,7 @@ def gap(
 ) -> Batch:
     """A GAP row as a batch of the channel ``gap``: samples ``first_missing..last_missing`` of ``channel`` are lost.
 
-    ``counted``: a counter of the device or of a queue says how many they are; else they are about as many.
+    ``counted``: the number is from a counter of the device or of a queue; else it is estimated.
     """
     row = np.zeros(1, GAP)
     row[0] = (0, now_ns, first_missing, last_missing, duration_ns, channel.encode(), cause.encode(), counted)

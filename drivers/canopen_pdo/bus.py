@@ -276,7 +276,7 @@ class CanopenBus:
                 route(host_ns, data)
 
     def _is_even(self, host_ns: int) -> bool:
-        """Whether nothing of the SYNCs before is to be told or made good."""
+        """Whether no event and no correction of the SYNCs before is pending."""
         is_told = not (self._sync_missed or self._bad_syncs) and self._sync_sent_ns is None
         return is_told and host_ns >= self._stood_to_ns + STOOD_NS
 

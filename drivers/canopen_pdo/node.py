@@ -166,7 +166,7 @@ class Node:
             self._start(host_ns)
 
     def only_lives(self, data: bytes) -> bool:
-        """Whether this heartbeat says no more than that the node goes on as it did."""
+        """Whether this heartbeat only confirms the present state of the node."""
         return self._state is _State.RUNNING and self._guarded_by is None and data == _GOES_ON
 
     def on_emergency(self, host_ns: int, data: bytes) -> None:

@@ -59,7 +59,7 @@ class As5600Config:
 
 
 class Reading(NamedTuple):
-    """What one transfer told."""
+    """Content of one transfer."""
 
     counts: int  # 0..4095
     status: int  # STATUS
@@ -155,7 +155,7 @@ class As5600(I2cSensor):
         self._last_ns = now_ns
 
     def _magnet(self, now_ns: int, status: int) -> bool:
-        """Whether the magnet is at fault; told when that changes."""
+        """Whether the magnet is at fault; an event is emitted when that changes."""
         seen = (not status & DETECTED, bool(status & WEAK), bool(status & STRONG))
         code, text = next((said for said, wrong in zip(FAULTS, seen, strict=True) if wrong), ("", ""))
         if code and code != self._magnet_fault:

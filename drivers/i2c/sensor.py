@@ -85,7 +85,7 @@ class I2cSensor(ABC):
 
     @abstractmethod
     def _begin(self, now_ns: int, anew: bool) -> str:
-        """Samples are taken from now on; ``anew``: it was set up again. Returns what is said of it."""
+        """Samples are taken from now on; ``anew``: it was set up again. Returns the text of the event."""
 
     @abstractmethod
     def _take(self, now_ns: int) -> None:

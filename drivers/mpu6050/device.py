@@ -151,7 +151,7 @@ class Mpu6050:
         return self._report.take()
 
     def rests_until(self, now_ns: int) -> int:
-        """See ``drivers.device.Rests``: samples wait in the FIFO, where marks and not arrivals tell their time."""
+        """See ``drivers.device.Rests``: samples may wait in the FIFO: marks and not arrivals give their times."""
         rests = self._state is _State.RUNNING and self._stream.marks > MARKED
         return now_ns + self._source.rests_ns if rests else now_ns
 

@@ -196,7 +196,7 @@ class FrameStream:
             if SHORTEST_PAYLOAD < size < FULL_BLOCK:
                 plain = bytearray(frame)
                 at = 0
-                while at < size:  # each code says where the next zero was
+                while at < size:  # each code is the distance to the next zero
                     code = plain[at]
                     plain[at] = 0
                     at += code

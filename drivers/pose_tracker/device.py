@@ -87,7 +87,7 @@ class PoseTracker(SerialDevice):
         return [row]
 
     def _lost(self, host_ns: int, lost: int, since_us: int) -> None:
-        """Record lost messages: counted where they are just what the time says, and nothing but poses comes."""
+        """Record lost messages: as counted if their number agrees with the time and only poses are received."""
         if not lost:
             self._learn(since_us)
             return

@@ -150,7 +150,7 @@ class Qsb(SerialDevice):
         self._command(setup_commands(self.config, clear_timestamp=not runs_on))
 
     def rests_until(self, now_ns: int) -> int:
-        """See ``drivers.device.Rests``: lines wait in the port, where marks and not arrivals tell their time."""
+        """See ``drivers.device.Rests``: lines may wait in the port: marks and not arrivals give their times."""
         is_streaming = self._running and self._link.is_open and not (self._todo or self._broken)
         return now_ns + LONGEST_REST_NS if is_streaming and self._marks > MARKED else now_ns
 

@@ -29,7 +29,7 @@ class SyncPulse:
 
     ``sequence`` follows the line's own number, so edges dropped by the kernel appear as a jump and a GAP row with cause
     ``edge_lost``. A line number that goes back means that the line was requested again: an event, and a GAP row with
-    cause ``line_lost`` of about as many edges as the mean interval says.
+    cause ``line_lost`` whose number of edges is estimated from the mean interval.
     """
 
     def __init__(self, name: str, port: PulsePort) -> None:
@@ -109,7 +109,7 @@ class SyncPulse:
         return self._sequence - 1
 
     def _restarted(self, last: Edge, edge: Edge) -> None:
-        """Record the edges that came, as far as the mean interval tells, while the line was not there."""
+        """Record a gap of the edges while the line was not there, their number by the mean interval."""
         if self._first is not None and self._intervals:
             self._mean_ns = (last.edge_ns - self._first.edge_ns) / self._intervals
         self._first, self._intervals = None, 0

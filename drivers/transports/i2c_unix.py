@@ -78,7 +78,7 @@ class UnixI2cPort:
 
 
 def _receive(connection: socket.socket, asked: int) -> bytes:
-    """One reply, mostly at once: its head tells whether it is as long as was ``asked``."""
+    """One reply, mostly in one read; its head has the length of what follows, at most ``asked``."""
     data, size = b"", _REPLY.size
     while len(data) < size:
         piece = connection.recv(_REPLY.size + asked)

@@ -168,7 +168,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
 
 
 def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
-    """The URDF, and what the vehicle file says of its links and joints."""
+    """The URDF, and the vehicle file's entries for its links and joints."""
     told, label = vehicle.file.vehicle, str(vehicle.urdf_path)
     flies = not all(device.kind.startswith("recorded_") for device in vehicle.file.device.values())
     try:

@@ -210,7 +210,7 @@ def joint_ranges(urdf: str) -> dict[str, Range]:
 
 
 def _range(drive: Drive, joint: str, ranges: dict[str, Range]) -> Range:
-    """The URDF's, less the margin, and not faster than told."""
+    """Range of the URDF less the margin; its speed at most ``[drive] rate_rad_s``."""
     if joint not in ranges:
         raise ConfigError(
             f"the URDF gives {joint!r} no range (a revolute joint with <limit>): a driven joint needs a range"

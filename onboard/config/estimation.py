@@ -146,8 +146,8 @@ class Masses(Section):
 class ImuPriorKeys(Section):
     """Prior on errors of the base IMU and of its place in the drawing: standard deviations per axis; zero: exact.
 
-    Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
-    Silent cross-axis keys are the smaller of scale and misalignment, which the same calibration tells: ``cross_axis``.
+    Older files use ``doubt`` and ``turn`` for ``imu_prior`` and ``misalignment``. ``cross_axis`` keys that are not
+    given are the smaller of scale and misalignment, which come from the same calibration.
     """
 
     gyro_bias_rad_s: NotNegative = 0.0
@@ -249,7 +249,7 @@ class Estimation(Section):
     ``row_noise``: "white" counts all noise of a row as white; "by_frequency" filters the rows of a base that is not
     free, so that what differentiated encoders add at high frequencies does not hide slow motion.
     ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
-    ``zero_force_sigma_m_s2``: constant error of the specific force, what zeroing leaves of it; estimated if given.
+    ``zero_force_sigma_m_s2``: constant error of the specific force after zeroing; estimated if given.
     ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
     and ``Fc_`` of its own.
     ``carried``: warm start from an earlier flight with the same payload.

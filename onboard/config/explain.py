@@ -1,4 +1,4 @@
-"""What pydantic found wrong in a file, in words of a file's writer: place, key, remedy, the nearest known name."""
+"""Pydantic's errors as messages for the author of a file: place, key, remedy, the nearest known name."""
 
 import difflib
 import json
@@ -56,7 +56,7 @@ def explained(
     found = [(_place([str(part) for part in one["loc"]], tree), one) for one in told]
     for where, one in found[:_MOST_TOLD]:
         if one["type"] == "too_short" and any(where == other[: len(where)] != other for other, _ in found):
-            continue  # what is left of a list without those that are wrong
+            continue  # the list is too short only without its wrong items
         tag = [one["ctx"]["discriminator"].strip("'")] if one["type"].startswith("union_tag") else []
         full = [*under, *where, *tag]
         yield f"{_origin(origins, full).place(full)}: {_explain('.'.join(full), where, tree, one, model)}"
@@ -65,7 +65,7 @@ def explained(
 
 
 def _origin(origins: Sequence[Origin], where: list[str]) -> Origin:
-    """The last file that says most of a place."""
+    """The last of the files that contain the longest part of a place."""
     return max(reversed(origins), key=lambda origin: _depth(origin, where))
 
 
@@ -153,7 +153,7 @@ def _field(model: type[BaseModel], key: str) -> FieldInfo:
 
 
 def _of_items(annotation: Any) -> Any:
-    """What an annotation says of the values of a dict, the items of a tuple."""
+    """Annotation of the values of a dict or the items of a tuple."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     for one in get_args(annotation) if get_origin(annotation) in UNIONS else [annotation]:

@@ -1,4 +1,4 @@
-"""File of motion segments that a flight may ask for: the motions, and what each tells, computed beforehand.
+"""File of motion segments that a flight may request: the motions, and the information of each, computed beforehand.
 
 Each segment begins and ends at rest in one posture. What it tells is kept for several payload masses, as rows of
 whitened derivatives of the instruments' readings by all unknowns of the estimator, reduced to those that say more than
@@ -54,7 +54,7 @@ class Library:
     ticks_hz: float  # at which readings are predicted, for another linearisation
     sigma: FloatArray  # (k, n - 2, lines) noise of the readings at these ticks
     cyclic: FloatArray  # (k, n, 3, c) functions of the joints' cyclic errors
-    base_rate: FloatArray  # (k, m) rad/s, largest of the base, its own motion aside
+    base_rate: FloatArray  # (k, m) rad/s, largest of the base, apart from its motion before
     excess: FloatArray  # (k, m) over the limits but that of the base's rate: positive where one is broken
     breaks: tuple[tuple[str, ...], ...]  # (k, m) the limit that is nearest
     most: float  # rad/s, limit of the base's rate; inf: none

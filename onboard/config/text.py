@@ -62,7 +62,7 @@ def read_urdf(path: Path) -> str:
             raise ConfigError(f"{path}:{parser.CurrentLineNumber}: {what}")
 
     parser.StartElementHandler = start
-    with contextlib.suppress(expat.ExpatError):  # told by who reads more of it
+    with contextlib.suppress(expat.ExpatError):  # reported by the full reader
         parser.Parse(text, True)
     return text
 
@@ -87,7 +87,7 @@ def tree_of(text: str, label: str) -> dict[str, Any]:
 
 
 def laid_over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
-    """``tree`` with what ``other`` says in its place, table by table."""
+    """``tree`` with its values replaced by those of ``other``, table by table."""
     made = dict(tree)
     for key, value in other.items():
         both = isinstance(value, dict) and isinstance(tree.get(key), dict)

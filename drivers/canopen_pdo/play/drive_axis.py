@@ -1,4 +1,4 @@
-"""One CiA 402 drive that is given set points: its set-up, what it says, and the frames that command it.
+"""One CiA 402 drive that is given set points: its set-up, its answers, and the frames that command it.
 
 Set-up writes and reads back: software position limits 607Dh, following error window 6065h and time 6066h, quick stop
 605Ah and 6085h, fault reaction 605Eh, what a lost master means (6007h: quick stop, 1016h: our heartbeat), the profile
@@ -105,7 +105,7 @@ class DriveAxis:
         mode_shown: Mode of operation that is in force.
         position: Counts, within 32 bits.
         failed: Error code of its last EMCY since it was started; 0 for none.
-        rated_torque_mNm: Of its motor, as it says itself (6076h); 0 before it is set up in mode 10.
+        rated_torque_mNm: Of its motor, by its object 6076h; 0 before it is set up in mode 10.
         resets: How often it had to be set up again.
     """
 
@@ -139,7 +139,7 @@ class DriveAxis:
 
     @property
     def cob_ids(self) -> tuple[int, ...]:
-        """TPDOs that tell position and status."""
+        """TPDOs with position and status."""
         return tuple(self._places)
 
     @property
@@ -160,7 +160,7 @@ class DriveAxis:
         """Whether it follows set points."""
         return self.state == ENABLED
 
-    # What it says
+    # Received
 
     def on_tpdo(self, cob_id: int, host_ns: int, data: bytes) -> None:
         """A TPDO of it came; one of wrong length is reported by its channel."""
@@ -228,7 +228,7 @@ class DriveAxis:
             return ""
         return f"moves at {360.0 * rate / self.config.drive.counts_per_revolution:.1f} deg/s, faster than its limit"
 
-    # What it is told
+    # Sent
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send a frame and keep it as a row."""
@@ -311,7 +311,7 @@ class DriveAxis:
         return objects
 
     def _check_units(self) -> Setup:
-        """Counts a revolution as the drive has them, where it tells them."""
+        """Check the drive's counts a revolution against the configuration, if it has the objects."""
         encoder = yield from _ratio(0x608F)
         gear = yield from _ratio(0x6091)
         feed = yield from _ratio(0x6092)

@@ -41,7 +41,7 @@ DRIVING: Final = (State.ENABLING, State.PLAYING, State.HOLDING)
 
 
 class MasterConfig(Protocol):
-    """What every master is told."""
+    """Configuration that all masters have in common."""
 
     @property
     def axes(self) -> tuple[AxisConfig, ...]:

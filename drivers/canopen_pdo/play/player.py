@@ -158,7 +158,7 @@ class Player(DriveMaster):
         self._aimed.append((tick, targets))
 
     def _way_point(self, tick: int) -> None:
-        """Mode 1: bit 4 tells that the target is new, bit 12 answers."""
+        """Mode 1: bit 4 marks a new target, bit 12 acknowledges it."""
         if self._waiting_ns is not None:
             if all((axis.status or 0) & drive_axis.ACKNOWLEDGE for axis in self.axes):
                 self._waiting_ns = None

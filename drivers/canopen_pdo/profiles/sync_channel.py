@@ -100,7 +100,7 @@ class SyncChannel(PdoChannel):
         """Close SYNC ``tick``, whose answer is held, and those after it, which have one answer each.
 
         Args:
-            tick: As it says; ``awaits_sync`` of it.
+            tick: Number of the SYNC; ``awaits_sync`` is true of it.
             syncs_ns: When it arrived, and those after it, and that which closes the last of them.
             answers: To those after it.
         """

@@ -18,10 +18,10 @@ from drivers.transports.url import BusUrl
 
 @runtime_checkable
 class HasFrames(Protocol):
-    """A bus that has stamped frames, and need not make messages of them: a simulator's."""
+    """A bus that returns stamped frames without making messages of them: a simulator's."""
 
     def frames(self) -> list[CanFrame] | None:
-        """All that waits; None where it takes messages to tell. Raises ``can.CanError``."""
+        """All waiting frames; None where they must be read as messages. Raises ``can.CanError``."""
 
 
 def queue(bus: can.BusABC, message: can.Message) -> None:

@@ -192,10 +192,10 @@ class SlcanPort:
         ]
 
     def _read(self) -> bytes:
-        """What waits. pyserial asks first, at three times the cost; it is asked where nothing waits: is the tty there?
+        """Waiting bytes, by one system call; where there are none, by pyserial, which checks that the tty is there.
 
         Raises:
-            OSError: It is not.
+            OSError: The tty is gone.
         """
         if self._descriptor is not None:
             with contextlib.suppress(OSError):

@@ -1,11 +1,11 @@
-"""Asks for the next motion segment while the intervals are wider than wanted, and says when it is enough or hopeless.
+"""Requests motion segments while intervals are wider than wanted; reports when the goal is met or cannot be reached.
 
-Made from what the estimator knows at its steps and from nothing else, so that a replay asks for the same. A segment is
-asked for when the arm rests in the posture of all segments. Allowed are those that keep the limits with every payload
-that the mass's interval leaves: before anything is known all masses of the library, so that the first motions are
-small. A payload that was caught at rest shows when the arm moves: where the flight began with nothing held and nothing
-was released, such a small motion is asked for from time to time. Where the motions that are allowed tell nothing more,
-the event says which motion would, and which limit forbids it, or which tolerances are left.
+Decisions use only the estimator's state at its steps, so that a replay requests the same segments. A segment is
+requested when the arm rests in the posture common to all segments. A segment is allowed if it keeps the limits with
+every payload mass in the present interval: at first all masses of the library, so that the first motions are small. A
+payload caught at rest becomes visible when the arm moves: if the flight began with nothing held and nothing was
+released, a small motion is requested from time to time. If the allowed motions add no information, the event names the
+motion that would and the limit that forbids it, or the tolerances that remain.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ class _Known(NamedTuple):
 
 
 class Asking:
-    """Of one flight.
+    """Requests of one flight.
 
     Args:
         vehicle: with ``[mission]``.
@@ -88,7 +88,7 @@ class Asking:
         identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
         self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
         self._motions = [_motion(library, k) for k in range(len(library.names))]
-        self._own: list[FloatArray | None] = [None] * len(library.names)  # roots about what is known
+        self._own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
         self._turn = 0  # segment that is linearised next
         self._ratios: list[float] = []  # at each request
         self._number = self._since_change = self._met = self._unmoved = 0
@@ -143,13 +143,13 @@ class Asking:
         return self._ask(now_ns, time_s, known, now, solved=solved) if rests else []
 
     def _wait(self, now_ns: int) -> list[Batch]:
-        """Nothing is held: an event, where segments were asked for until now."""
+        """Nothing is held: an event if segments were requested until now."""
         asked, self._asks = self._asks, False
         text = f"{self._text}: nothing is held; asks again, with small motions first, when something is"
         return [event(now_ns, Severity.INFO, "goal_waits", "estimation", text)] if asked else []
 
     def _probe(self, now_ns: int, time_s: float, known: _Known, *, ready: bool) -> list[Batch]:
-        """Nothing is known to be held: a small motion, where the arm has rested for long enough."""
+        """Nothing is known to be held: request a small motion if the arm has rested for long enough."""
         self._idle_s = time_s if self._idle_s is None or not ready else self._idle_s
         waited_s = time_s - max(self._idle_s, self._until_s)
         if not ready or self._over or not self.probe_s or waited_s < self.probe_s:
@@ -161,18 +161,18 @@ class Asking:
         return self._ask(now_ns, time_s, known, known.asked.ratio(known.covariance[PAYLOAD, PAYLOAD]), solved=False)
 
     def _linearise(self, exiddm: RecursiveExiddm) -> None:
-        """What the next segment in turn tells, about what is known now; one a step."""
+        """Linearise the next segment in turn about the present estimate; one segment a step."""
         if exiddm.state is None or not exiddm.holds or not exiddm.state[PAYLOAD][0] > 0.0:
             return
         k, self._turn = self._turn, (self._turn + 1) % len(self._own)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is no motion is not taken
+        with np.errstate(over="ignore", invalid="ignore"):  # a state that is no motion is not used
             now = self._predictor.predict(*self._motions[k], exiddm.state, self.library.cyclic[k])
         if now.moderate:
             whitened = now.jacobian / self.library.sigma[k][:, :, None]
             self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
 
     def _stuck(self, held_s: float, time_s: float, *, rests: bool) -> str:
-        """Why nothing more is asked for, whatever is known; empty where that is not so."""
+        """Reason why no segment is requested any more, whatever the estimate; empty if there is none."""
         if held_s > self._give_up_s:
             return f"{self._give_up_s:g} s are over (give_up_s)"
         if not rests:
@@ -266,7 +266,7 @@ class Asking:
         return self._say(now_ns, time_s, Act.SEGMENT, name, now, expected, text)
 
     def _hopeless(self, known: _Known, roots: list[FloatArray], allowed: IndexArray, between: slice) -> str:
-        """Why the allowed segments will never do; empty where they may."""
+        """Reason why the allowed segments cannot reach the goal; empty if they may."""
         library = self.library
         left = in_the_end(known.covariance, roots, allowed)
         ratio = known.asked.ratio(known.widened * left[PAYLOAD, PAYLOAD])

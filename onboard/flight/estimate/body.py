@@ -44,7 +44,7 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
     Args:
         vehicle: its file.
         model: under it.
-        valves: by thruster, what they were told to do.
+        valves: commanded state by thruster.
 
     Raises:
         SignalError: there are joints, or a thruster that does not push along the table.

@@ -98,7 +98,7 @@ class EstimationWorker:
         self._kept = {channel for name in kept for channel in estimator.vehicle.file.device[name].channels(name)}
 
     def step(self, now_ns: int) -> None:
-        """Consume what the devices have said since the last step, the oldest 0.5 s of it where it is more."""
+        """Consume the records since the last step; if they span more than 0.5 s, the oldest 0.5 s of them."""
         said, skipped_ns = self._shed(now_ns)
         until_ns = self._until(now_ns)
         behind_ns = now_ns - until_ns
@@ -111,7 +111,7 @@ class EstimationWorker:
         self._step(until_ns, None, said, cut=behind_ns > 0, skipped_ns=skipped_ns)
 
     def _shed(self, now_ns: int) -> tuple[list[Batch], int]:
-        """Leave out the rows that there is no time for; what is said of that, and how much it is."""
+        """Leave out rows that there is no time for; the events that report it, and the time skipped [ns]."""
         if self._reached_ns is None:
             return [], 0
         thinned = self._shedding.thins
@@ -270,7 +270,7 @@ class DurableEstimation:
         self._saved_cpu_ns = self._cpu_ns()
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> tuple[EstimationWorker, bool]:
-        """A worker after the last of ``ticks``, and whether it knows what the dead one knew."""
+        """A worker that goes on after the last of ``ticks``, and whether it has the state of the dead one."""
         done, reached_ns = int(ticks["sequence"][-1]) + 1, int(ticks["host_ns"][-1])
         checkpoint, why = None, "it left no checkpoint, or restoring it has killed another"
         try:
@@ -328,7 +328,7 @@ class DurableEstimation:
         return ""
 
     def _unsaid(self, batch: Batch, said: Rows) -> Batch:
-        """What of ``batch`` did not reach its ring before the process died; ``said`` are the events that did."""
+        """Rows of ``batch`` that did not reach their ring before the process died; ``said``: the events that did."""
         if batch.channel in self._worker.estimator.outputs:
             # every row of these channels is in the ring, so its number is its place
             known = self._rings[batch.channel].published - int(batch.rows["sequence"][0])

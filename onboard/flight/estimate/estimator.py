@@ -291,7 +291,7 @@ class Estimator:
                     unknown = np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
                     refused[:, column] |= reasons(unknown, GateReason.STILL)
                 refused[:, column] |= cell.refused
-            else:  # a base wrench that is zero, good to what is left of it when the motion is known
+            else:  # a base wrench that is zero within its stated sigma
                 force = row.startswith("base_force")
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
         self._torques.state(dq, sigma, refused)

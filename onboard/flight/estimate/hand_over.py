@@ -39,7 +39,7 @@ class HandOver:
         assert vehicle.file.vehicle.payload_link is not None
         self._path, self._urdf, self._link = vehicle.hand_over, vehicle.urdf_text, vehicle.file.vehicle.payload_link
         self._names = [f"{kind}_{self._link}".encode() for kind in BODY]
-        with contextlib.suppress(OSError):  # its time tells that it is old
+        with contextlib.suppress(OSError):  # a file of an earlier flight; its time shows that
             self._path.unlink()
         self._places: list[int] = []
         self._there = self._failed = False

@@ -308,5 +308,5 @@ def from_bytes(data: bytes, places: Places) -> Any:
 
 
 def _sum(data: bytes | memoryview) -> int:
-    """Of the 64-bit words, without what exceeds 64 bits: any change of one of them changes it."""
+    """Checksum: sum of the 64-bit words modulo 2^64; it changes with every change of a single word."""
     return int(np.frombuffer(data, np.uint64).sum())

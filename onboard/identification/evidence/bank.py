@@ -39,7 +39,7 @@ class Suspect(NamedTuple):
     at: IndexArray  # (k,) places of the constants in the state
     along: FloatArray  # (k, r) what its errors do to these, one sigma each
     odds: float  # of it, against all being as stated, before the flight
-    alike: bool = False  # no data tell it from the others of which this is so
+    alike: bool = False  # data cannot distinguish it from the other suspects marked so
 
 
 class Hypothesis(NamedTuple):
@@ -57,7 +57,7 @@ class Hypothesis(NamedTuple):
 
 
 class Changed(NamedTuple):
-    """Steps in flight of one sigma each: what each does to the state, and what innovations tell of it."""
+    """Steps in flight of one sigma each: the change of the state by each, and its evidence in the innovations."""
 
     D: FloatArray  # (p, m) true state less the filter's
     d: FloatArray  # (m,) gradient of the evidence by its size
@@ -75,7 +75,7 @@ class Changed(NamedTuple):
         return np.asarray(0.5 * self.d**2 / M - 0.5 * np.log(M), np.float64)
 
     def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
-        """Of each, what it is of given; weights are one."""
+        """One hypothesis for each step, of the given suspects; weights are one."""
         M, found = 1.0 + np.maximum(self.J, 0.0), list[Hypothesis]()
         for k, (suspect, nats) in enumerate(zip(suspects, self.nats.tolist(), strict=True)):
             root, size = np.sqrt(M[k]), abs(float(self.d[k] / M[k]))
@@ -118,30 +118,30 @@ class Weighed(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Whether something is likelier wrong than all as stated, and of a size that the suspects have."""
+        """Whether a fault is more probable than the file as stated, and of a size that the suspects have."""
         return self.every[0].weight < LIKELIER and not self.too_far
 
     @property
     def too_far(self) -> str:
-        """What is likeliest wrong, where it is of a size that no suspect has; else empty."""
+        """Name of the most probable fault if it is larger than :data:`FARTHEST_SIZE`; else empty."""
         one = self.likeliest
         return one.suspect.name if one.suspect is not None and one.size >= FARTHEST_SIZE else ""
 
     @property
     def counting(self) -> tuple[Hypothesis, ...]:
-        """Those that an answer covers, the likeliest first."""
+        """Hypotheses that an answer covers, the most probable first."""
         some = (one for one in self.every if one.weight >= LEAST_WEIGHT)
         return tuple(sorted(some, key=lambda one: -one.weight))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What may be wrong, the likeliest first; empty while all as stated is believed."""
+        """Suspects that may be wrong, the most probable first; empty while the file as stated is more probable."""
         if self.every[0].weight >= LIKELIER:
             return ()
         return tuple(dict.fromkeys(one.suspect.name for one in self.counting if one.suspect is not None))
 
     def mixed(self, part: Callable[[Hypothesis], Known]) -> "Mixture":
-        """All hypotheses that count, of what ``part`` makes of each."""
+        """Mixture of the hypotheses that an answer covers; ``part`` gives mean and covariance under each."""
         some = self.counting
         weights = np.array([one.weight for one in some])
         means, covariances = (np.array(each) for each in zip(*map(part, some), strict=True))
@@ -149,7 +149,7 @@ class Weighed(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Of Gaussians."""
+    """A mixture of Gaussians."""
 
     weights: FloatArray  # (k,), of sum one
     means: FloatArray  # (k, p)
@@ -163,11 +163,11 @@ class Mixture(NamedTuple):
         return mean, np.tensordot(self.weights, self.covariances, 1) + (self.weights * apart.T) @ apart
 
     def covering(self, along: FloatArray) -> FloatArray:
-        """Sigmas of linear functions of it, that cover it as far as 99.9 % intervals of a Gaussian should.
+        """Sigmas of linear functions of it, whose 99.9 % intervals (3.29 sigmas) contain 99.9 % of the mixture.
 
-        An error that is unlikely, but large, is hardly in a variance, and all of it in the last thousandth: of two
-        Gaussians of one sigma, the one of weight 0.01 ten sigmas away, 99.9 % lie within 11.3 sigmas of the mean, and
-        3.29 times the root of the variance is 4.6.
+        A large error of low probability hardly changes the variance, but determines the 99.9 % interval: of two
+        Gaussians of one sigma, the second with weight 0.01 and ten sigmas away, 99.9 % lie within 11.3 sigmas of the
+        mean, and 3.29 times the root of the variance is 4.6.
 
         Args:
             along: the functions, (m, p).
@@ -258,28 +258,28 @@ class Bank:
         fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner, self._inside]
         fixed += [part for one in suspects for part in (one.at, one.along)]
         for part in (*fixed, *self._slopes, *(part for alike in self._alone for part in alike[1:])):
-            part.setflags(write=False)  # a checkpoint names it
+            part.setflags(write=False)  # a checkpoint refers to it by name
 
     def freed(self, known: Known, which: Sequence[int]) -> Known:
-        """What is known if every suspect of these numbers may be wrong."""
+        """Mean and covariance if every suspect of these numbers may be wrong."""
         return self._of_prior(known, which, -1.0)[0]
 
     def as_stated(self, freed: Known, which: Sequence[int]) -> Known:
-        """What is known if nothing is wrong, of what :meth:`freed` has made of these."""
+        """Mean and covariance if nothing is wrong: the inverse of :meth:`freed`."""
         return self._of_prior(freed, which, 1.0)[0]
 
     def steps_freed(self, known: Known, which: Sequence[int], steps: Changed) -> Changed:
-        """Steps beside what is known, if every suspect of these numbers may be wrong, too."""
+        """Steps, if every suspect of these numbers may be wrong, too."""
         return self._of_prior(known, which, -1.0, steps)[1]
 
     def steps_as_stated(self, freed: Known, which: Sequence[int], steps: Changed) -> Changed:
-        """Steps if nothing else is wrong, of what :meth:`steps_freed` has made of these."""
+        """Steps, if nothing else is wrong: the inverse of :meth:`steps_freed`."""
         return self._of_prior(freed, which, 1.0, steps)[1]
 
     def _of_prior(
         self, known: Known, which: Sequence[int], sign: float, steps: Changed | None = None
     ) -> tuple[Known, Changed]:
-        """By Bayes' rule, of the state together with each step, whose own prior stays."""
+        """Bayes' rule on the joint state and steps; the priors of the steps stay as they are."""
         (x, P), (U, inner) = known, self._of_these(which)
         D, d, J = steps or Changed.none(len(x))
         PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ D[self.at]
@@ -294,10 +294,10 @@ class Bank:
         return self._of_all[:, columns], self._inner[np.ix_(columns, columns)]
 
     def weigh(self, stated: Known, steps: Sequence[Hypothesis] = ()) -> Weighed:
-        """All hypotheses; where all as stated is not believed, also each that is likely together with each other.
+        """All hypotheses; where a fault is more probable than the file as stated, also pairs of probable faults.
 
         Args:
-            stated: what is known if nothing is wrong.
+            stated: mean and covariance if nothing is wrong.
             steps: further hypotheses.
         """
         x, P = stated
@@ -340,7 +340,7 @@ class Bank:
     def _log_weights(self, found: Sequence["_Alone"]) -> FloatArray:
         """Logarithms of the weights of suspects over that of none of them."""
         nats = np.array([one.nats for one in found])
-        nats[self._alike] = nats[self._alike].max(initial=-np.inf)  # what differs is of the linearisation
+        nats[self._alike] = nats[self._alike].max(initial=-np.inf)  # they differ only by the linearisation
         return np.asarray(nats + self._log_odds, np.float64)
 
     def _pairs(
@@ -352,11 +352,11 @@ class Bank:
         P: FloatArray,
         known: Collection[tuple[int, ...]],
     ) -> tuple[list[Hypothesis], list[float]]:
-        """A suspect with each other that is likelier wrong than half of not; logarithms of weights over the first's.
+        """Pairs of the first suspect with each other whose odds, given the first, are above one half; log weights.
 
-        The second, given the first, is weighed by what is left of its columns without those of the first (the Schur
-        complement in M), so that the evidence of both is the sum of the two. What nothing shows to be wrong is not
-        taken for wrong besides another: a cell's scale, where the base's mass is wrong, would widen every answer.
+        The weights are relative to the first's. The second, given the first, is weighed by its columns projected off
+        those of the first (the Schur complement in M), so that the evidence of both is the sum of the two. A fault
+        without evidence is not added to another: a cell's scale beside a wrong base mass would widen every answer.
         """
         one, own, U = self.suspects[first], self._columns[first], self._of_all
         onto = (self._inner[:, own] - U.T @ (P.take(self._inside) @ U[:, own])) @ alone.whiten  # (R, r) of all columns

@@ -1,4 +1,4 @@
-"""Ways in which a body may not be as it is drawn, as directions in its prior's own errors."""
+"""Faults of a drawn body, as directions in the errors of its prior."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.evidence.policy import LIKELY_SIZE
 
 EACH = 10.0
-"""Stated sigmas of each parameter of a body, or element of an instrument's matrix, that is wrong in every way."""
+"""Size, in stated sigmas, of each parameter of a body or element of an instrument's matrix, when all may be wrong."""
 
 
 def ways(chi: FloatArray, half: FloatArray) -> tuple[FloatArray, ...]:
-    """What one sigma of each does to the errors of a body's prior: (10, 1), (10, 1), (10, 1), (10, 3), (10, 11).
+    """Effect of one sigma of each fault on the errors of a body's prior: (10, 1), (10, 1), (10, 1), (10, 3), (10, 11).
 
     Mass and inertia by one factor; the mass alone; the inertia alone; the centre of mass; the factor together with
     each parameter by itself.

@@ -75,7 +75,7 @@ def of_bias(imu: ImuRole, left: config.ImuPriorKeys, *, accelerometer: bool) -> 
 
 
 def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
-    """What one cell alone can never tell from mass, and what its rows do not estimate.
+    """Errors of one cell that it cannot distinguish from mass, and those that its rows do not estimate.
 
     Args:
         cell: a load cell or a motor's torque.
@@ -91,7 +91,7 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
 
 
 def _between(name: str, keys: LoadCellKeys | TorqueKeys) -> Iterator[Considered]:
-    """A gain with the payload that is another than without it: they were recorded one after the other."""
+    """A gain that differs with and without the payload: the two were recorded one after the other."""
     if isinstance(keys, TorqueKeys) and keys.changed_sigma:
         what, sigma = f"scale of {name} with the payload", keys.changed_sigma
         yield Considered(what, name, "held_scale", sigma, f"{name} between_recordings_sigma")
@@ -101,8 +101,8 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
     """The same with half of the variance of the torques' gains in one factor on all of them.
 
     Torque constants of an arm come from one source (a data sheet, a gear's efficiency, the magnets' temperature), so
-    their errors are neither independent nor one: nobody states which, and each half is as large. Of different
-    gains the least is what all can have in common.
+    their errors are partly common: as no data sheet gives the share, half of the variance is taken as common. Of
+    different gains the smallest is the one that all can share.
 
     Args:
         found: errors of all cells.

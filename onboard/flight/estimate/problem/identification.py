@@ -102,7 +102,7 @@ def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
 
 
 def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
-    """What flies, by the method that the vehicle file asks for, and the model under it.
+    """The onboard estimator of the method that the vehicle file names, and its model.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.

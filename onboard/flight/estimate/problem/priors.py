@@ -136,7 +136,7 @@ def tracker_of(roles: Roles) -> list[Further]:
 
 
 def check_springs(vehicle: config.Vehicle, why: str) -> None:
-    """Check that no joint is said to be flexible, where that is not known to the estimator.
+    """Check that no joint has a stiffness, for estimators without flexible joints.
 
     Raises:
         UrdfError: one is.

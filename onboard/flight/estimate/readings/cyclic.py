@@ -10,7 +10,7 @@ from onboard.estimation.arrays import FloatArray
 
 
 def cyclic_functions(angle_rad: FloatArray) -> FloatArray:
-    """Cosine and sine of each error's own angle, (n, m), in turn, (n, 2 m)."""
+    """Cosine and sine of the angle of each cyclic error, (n, m), as alternating columns, (n, 2 m)."""
     both = np.empty((*angle_rad.shape, 2))
     both[..., 0], both[..., 1] = np.cos(angle_rad), np.sin(angle_rad)
     return both.reshape(len(angle_rad), -1)

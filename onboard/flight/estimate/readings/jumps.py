@@ -1,4 +1,4 @@
-"""Which encoders have jumped, and what is said of it; ``onboard.estimation.jumps`` is how that is judged."""
+"""Which encoders have jumped, and the events that report it; ``onboard.estimation.jumps`` decides."""
 
 import itertools
 import math
@@ -46,8 +46,8 @@ class JumpWatch:
             in_use: rows of the estimator were made of those before.
 
         Returns:
-            Which are of another encoder, (n,); which of those before them are, counted from the first of these; what is
-            to be told.
+            Which are of another encoder, (n,); which of those before them are, counted from the first of these; what
+            the event reports.
         """
         if self._jumps is None:
             count = self._signal.quantum_counts * abs(

@@ -32,7 +32,7 @@ CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmo
 
 
 def kernel_of(vehicle: config.Vehicle) -> Kernel:
-    """The kernel that the vehicle file asks for."""
+    """The smoothing kernel that the vehicle file selects."""
     asked = vehicle.file.estimation.smoothing
     if asked == "spline":
         return SPLINE
@@ -46,7 +46,7 @@ class SignalSmoother:
 
     Args:
         vehicle: its file.
-        cyclic_fitted: cyclic errors of encoders are fitted: their functions are wanted, and the noise is what is left.
+        cyclic_fitted: cyclic errors of encoders are fitted: their functions are returned, the noise is without them.
         trackers: whose poses are wanted.
     """
 
@@ -230,7 +230,7 @@ class SignalSmoother:
             if not window.valid.all():
                 gaps |= reasons(~window.valid, GateReason.GAP)
         of_samples = sigma * sigma
-        # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
+        # a time error dt is an error of dt times the next derivative, without the noise of that derivative
         change, of_change = np.empty_like(out), np.empty_like(sigma)
         change[:-1], change[-1] = out[1:], _rate_of_change(out[-1], at_s)
         of_change[:-1], of_change[-1] = sigma[1:], sigma[-1] * (np.pi / self.width_s)

@@ -1,4 +1,4 @@
-"""Which readings of a channel are stuck, and what is said of it; ``onboard.estimation.stuck`` is how that is judged."""
+"""Which readings of a channel are stuck, and the events that report it; ``onboard.estimation.stuck`` decides."""
 
 import itertools
 import math
@@ -44,7 +44,8 @@ class StuckWatch:
             usable: (n,) those that are good otherwise.
 
         Returns:
-            Which are stuck, (n,); which of those before them are, counted from the first of these; what is to be told.
+            Which are stuck, (n,); which of those before them are, counted from the first of these; what
+            the event reports.
         """
         if self._readings is None:
             self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))

@@ -151,7 +151,7 @@ class Zeroing:
         return [event(now_ns, Severity.WARNING, "not_zeroed", channel, text)]
 
     def noted(self, estimate: Estimate, period_s: float) -> Estimate:
-        """An estimate that says what motion was lost, where quantities are not determined."""
+        """The estimate with the lost motion in the notes of quantities that are not determined."""
         if not self.lost:
             return estimate
         why = f"; no rows of {period_s * self.lost:.1f} s of motion before the accelerometer's zero was known"
