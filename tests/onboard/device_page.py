@@ -1,6 +1,6 @@
-"""The page for a team that wires, made of what the vehicle file's reader itself knows.
+"""The pages for a team that wires, made from the classes that read the vehicle file: a table of devices, a page a bus.
 
-``python -m tests.onboard.device_page docs/devices.md`` writes it; ``test_device_page.py`` holds the two together.
+``python -m tests.onboard.device_page docs/devices.md`` writes them; ``test_device_page.py`` holds both together.
 """
 
 import inspect
@@ -95,9 +95,9 @@ SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, the
 ]
 HEAD = """# Devices
 
-The devices of a vehicle file: each kind with an example, its channels, its clock and its keys. Written by
-`python -m tests.onboard.device_page docs/devices.md` from the classes that read the file; the examples are those of
-`tests/flight/mixed.toml` and, of wheel and thruster, of `dymaflex_wheels`. Both fly against simulated devices in tests.
+The devices of a vehicle file; each kind links to its example, channels, clock and keys. {written}
+
+{table}
 
 A device is on a bus, `[bus.NAME]` with a `url`:
 
@@ -119,13 +119,53 @@ Units are in the keys. **Bold** keys have no default. A file that does not fit i
 Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU, unless
 its base is fixed (the first in the file measures the base, further ones are recorded), and, for each moving joint of
 the URDF, one device that measures it. `[estimation.phases] channel` names any SCALAR channel.
+
+The examples are those of `tests/flight/mixed.toml` and, of wheel and thruster, of `dymaflex_wheels`; both fly against
+simulated devices in tests.
 """
+WRITTEN = "Written by `python -m tests.onboard.device_page docs/devices.md` from the classes that read the file."
+TITLES = {
+    "i2c": "Devices on I2C",
+    "can": "Devices on CAN",
+    "serial": "Devices on serial lines",
+    "pulse": "Pulse inputs and outputs",
+    "recorded": "Recorded data as devices",
+}
+ROOMS = {"i2c": "i2c", "mpu6050": "i2c", "can": "can", "serial_line": "serial", "recorded": "recorded"}
 
 
-def page() -> str:
-    """The document."""
-    shared = "".join(f"\n## {heading}\n{_prose(model)}\n\n{_keys(model, kind)}" for model, heading, kind in SHARED)
-    return HEAD + shared + "".join(_section(kind, model) for kind, model in DEVICES.items())
+def bus(model: type[BaseModel]) -> str:
+    """Of the :data:`TITLES`, by the module that the class stands in; empty for what several have."""
+    room = model.__module__.split(".")[2]
+    return "" if room in ("base", "roles") else ROOMS.get(room, "pulse")
+
+
+def pages() -> dict[str, str]:
+    """The documents by name."""
+    rows, found = ["| kind | bus | for the estimator | device |", "|---|---|---|---|"], dict[str, str]()
+    for of, title in TITLES.items():
+        kinds = {kind: model for kind, model in DEVICES.items() if bus(model) == of}
+        if of != "recorded":
+            rows += [
+                f"| [{kind}](devices_{of}.md#{kind}) | {of} | {model.about_role} | {_summary(model)} |"
+                for kind, model in kinds.items()
+            ]
+        head = f"# {title}\n\nBuses, units and a table of all kinds: [devices](devices.md). {WRITTEN}\n"
+        sections = "".join(_section(kind, model) for kind, model in kinds.items())
+        found[f"devices_{of}.md"] = head + _shared(of) + sections
+    rows.append("| [recorded_*](devices_recorded.md) | none | as of the device | Data that `heft import` has read |")
+    return {"devices.md": HEAD.format(table="\n".join(rows), written=WRITTEN) + _shared(""), **found}
+
+
+def _summary(model: type[BaseModel]) -> str:
+    """First clause of the class's docstring."""
+    return re.sub(r"\s+", " ", re.split(r"[.;:](?:\s|$)", _prose(model))[0])
+
+
+def _shared(of: str) -> str:
+    """Keys of several kinds of a bus; of several buses where ``of`` is empty."""
+    own = [one for one in SHARED if bus(one[0]) == of]
+    return "".join(f"\n## {heading}\n{_prose(model)}\n\n{_keys(model, kind)}" for model, heading, kind in own)
 
 
 def _section(kind: str, model: type[DeviceSection]) -> str:
@@ -179,11 +219,17 @@ def _keys(model: type[BaseModel], kind: str) -> str:
     groups = [(group, heading, of) for group, heading, of in SHARED if issubclass(model, group) and model is not group]
     shared = {line for group, _, of in groups for line in _all_keys(group, of)}
     lines = [line for line in _all_keys(model, kind) if line not in shared]
-    links = [f"[{heading}](#{heading.lower().replace(' ', '-').replace(chr(39), '')})" for _, heading, _ in groups]
+    links = [f"[{heading}]({_anchor(group, model, heading)})" for group, heading, _ in groups]
     table = ["| key | | default | |", "|---|---|---|---|", *lines, ""] if lines else []
     return "\n".join(
         [*table, *([f"{'and those' if lines else 'Keys: those'} of {' and '.join(links)}.", ""] if links else [])]
     )
+
+
+def _anchor(group: type[BaseModel], model: type[BaseModel], heading: str) -> str:
+    """Of a shared table, seen from the page of ``model``."""
+    page = "devices.md" if bus(group) != bus(model) else ""
+    return f"{page}#{heading.lower().replace(' ', '-').replace(chr(39), '')}"
 
 
 def _all_keys(model: type[BaseModel], kind: str) -> list[str]:
@@ -252,4 +298,5 @@ def _type(schema: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    for name, text in pages().items():
+        Path(sys.argv[1]).with_name(name).write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""docs/devices.md says what the vehicle file's reader knows, and nothing else."""
+"""The pages of devices have what the vehicle file's reader knows, and nothing else."""
 
 import dataclasses
 import tomllib
@@ -9,13 +9,14 @@ import pytest
 from onboard.devices.base import BusDevice
 from onboard.devices.registry import DEVICES
 from onboard.devices.serial_line.node_channels import CHANNELS
-from tests.onboard.device_page import example, flown_devices, meaning, page
+from tests.onboard.device_page import example, flown_devices, meaning, pages
 
 PAGE = Path(__file__).parents[2] / "docs" / "devices.md"
 
 
-def test_the_page_is_as_the_reader_is() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(), f"write it again: python -m tests.onboard.device_page {PAGE}"
+def test_the_pages_are_as_the_reader_is() -> None:
+    written = {path.name: path.read_text(encoding="utf-8") for path in PAGE.parent.glob("devices*.md")}
+    assert written == pages(), f"write them again: python -m tests.onboard.device_page {PAGE}"
 
 
 def test_every_kind_has_an_example_that_is_flown() -> None:
