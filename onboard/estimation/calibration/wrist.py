@@ -11,9 +11,10 @@ Zeros are constants with a random walk from pose to pose (sensors warm up, cable
 (DCT-II) over the poses such a walk is white: coefficient j > 0 has the variance ``sigma^2 + q^2 / (4 sin^2(pi j /
 2n))``, and coefficient 0 is all that a constant zero changes, so it is left out (derived here). Noise and walk of each
 axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a spread, over which the answer
-is a mixture: of all axes, or of one force while the others are as stated, as likely beforehand. So the axes themselves
-tell how well they agree and which force does not: three measure the mass, but only two moments each lever, of which no
-one can be told. An error that all axes share cannot be seen.
+is a mixture: of all axes, or of one while the others are as stated, as likely beforehand. So the axes themselves tell
+how well they agree and which does not: three measure the mass. Only two moments measure each lever, so one that is off
+is told where two levers are long; else both are as likely, and the mixture is of both. An error that all axes share
+cannot be seen.
 """
 
 from collections.abc import Sequence
@@ -178,9 +179,9 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Prior, first: Fit) -> Weighi
         first: by :func:`fit`.
     """
     every = [(first, np.full(6, spread), 0.0) for spread in SPREADS]
-    for odd in np.eye(6, dtype=np.bool_)[:3]:  # anew: what is wrong with its scale is no noise
+    for odd in np.eye(6, dtype=np.bool_):  # anew: what is wrong with its scale is no noise
         own = fit(R, wrench, prior._replace(spreads=tuple(np.where(odd, SPREADS[-1], 1.0).tolist())))
-        every += [(own, np.where(odd, spread, 1.0), -np.log(3.0)) for spread in SPREADS[_FAR]]
+        every += [(own, np.where(odd, spread, 1.0), -np.log(6.0)) for spread in SPREADS[_FAR]]
     spreads = np.array([spread for _, spread, _ in every])
     fits = tuple(
         _fit(R, wrench, prior._replace(spreads=tuple(spread.tolist())), of.state, of.noise) for of, spread, _ in every

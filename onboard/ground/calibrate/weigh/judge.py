@@ -38,7 +38,8 @@ def judge(answer: Answer) -> Judged:
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
     }
     standings = {one.name: standing(one, findings, sizes.get(one.name)) for one in body}
-    corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k != _odd(answer)}
+    odd = _odd(answer)
+    corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k not in odd}
     own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}  # findings stand in the verdict
     evidence = Evidence(
         answer.count["poses"] - len(answer.outliers),
@@ -91,11 +92,13 @@ def _findings(answer: Answer) -> Findings:
         )
     if answer.outliers:
         doubts.append(f"{len(answer.outliers)} of {answer.count['poses']} poses contradict the others: left out")
-    if (odd := _odd(answer)) is not None:
-        axis = answer.axes[odd]
+    if odd := _odd(answer):
+        axis, *others = (answer.axes[k] for k in odd)
+        which = "".join([axis.name, *(f" or of {one.name}" for one in others)])
+        size = "" if others else f" by {axis.scale * answer.known.scale:+.1%}, as the other axes agree,"
         doubts.append(
-            f"the scale of {axis.name} is off by {axis.scale * answer.known.scale:+.1%}, as the other axes agree, and "
-            f"is stated to {100.0 * answer.known.scale:.2g} %: taken for unknown; calibrate the sensor"
+            f"the scale of {which} is off{size} and is stated to {100.0 * answer.known.scale:.2g} %: taken for "
+            "unknown; calibrate the sensor"
         )
     if mass.supported and answer.weighing.wider(FARTHEST_SIZE)[0] > LIKELIER:
         doubts.append(
@@ -103,7 +106,7 @@ def _findings(answer: Answer) -> Findings:
             f"{100.0 * answer.known.scale:.2g} %; hang a known mass on it, or calibrate the sensor"
         )
     plain, _ = answer.plain
-    if odd is None and mass.supported and not mass.low <= plain <= mass.high:
+    if not odd and mass.supported and not mass.low <= plain <= mass.high:
         k = int(np.abs([one.moved / one.noise for one in answer.axes[:3]]).argmax())
         axis = answer.axes[k]
         weight = abs(mass.mean) * answer.known.place.gravity_m_s2
@@ -115,10 +118,13 @@ def _findings(answer: Answer) -> Findings:
     return Findings(tuple(against), tuple(doubts))
 
 
-def _odd(answer: Answer) -> int | None:
-    """The axis whose scale alone is not as stated, if any."""
+def _odd(answer: Answer) -> list[int]:
+    """The axis whose scale alone is not as stated, or the likeliest of which one is; none where that is unlikely."""
     alone = answer.weighing.wider(FARTHEST_SIZE)[1]
-    return int(alone.argmax()) if alone.max() > LIKELIER else None
+    order = np.argsort(-alone)
+    return (
+        order[: int(np.searchsorted(np.cumsum(alone[order]), LIKELIER)) + 1].tolist() if alone.sum() > LIKELIER else []
+    )
 
 
 def alone(answer: Answer) -> str:

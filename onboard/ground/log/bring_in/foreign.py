@@ -74,6 +74,8 @@ def _found(columns: Columns[str, Values], name: str) -> Values | None:
     if indexed is None or indexed[1] not in columns:
         return None
     array, k = columns[indexed[1]], int(indexed[2])
+    if array.dtype.kind == "U":
+        return array  # why it is none: see numbers
     return array[:, k] if array.ndim == 2 and k < array.shape[1] else None
 
 

@@ -21,7 +21,10 @@ Values = NDArray[np.generic]
 LARGEST_BYTES = 2 << 30  # of the arrays of one file
 _LONGEST_LINE = 1 << 20  # characters of a CSV
 _BLOCK = 1 << 20  # cells of a CSV that are text at a time
+_SKIP = 'bad_rows = "skip" in [mapping] leaves such rows out'
+_LOOKED_AT = 200  # rows, for a list
 _LONGEST_CELL = 80  # characters of one in a message
+_LIST = re.compile(r"\s*(?:array\()?[\[(]([^\[\]()]+)[\])]\)?\s*")  # "[0.1, 0.2]", "(0.1 0.2)": bags in CSV
 _CLOCK = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d(\.\d{1,9})?)?Z?")
 
 
@@ -35,6 +38,8 @@ class Recording(NamedTuple):
 
 def read_csv(path: Path, layout: Csv, *, skip: bool = False, most_rows: int | None = None) -> Recording:
     """The columns of a CSV file, by name, or by number from 1: integers if every cell is one, else floats.
+
+    Cells such as ``[0.1, 0.2, 0.3]`` or ``(0.1 0.2)``, all of one length, make an array (rows, length).
 
     A last row that has fewer cells than the header, or that ends, without a newline, in a cell that is no number where
     the row before has one, was cut off: it is left out. Names that stand more than once are told apart by `` (1)``.
@@ -143,6 +148,8 @@ def _joined(blocks: list[Values]) -> Values:
     for block in blocks:
         if block.dtype.kind == "U":
             return np.broadcast_to(block[0], sum(map(len, blocks)))
+    if len({block.shape[1:] for block in blocks}) > 1:
+        return np.broadcast_to(np.array("its lists differ in length"), sum(map(len, blocks)))
     return np.concatenate(blocks) if blocks else np.zeros(0, np.int64)
 
 
@@ -188,6 +195,8 @@ def _numbers(cells: Sequence[str], decimal: str, before: int, *, skip: bool) -> 
             continue
     if (times := times_of(text.tolist())) is not None:
         return times
+    if (lists := _lists(text.tolist(), before, skip=skip)) is not None:
+        return lists
     if skip:
         return np.array([number(cell) for cell in text.tolist()])
     return np.broadcast_to(np.array(_no_number(text.tolist(), before)), len(cells))
@@ -203,6 +212,31 @@ def times_of(cells: list[str]) -> NDArray[np.int64] | None:
         return np.array(days, "datetime64[ns]").astype(np.int64)
     except ValueError:
         return None
+
+
+def list_of(cell: str) -> list[float]:
+    """Numbers of a cell that is a list of them; empty if it is none."""
+    found = _LIST.fullmatch(cell)
+    parts = re.split(r"[\s,]+", found[1].strip(" ,")) if found else []
+    values = [number(part) for part in parts]
+    bad = any(not np.isfinite(value) and part.lower() != "nan" for part, value in zip(parts, values, strict=True))
+    return [] if bad else values
+
+
+def _lists(cells: list[str], before: int, *, skip: bool) -> Values | None:
+    """Of cells that are lists as long as most of them are; None where they are none; see ``_numbers``."""
+    if not any(cell.rstrip().endswith(("]", ")")) for cell in cells[:_LOOKED_AT]):
+        return None
+    rows = [list_of(cell) for cell in cells]
+    lengths = Counter(len(row) for row in rows if row)
+    if not lengths:
+        return None
+    width = lengths.most_common(1)[0][0]
+    odd = next((k for k, row in enumerate(rows) if len(row) != width), None)
+    if odd is None or skip:
+        return np.array([row if len(row) == width else [np.nan] * width for row in rows])
+    told = f"row {before + 1 + odd} has {cells[odd][:_LONGEST_CELL]!r}, where others have a list of {width} numbers"
+    return np.broadcast_to(np.array(f"{told}: {_SKIP}"), len(cells))
 
 
 def number(cell: str) -> float:
@@ -223,5 +257,5 @@ def _no_number(cells: list[str], before: int) -> str:
             if re.fullmatch(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*", cell):
                 return f'row {row} has {shown}, with a decimal comma: write decimal = "," into [csv] of the mapping'
             said = f"row {row} has {shown}, which is no number: correct it, or the mapping"
-            return f'{said}; bad_rows = "skip" in [mapping] leaves such rows out'
+            return f"{said}; {_SKIP}"
     return "its numbers are too large: correct them, or the mapping"

@@ -58,6 +58,7 @@ _TIME = {
 _COMMANDED = {
     *("target", "desired", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "goal", "d", "c"),
     *("ext", "hat", "model", "estimated", "external", "expected", "gravity", "error", "err", "residual", "window"),
+    *("aspos", "espos"),  # KUKA's RSI
     *("max", "min", "limit", "limits", "covariance", "filtered", "dtau", "std", "var", "variance", "bias", "relative"),
 }
 _WORDS = {  # by kind, those of which one says it
@@ -67,7 +68,7 @@ _WORDS = {  # by kind, those of which one says it
     "position": {"pos", "position", "p", "translation", "location", "xyz"},
     "force": {"force", "forces", "f", "frc", "ft", "wrench"},
     "moment": {"torque", "torques", "moment", "moments", "t", "m", "mu", "tau", "trq", "ft", "wrench"},
-    "current": {"current", "currents", "cur", "curr", "i", "amp", "amps", "motorcurrent"},
+    "current": {"current", "currents", "cur", "curr", "i", "amp", "amps", "motorcurrent", "macur"},
     "torque": {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "moments", "tq", "tauj"},
     "rate": {"qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "rate", "dtheta", "omega", "qp", "w"},
     "acceleration": {"qdd", "ddq", "qddot", "acc", "acceleration", "accelerations"},
@@ -94,6 +95,9 @@ _WORDS = {  # by kind, those of which one says it
     },
 }
 
+_TURNING = {"angularvelocity", "angularrate", "angularrates", "rotationrate"}
+_MOVING = {"linearacceleration", "specificforce"}
+_OF_AN_IMU = {"imu", "gyro", "gyr", "accel", "accelerometer", "gyroscope", "acc"} | _TURNING | _MOVING
 
 # of columns with a number each, or an axis, and no word that is known, in another language say
 _BY_UNIT = {"rad": "angle", "deg": "angle", "rad/s": "rate", "deg/s": "rate", "N m": "torque", "N mm": "torque"}
@@ -239,8 +243,8 @@ def by_unit(name: Name, labels: frozenset[str]) -> str:
 
 
 def _of_an_array(words: frozenset[str], labels: frozenset[str]) -> str:
-    if _is_run(labels, 3) and words & {"imu", "gyro", "gyr", "accel", "accelerometer", "gyroscope", "acc"}:
-        return "gyro" if words & (_WORDS["gyro"] - {"w"}) else "accel"
+    if _is_run(labels, 3) and words & _OF_AN_IMU:
+        return "gyro" if words & ((_WORDS["gyro"] | _TURNING) - {"w"}) else "accel"
     if _is_run(labels, 4) and words & {"quat", "quaternion", "orientation", "attitude"}:
         return "quaternion"
     if _is_run(labels, 6) and words & {"force", "wrench", "ft"}:
@@ -251,13 +255,9 @@ def _of_an_array(words: frozenset[str], labels: frozenset[str]) -> str:
 def _of_axes(words: frozenset[str], labels: frozenset[str]) -> str:
     if "w" in labels:
         return "quaternion" if words & _WORDS["quaternion"] or not words else ""
-    if (
-        words & {"angularvelocity", "angularrate", "angularrates", "rotationrate"}
-        or words & _WORDS["gyro"]
-        or words == {"g"}
-    ):
+    if words & _TURNING or words & _WORDS["gyro"] or words == {"g"}:
         return "gyro"
-    if words & {"linearacceleration", "specificforce"} or words & _WORDS["accel"]:
+    if words & _MOVING or words & _WORDS["accel"]:
         return "accel"
     for kind in ("force", "moment", "position"):
         if words & (_WORDS[kind] - {"ft", "wrench"}):

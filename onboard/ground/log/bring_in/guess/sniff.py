@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from onboard.ground.log.bring_in import foreign
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.mapping import Csv
-from onboard.ground.log.bring_in.text_rows import number, times_of
+from onboard.ground.log.bring_in.text_rows import list_of, number, times_of
 
 Kind = Literal["csv", "npz", "mat", "bag", "mcap", "ulog"]
 _HEAD, _LOOKED_AT = 1 << 18, 200  # bytes, lines
@@ -146,7 +146,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 def _is_number(cell: str, decimal: str) -> bool:
     text = cell.strip().strip('"').replace(decimal, ".")
-    return number(text) == number(text) or text.lower() in _NOTHING or times_of([text]) is not None
+    known = number(text) == number(text) or text.lower() in _NOTHING or times_of([text]) is not None
+    return known or bool(list_of(text))
 
 
 def _are_numbers(row: Sequence[str], decimal: str) -> bool:

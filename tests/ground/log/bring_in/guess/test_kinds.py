@@ -150,6 +150,48 @@ def test_channels_are_named_like_the_devices_of_a_vehicle(tmp_path):
     held(log, joints(own, own.tau / 10.0, list("abcdef")))
 
 
+@pytest.mark.parametrize("form", ["[{}]", "({})", "array([{}])"])
+def test_lists_in_a_cell_as_bags_in_csv_have_them(tmp_path, form):
+    """An arm's angles, rates and torques, and an IMU; the list of the joints' names is text and not taken."""
+    own, turning = arm(3), body()
+
+    def lists(values, between=", "):
+        return ['"' + form.format(between.join(f"{one:.7f}" for one in row)) + '"' for row in values]
+
+    names = ["Time", "name", "position", "velocity", "effort"]
+    columns = [T, ["\"['a', 'b', 'c']\""] * COUNT, lists(own.q), lists(own.qd), lists(own.tau)]
+    log, said = guessed(made.text(tmp_path / "arm.csv", names, columns))
+    held(log, joints(own, own.tau))
+    assert 'column = "position[0]"' in said
+    vectors = [T, lists(turning.rate, " "), lists(turning.force, "  ")]
+    log, _ = guessed(made.text(tmp_path / "imu.csv", ["t", "angular_velocity", "linear_acceleration"], vectors))
+    held_imu(log, turning)
+
+
+def test_lists_of_another_length_are_bad_rows(tmp_path, capsys):
+    rows = [f"{0.008 * k:.3f};[{k % 7}.5, 2.5];[1.5, {k % 5}.5]" for k in range(60)]
+    rows[20] = "0.160;[1.5];[1.5, 2.5]"
+    path = tmp_path / "a.csv"
+    path.write_text("t;q;tau\n" + "\n".join(rows) + "\n")
+    mapping = tmp_path / "a.toml"
+    assert main(["import", "--guess", str(path), "-o", str(mapping)]) == OK
+    text = mapping.read_text()
+    assert 'bad_rows = "skip"    # 1 rows have a cell that is no number' in text
+    mapping.write_text(text.replace('"skip"', '"refuse"'))
+    assert main(["import", str(mapping), str(path), "-o", str(tmp_path / "logs")]) == BAD_INPUT
+    assert "row 21 has '[1.5]', where others have a list of 2 numbers" in capsys.readouterr().err
+
+
+def test_columns_of_a_kuka_controller(tmp_path):
+    """Measured angles and motor currents; set points are not taken."""
+    own = arm(6)
+    names = ["time", *(f"{what}_A{k}" for what in ("ASPos", "AIPos", "MACur") for k in range(1, 7))]
+    path = made.text(tmp_path / "a.csv", names, [T, *np.degrees(own.q + 0.1).T, *np.degrees(own.q).T, *own.tau.T])
+    log, said = guessed(path)
+    held(log, joints(own, own.tau))
+    assert 'column = "MACur_A6"' in said
+
+
 def test_columns_that_are_called_by_their_joints(tmp_path):
     """The file's order of joints is another than the vehicle's: names decide, and a lone current is no joint's."""
     own = arm(3)
