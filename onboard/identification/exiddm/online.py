@@ -292,24 +292,25 @@ class ExiddmIdentifier:
         glitches = self.refused[GateReason.RESIDUAL]
         share = glitches / max(self.rows_used + glitches, 1)
         if share > MOST_CONTRADICTED:
-            return f"{share:.0%} of the ticks contradict the others; check the IMU and the joints"
+            return f"{share:.0%} of the ticks contradict the others; {self._of_what_is_left()}"
         if self.exiddm.exchanged:
             return _EXCHANGED
         left_out, unexplained = self.exiddm.fusion.contradicting, self._unexplained()
         if len(left_out) > 1:
             return f"{' and '.join(left_out)} contradict the other instruments and the joints"
         if self.exiddm.undecided or self.exiddm.unexplained.count or self.exiddm.unexplained.swings:
-            return self.exiddm.undecided or self.exiddm.unexplained.between or self._contradicted()
+            between = self.exiddm.undecided or self.exiddm.unexplained.between
+            return between or f"{_CONTRADICTED}; {self._of_what_is_left()}"
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return "" if self._ended or self.exiddm.state is not None else _GIVEN_UP
 
-    def _contradicted(self) -> str:
-        """What no payload explains, and how the rest of it swings."""
+    def _of_what_is_left(self) -> str:
+        """How the residual of a motion that no payload explains swings, or what to check."""
         line = self.exiddm.unexplained.line
         if line is None:
-            return f"{_CONTRADICTED}: check the IMU and the joints"
-        return f"{_CONTRADICTED}; the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
+            return "check the IMU and the joints"
+        return f"the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
     def _known_payload(self) -> Known:
         mixture, widening = self._payload(self._weighed)

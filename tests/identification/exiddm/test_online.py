@@ -7,6 +7,7 @@ import pytest
 
 from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
+from onboard.estimation.gates import GateReason
 from onboard.identification.corrections import contradicted, expected_sigma
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against
@@ -195,6 +196,15 @@ def test_instruments_without_either_of_which_a_window_is_explained_are_named_bef
     assert "the gyro swings at 2 Hz" in refused.findings().against[0]
     unexplained.between = both
     assert refused.findings().against == (both,)
+
+
+def test_what_swings_is_named_where_most_ticks_are_refused_too() -> None:
+    """Joints that give way at 20 Hz: no window is explained, and all its ticks are outliers of the best payload's."""
+    refused = unsure(np.array([0.2, *np.zeros(9)]), np.ones(10))
+    refused.refused[GateReason.RESIDUAL] = 100
+    assert refused.findings().against == ("100% of the ticks contradict the others; check the IMU and the joints",)
+    refused.exiddm.unexplained.line = SimpleNamespace(instrument="gyro", frequency_Hz=5.1)
+    assert "the gyro swings at 5.1 Hz" in refused.findings().against[0]
 
 
 def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeypatch: pytest.MonkeyPatch) -> None:
