@@ -47,6 +47,14 @@ class VirtualClock:
         return self.now_ns
 
 
+def is_alive(pid: int) -> bool:
+    """Whether a process has not ended; one that has may still wait for its parent to collect it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 def locate_datasets(environment: str | None, beside_the_checkout: Path) -> Path | None:
     """The data sets' folder; ``None`` where this machine has none. A HEFT_DATASETS that is no folder is an error."""
     if environment:

@@ -62,7 +62,14 @@ class DeviceSection(Section):
 
     @property
     def nominal_hz(self) -> float:
-        """Nominal rate of its samples, where it is its own."""
+        """Nominal rate of its samples, where it is its own: by its key of a rate or a period."""
+        fields = type(self).model_fields
+        for key in ("sample_rate_hz", "rate_hz"):
+            if key in fields:
+                return float(getattr(self, key))
+        for key in ("sample_period_ms", "period_ms"):
+            if key in fields:
+                return 1e3 / float(getattr(self, key))
         raise NotImplementedError
 
     def rate_on(self, around: Surroundings) -> float:

@@ -91,11 +91,6 @@ class PolledLoadCellDevice(SerialLineDevice, LoadCellDevice):
     timeout_ms: Positive
 
     @property
-    def nominal_hz(self) -> float:
-        """As it is asked for."""
-        return 1e3 / self.sample_period_ms
-
-    @property
     def exchange_bytes(self) -> tuple[int, int]:
         """Bytes of a question and, at the least, of its answer."""
         raise NotImplementedError

@@ -60,11 +60,6 @@ gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz
     mode: Literal["fifo", "burst"] = "fifo"
     sync_input: bool = True
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return float(self.sample_rate_hz)
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         period_ns = 1e9 / self.sample_rate_hz

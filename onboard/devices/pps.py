@@ -17,11 +17,6 @@ class PpsDevice(PulseDevice):
     kind: Literal["pps"]
     period_ms: Positive = 1000.0
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return 1e3 / self.period_ms
-
     def sync_line(self, name: str) -> SyncLine:
         """See ``DeviceSection``."""
         return SyncLine(name, self.period_ms * 1e6, coded=False)

@@ -28,11 +28,6 @@ class RecordedDevice(DeviceSection):
     about_clock = "The recording's times."
     period_ms: Positive
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return 1e3 / self.period_ms
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         return {name: RecordedChannel(0.0)}

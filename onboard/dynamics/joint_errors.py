@@ -114,7 +114,7 @@ class JointErrors:
         joints = len(vehicle.joints)
         self.turns = np.eye(joints)[np.array(cyclic, np.intp)]
         links = range(len(vehicle.links)) if frame is None else vehicle.distal_links(frame)
-        self._axes, self._revolute = vehicle.tree.axis, vehicle.tree.revolute
+        self._axes = vehicle.tree.axis
         self._beyond = np.zeros((joints, len(vehicle.links)))
         for row, joint in zip(self._beyond, vehicle.joints, strict=True):
             row[[link for link in vehicle.distal_links(joint.name) if link in links]] = 1.0

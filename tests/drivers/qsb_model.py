@@ -32,7 +32,6 @@ class QsbModel:
         self._input = ""
         self.line_tick = 0
         self._level = 0
-        self._last_capture = 0
         return b"QSB-D  0E!\r\n"
 
     @property

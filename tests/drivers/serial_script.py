@@ -180,6 +180,36 @@ class SerialFlight:
         return made
 
 
+class AskedFlight(SerialFlight):
+    """A device that answers each question ``delay_ns`` later; the port does not wait.
+
+    Args:
+        model: Its ``receive`` gives the answer to a question.
+        make: The driver, of a function that opens its port.
+    """
+
+    def __init__(self, clock, model, make, delay_ns: int) -> None:
+        self.model, self.delay_ns = model, delay_ns
+        self.coming: list[tuple[int, bytes]] = []
+        port = ScriptedSerial(self.ask)
+        super().__init__(clock, port, make(port.open))
+
+    def ask(self, request: bytes) -> bytes:
+        answer = self.model.receive(request)
+        if not self.delay_ns:
+            return answer
+        self.coming.append((self.clock() + self.delay_ns, answer))
+        return b""
+
+    def fly(self, pumps: int, step_ns: int = MS):
+        for _ in range(pumps):
+            self.clock.advance(step_ns)
+            while self.coming and self.coming[0][0] <= self.clock():
+                self.port.say(self.coming.pop(0)[1])
+            self.pump(0)
+        return self
+
+
 def fault_at_any_call(
     make: Callable[[], SerialFlight],
     fly: Callable[[SerialFlight], object],

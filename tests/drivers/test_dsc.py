@@ -11,7 +11,7 @@ from drivers.dsc_load_cell import DscLoadCell, DscLoadCellConfig, DscReply, deco
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, Pty, fault_at_any_call
 
 S = 1_000_000_000
 
@@ -114,25 +114,12 @@ class DscModel:
         return b"%+0*.*f\r" % (self.before + self.after + 2, self.after, self.value)
 
 
-class Flight(SerialFlight):
+class Flight(AskedFlight):
     """A digitiser that answers 2 ms after the question."""
 
     def __init__(self, clock, delay_ns=2 * MS, **config) -> None:
-        self.dsc, self.delay_ns = DscModel(), delay_ns
-        self.coming: list[tuple[int, bytes]] = []
-        port = ScriptedSerial(self.ask)
-        super().__init__(clock, port, DscLoadCell("cell", port.open, clock, DscLoadCellConfig(**config)))
-
-    def ask(self, command: bytes) -> bytes:
-        self.coming.append((self.clock() + self.delay_ns, self.dsc.receive(command)))
-        return b""
-
-    def fly(self, pumps: int):
-        for _ in range(pumps):
-            self.clock.advance(MS)
-            while self.coming and self.coming[0][0] <= self.clock():
-                self.port.say(self.coming.pop(0)[1])
-            self.pump(0)
+        self.dsc, settings = DscModel(), DscLoadCellConfig(**config)
+        super().__init__(clock, self.dsc, lambda port: DscLoadCell("cell", port, clock, settings), delay_ns)
 
     def rows(self):
         return whole(self.batches, "cell")

@@ -10,7 +10,7 @@ from drivers.errors import ConfigurationError
 from drivers.records import SCALAR, SampleStatus, Severity
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.dynamixel_model import ChainModel, ServoModel
-from tests.drivers.serial_script import MS, ScriptedSerial, SerialFlight, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, ScriptedSerial, fault_at_any_call
 
 FAST, SYNC, READ = 0x8A, 0x82, 0x02
 JOINTS = (
@@ -20,46 +20,21 @@ JOINTS = (
 )
 
 
-class Flight(SerialFlight):
-    """Three servos that answer ``delay_ns`` after the question; the port does not wait."""
+class Flight(AskedFlight):
+    """Three servos that answer ``delay_ns`` after the question."""
 
     def __init__(self, clock, joints=JOINTS, delay_ns=2 * MS, models=None, **timing) -> None:
         self.chain = ChainModel(**(models or {f"id_{joint.id}": ServoModel() for joint in joints}))
         for servo in self.chain.servos.values():
             servo.present(100, -50, 2000)
-        self.delay_ns = delay_ns
-        self.coming: list[tuple[int, bytes]] = []
-        port = ScriptedSerial(self.ask)
-        device = DynamixelBus("arm", joints, port.open, clock, DynamixelTiming(**timing))
-        super().__init__(clock, port, device)
-
-    def ask(self, request: bytes) -> bytes:
-        answer = self.chain.receive(request)
-        if not self.delay_ns:
-            return answer
-        self.coming.append((self.clock() + self.delay_ns, answer))
-        return b""
-
-    def fly(self, pumps: int, step_ns: int = MS) -> "Flight":
-        for _ in range(pumps):
-            self.clock.advance(step_ns)
-            while self.coming and self.coming[0][0] <= self.clock():
-                self.port.say(self.coming.pop(0)[1])
-            self.pump(0)
-        return self
+        settings = DynamixelTiming(**timing)
+        super().__init__(clock, self.chain, lambda port: DynamixelBus("arm", joints, port, clock, settings), delay_ns)
 
     def rows(self, channel: str) -> np.ndarray:
         return whole(self.batches, channel)
 
     def asked(self, instruction: int) -> list[bytes]:
         return [request for request in self.chain.requests if request[1] == instruction]
-
-
-@pytest.fixture
-def flight(clock):
-    flight = Flight(clock)
-    flight.start()
-    return flight
 
 
 def test_a_round_is_a_sample_of_each(flight):

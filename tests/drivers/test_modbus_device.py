@@ -14,34 +14,17 @@ from drivers.modbus_load_cell import ModbusLoadCell, ModbusLoadCellConfig
 from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.modbus_model import TransmitterModel, framed
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, Pty, ScriptedSerial, fault_at_any_call
 
 S = 1_000_000_000
 
 
-class Flight(SerialFlight):
-    """A transmitter that answers ``delay_ns`` after the question; the port does not wait."""
+class Flight(AskedFlight):
+    """A transmitter that answers ``delay_ns`` after the question."""
 
     def __init__(self, clock, delay_ns=4 * MS, **config) -> None:
-        self.cell = TransmitterModel(gross=-1500, net=200)
-        self.delay_ns = delay_ns
-        self.coming: list[tuple[int, bytes]] = []
-        port = ScriptedSerial(self.ask)
-        super().__init__(clock, port, ModbusLoadCell("cell", port.open, clock, ModbusLoadCellConfig(**config)))
-
-    def ask(self, request: bytes) -> bytes:
-        answer = self.cell.receive(request)
-        if not self.delay_ns:
-            return answer
-        self.coming.append((self.clock() + self.delay_ns, answer))
-        return b""
-
-    def fly(self, pumps: int, step_ns: int = MS):
-        for _ in range(pumps):
-            self.clock.advance(step_ns)
-            while self.coming and self.coming[0][0] <= self.clock():
-                self.port.say(self.coming.pop(0)[1])
-            self.pump(0)
+        self.cell, settings = TransmitterModel(gross=-1500, net=200), ModbusLoadCellConfig(**config)
+        super().__init__(clock, self.cell, lambda port: ModbusLoadCell("cell", port, clock, settings), delay_ns)
 
     def rows(self, channel="cell"):
         return whole(self.batches, channel)

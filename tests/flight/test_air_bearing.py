@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.records import IMU, SCALAR
 from hil_sim.plants import planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.urdf import with_bodies
@@ -21,9 +20,9 @@ from onboard.ground.identify.kinds.planar_log import Recorder
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
-from onboard.recording.writer import LogWriter
 from onboard.regressor.rows import BaseMotion
 from onboard.regressor.signals import Signals
+from tests.recording.logs import make_log, sampled_rows
 
 PATH = config.packaged("dymaflex_air_bearing")
 TEXT = PATH.read_text(encoding="utf-8")
@@ -45,23 +44,9 @@ def fly(
 
 
 def write(path: Path, read: Samples, imu_until_s: float = np.inf) -> Path:
-    n = len(read.time_s)
-    imu, host_ns = np.zeros(n, IMU), np.rint(1e9 * (10.0 + read.time_s))
-    imu["sequence"], imu["host_ns"] = np.arange(n), host_ns
-    imu["gyro_scale_rad_s"], imu["accel_scale_m_s2"] = 1e-4, 1e-3
-    imu["gyro_raw"] = np.rint(read.rate_rad_s / 1e-4)
-    imu["accel_raw"] = np.rint(read.specific_force_m_s2 / 1e-3)
-    with LogWriter.create(path, durable=False, overwrite=True) as writer:
-        writer.register("imu_base", IMU)
-        writer.write("imu_base", imu[read.time_s < imu_until_s])
-        for joint in range(5):
-            rows = np.zeros(n, SCALAR)
-            rows["sequence"], rows["host_ns"] = np.arange(n), host_ns
-            rows["scale"], rows["unit"] = 2.0 * np.pi / COUNTS_PER_TURN, b"rad"
-            rows["value_raw"] = np.rint(read.angle_rad[:, joint] * COUNTS_PER_TURN / (2.0 * np.pi))
-            writer.register(f"joint_{joint + 1}", SCALAR)
-            writer.write(f"joint_{joint + 1}", rows)
-    return path
+    rows = sampled_rows(read, 10.0)
+    rows["imu_base"] = rows["imu_base"][read.time_s < imu_until_s]
+    return make_log(path, rows, overwrite=True)
 
 
 @pytest.fixture(scope="module")

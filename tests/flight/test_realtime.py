@@ -15,6 +15,7 @@ import pytest
 from drivers import records
 from onboard import cli, config
 from onboard.recording.reader import LogReader
+from tests.conftest import is_alive
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 
@@ -138,7 +139,7 @@ def test_a_rehearsal_that_is_ended_or_loses_its_devices_ends_and_leaves_nobody(t
     assert "Traceback" not in complained
     assert rehearsal.returncode == cli.FAILED  # nothing is identified yet
     assert ("accounted for" in said) if victim == "flight" else ("devices died in flight" in complained)
-    assert devices is None or not _runs(devices)
+    assert devices is None or not is_alive(devices)
     assert LogReader(log).read("imu_base").size > 1000
 
 
@@ -149,14 +150,6 @@ def _devices_of(rehearsal: int) -> int | None:
             if parent == rehearsal and "hil_sim.serve" in (entry / "cmdline").read_text():
                 return int(entry.name)
     return None
-
-
-def _runs(process: int) -> bool:
-    """Whether it has not ended; one that has may still wait for init to collect it."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.timeout(180)
@@ -172,7 +165,7 @@ def test_the_devices_of_a_rehearsal_that_is_killed_end_too(tmp_path: Path) -> No
         rehearsal.kill()
         rehearsal.communicate(timeout=60)
         deadline = time.monotonic() + 20
-        while _runs(devices) and time.monotonic() < deadline:
+        while is_alive(devices) and time.monotonic() < deadline:
             time.sleep(0.05)
-    assert not _runs(devices)
+    assert not is_alive(devices)
     assert LogReader(log).read("imu_base").size > 100

@@ -8,6 +8,8 @@ import numpy as np
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
+from drivers.records import IMU, SCALAR
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN
 from onboard.recording.writer import LogWriter
 
 READING = np.dtype([("sequence", "<u8"), ("host_ns", "<i8"), ("value", "<i4"), ("code", "u1")], align=True)
@@ -44,6 +46,23 @@ def make_log(path, channels, overwrite=False):
         for name, rows in channels.items():
             writer.write(name, rows)
     return path
+
+
+def sampled_rows(samples, begin_s=0.0):
+    """Rows of the base IMU and the joints by channel, of samples of a simulated free flyer."""
+    count = len(samples.time_s)
+    imu = np.zeros(count, IMU)
+    imu["sequence"], imu["host_ns"] = np.arange(count), np.rint(1e9 * (begin_s + samples.time_s))
+    imu["gyro_scale_rad_s"], imu["accel_scale_m_s2"] = 1e-4, 1e-3
+    imu["gyro_raw"] = np.rint(samples.rate_rad_s / 1e-4)
+    imu["accel_raw"] = np.rint(samples.specific_force_m_s2 / 1e-3)
+    made = {"imu_base": imu}
+    for number, angle_rad in enumerate(samples.angle_rad.T, 1):
+        made[f"joint_{number}"] = rows = np.zeros(count, SCALAR)
+        rows["sequence"], rows["host_ns"] = imu["sequence"], imu["host_ns"]
+        rows["scale"], rows["unit"] = 2.0 * np.pi / COUNTS_PER_TURN, b"rad"
+        rows["value_raw"] = np.rint(angle_rad * COUNTS_PER_TURN / (2.0 * np.pi))
+    return made
 
 
 def random_rows(rng, dtype, count):

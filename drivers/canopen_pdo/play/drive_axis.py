@@ -106,7 +106,6 @@ class DriveAxis:
         position: Counts, within 32 bits.
         failed: Error code of its last EMCY since it was started; 0 for none.
         rated_torque_mNm: Of its motor, by its object 6076h; 0 before it is set up in mode 10.
-        resets: How often it had to be set up again.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class DriveAxis:
     ) -> None:
         self.config, self.mode = config, mode
         self.node, self.name = config.drive.node, config.drive.name
-        self.is_ready, self.failed, self.resets = False, 0, 0
+        self.is_ready, self.failed = False, 0
         self.rated_torque_mNm = 0
         self.status: int | None = None
         self.mode_shown: int | None = None
@@ -191,7 +190,6 @@ class DriveAxis:
 
     def lost(self) -> None:
         """It has to be set up again."""
-        self.resets += self.is_ready
         self.is_ready = False
 
     def distance(self, counts: int) -> int:

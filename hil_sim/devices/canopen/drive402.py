@@ -131,7 +131,7 @@ class Drive402(CanopenNode):
         add(0x6502, 0, Entry(u32, ro, _CSP | _CST))
         self._tpdo_1 = self._add_tpdo(1, 255, (0x6041_00_10,))
         self._sampled = self._add_tpdo(2, 1, (0x6064_00_20, 0x606C_00_20))
-        self._tpdo_3 = self._add_tpdo(3, 1, (0x6077_00_10, 0x6041_00_10))
+        self._add_tpdo(3, 1, (0x6077_00_10, 0x6041_00_10))
         self._drive_state = SWITCH_ON_DISABLED
         self._last_controlword = 0
         self._next_step()

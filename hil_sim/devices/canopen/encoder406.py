@@ -56,7 +56,7 @@ class Encoder406(CanopenNode):
         add, u16, u32 = self.dictionary.add, DataType.U16, DataType.U32
         self._operating = add(0x6000, 0, Entry(u16, Access.RW, _SCALING, check=self._check_operating))
         self._units = add(0x6001, 0, Entry(u32, Access.RW, counts_per_revolution, check=self._check_units))
-        self._preset = add(0x6003, 0, Entry(u32, Access.RW, 0, changed=self._set_preset))
+        add(0x6003, 0, Entry(u32, Access.RW, 0, changed=self._set_preset))
         add(0x6004, 0, Entry(u32, Access.RO, read=self.position, mappable=True, read_many=self.positions))
         add(0x6200, 0, Entry(u16, Access.RW, read=lambda _: self._tpdo_1.event_timer.value, changed=self._set_cycle))
         add(0x6500, 0, Entry(u16, Access.RO, read=lambda _: self._operating.value))

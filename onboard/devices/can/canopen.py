@@ -70,11 +70,6 @@ class CanopenSyncDevice(CanDevice):
         NotNegative, Field(description="Time of a SYNC frame on the wire: nodes sample at its end.")
     ] = 0.0
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return 1e3 / self.period_ms
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         return {name: ProducerChannel(self.period_ms * 1e6, self.delay_ms * 1e6)}

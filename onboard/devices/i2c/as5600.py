@@ -47,11 +47,6 @@ noise_rad = 9e-4               # one sample: 0.043 degrees, and a count / sqrt(1
     slow_filter: Literal[2, 4, 8, 16] = 2
 
     @property
-    def nominal_hz(self) -> float:
-        """As it is asked for."""
-        return 1e3 / self.sample_period_ms
-
-    @property
     def filter_delay_s(self) -> tuple[float, float]:
         """Of its slow filter, and sigma: half of its settling time, and a quarter."""
         return 0.5 * SETTLING_S[self.slow_filter], 0.25 * SETTLING_S[self.slow_filter]

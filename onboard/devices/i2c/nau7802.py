@@ -66,11 +66,6 @@ rated_load_N = 50.0            # yours: at which it gives that
         """Counts of a newton: full scale is half the reference over the gain."""
         return 2e-3 * self.rated_output_mV_V * self.amplifier * (HIGHEST + 1) / (self.rated_load_N or self.capacity_N)
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return float(self.sample_rate_hz)
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         return {name: FreeChannel(1e9 / self.sample_rate_hz, 0.0, 1e6 * self.poll_period_ms / 12**0.5)}

@@ -49,11 +49,6 @@ gyro_noise_rad_s = 2e-3
     poll_period_ms: PollPeriod = NimuConfig.poll_period_ms
     silence_ms: Positive = NimuConfig.silence_ms
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return self.sample_rate_hz
-
     def channels(self, name: str) -> Channels:
         """The IMU, and its magnetometer where wanted."""
         magnetometer = [f"{name}_mag_{axis}" for axis in "xyz"] if self.magnetometer else []

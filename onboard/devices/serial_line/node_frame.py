@@ -44,11 +44,6 @@ class NodeFrameDevice(SerialLineDevice):
     poll_period_ms: PollPeriod = NodeFrameConfig.poll_period_ms
     silence_ms: Positive = NodeFrameConfig.silence_ms
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal, of its data frames."""
-        return self.rate_hz
-
     def channels(self, name: str) -> Channels:
         """Its channels, and the sync line's edges by its clock."""
         return {**{f"{name}_{channel.name}": SCALAR for channel in self.channel}, f"{name}_mark": MARK}

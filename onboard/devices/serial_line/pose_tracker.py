@@ -61,11 +61,6 @@ class PoseTrackerDevice(SerialLineDevice):
     poll_period_ms: PollPeriod = PoseTrackerConfig.poll_period_ms
     silence_ms: Positive = PoseTrackerConfig.silence_ms
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal."""
-        return self.rate_hz
-
     def channels(self, name: str) -> Channels:
         """Its poses."""
         return {name: POSE}

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from onboard.flight.supervise.companion import beside
+from tests.conftest import is_alive
 
 RATES = '{"bytes_s": 0, "status_hz": 1, "answers_hz": 1, "phase_hz": 1, "flight_hz": 1, "reasons_hz": 1, "apids": {}}'
 STARTS = """
@@ -23,13 +24,6 @@ with beside(sys.argv[1], sys.argv[2:], "--it"):
 
 def children(pid: int) -> list[int]:
     return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
-
-
-def lives(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.timeout(120)
@@ -51,9 +45,9 @@ def test_it_ends_with_a_flight_that_never_began(tmp_path: Path, module: str, arg
         flight.send_signal(how)
         flight.wait(60)
     deadline = time.monotonic() + 60
-    while lives(companion) and time.monotonic() < deadline:
+    while is_alive(companion) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not lives(companion)
+    assert not is_alive(companion)
 
 
 def test_a_terminal_s_signals_are_left_to_the_flight(tmp_path: Path) -> None:
@@ -63,8 +57,8 @@ def test_a_terminal_s_signals_are_left_to_the_flight(tmp_path: Path) -> None:
         for number in (signal.SIGINT, signal.SIGHUP):
             os.kill(companion, number)
         time.sleep(0.5)
-        assert lives(companion)
-    assert not lives(companion)
+        assert is_alive(companion)
+    assert not is_alive(companion)
 
 
 def test_one_that_does_not_start_says_why() -> None:

@@ -13,6 +13,7 @@ import pytest
 from onboard import config
 from onboard.flight.supervise import workers
 from onboard.flight.supervise.runner_forks import Forked, ForkServer, PreparedServer, exit_code
+from tests.conftest import is_alive
 from tests.flight import forked
 
 
@@ -169,10 +170,3 @@ def test_a_server_shares_what_is_loaded_where_there_is_one_thread_and_its_succes
     assert (here, others) == ("(['scipy.stats'], 3, False)", ["1", "1", "([], 3)", "([], 3)"]), done.stderr
     assert "OSError: no space left on device" in done.stderr
     assert "why it cannot go on\n" in done.stderr
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False

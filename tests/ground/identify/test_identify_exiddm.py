@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.records import IMU, SCALAR
 from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
+from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard import channels, cli, config
 from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.estimator import Estimator
@@ -27,6 +26,7 @@ from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
+from tests.recording.logs import make_log, sampled_rows
 
 VEHICLE = config.load(config.packaged("dymaflex_parabolic"))
 ERRORS = ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
@@ -49,24 +49,8 @@ def still(seconds: float) -> Twin:
 def write(path: Path, flown: Twin, rng: np.random.Generator, axes: tuple[int, int, int] = (0, 1, 2)) -> Path:
     """A log of the flight, the gyro's axes in this order."""
     samples = flown.samples(rng, ERRORS)
-    n = len(samples.time_s)
-    imu = np.zeros(n, IMU)
-    imu["sequence"] = np.arange(n)
-    imu["host_ns"] = np.rint(1e9 * samples.time_s)
-    imu["gyro_scale_rad_s"], imu["accel_scale_m_s2"] = 1e-4, 1e-3
-    imu["gyro_raw"] = np.rint(samples.rate_rad_s[:, axes] / 1e-4)
-    imu["accel_raw"] = np.rint(samples.specific_force_m_s2 / 1e-3)
-    with LogWriter.create(path, durable=False, overwrite=True) as writer:
-        writer.register("imu_base", IMU)
-        writer.write("imu_base", imu)
-        for joint in range(5):
-            rows = np.zeros(n, SCALAR)
-            rows["sequence"], rows["host_ns"] = imu["sequence"], imu["host_ns"]
-            rows["scale"], rows["unit"] = 2.0 * np.pi / COUNTS_PER_TURN, b"rad"
-            rows["value_raw"] = np.rint(samples.angle_rad[:, joint] * COUNTS_PER_TURN / (2.0 * np.pi))
-            writer.register(f"joint_{joint + 1}", SCALAR)
-            writer.write(f"joint_{joint + 1}", rows)
-    return path
+    samples = samples._replace(rate_rad_s=samples.rate_rad_s[:, axes])
+    return make_log(path, sampled_rows(samples), overwrite=True)
 
 
 def test_the_payload_with_its_verdict_and_urdf(

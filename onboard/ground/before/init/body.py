@@ -10,10 +10,11 @@ from xml.sax.saxutils import quoteattr
 from onboard import config
 from onboard.config.keys import schema
 from onboard.ground.before.init.drawing import Drawn, with_frame
-from onboard.ground.before.init.vehicle import write_files
+from onboard.ground.before.init.vehicle import mount, write_files
 
 _NAME = re.compile(r"[A-Za-z]\w{0,27}", re.ASCII)
 _MARKER = "marker"
+_YOURS = "         <!-- yours -->"
 _CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
@@ -128,11 +129,11 @@ value = {{ column = {json.dumps(column)}, values = "physical", scale = {scale}, 
 
 
 def _sketch(wanted: Body) -> str:
-    frames = [_frame(_MARKER, "0 0 0", "0 0 0")]
+    frames = [mount(_MARKER, "body", "0 0 0", "0 0 0", _YOURS)]
     for k, name in enumerate(wanted.thrusters):
         x, y = _CORNERS[k // 2 % 4]
         yaw = (0.0 if x < 0 else 3.14159265) if k % 2 == 0 else (1.57079633 if y < 0 else -1.57079633)
-        frames.append(_frame(name, f"{0.2 * x:g} {0.2 * y:g} 0", f"0 0 {yaw:g}"))
+        frames.append(mount(name, "body", f"{0.2 * x:g} {0.2 * y:g} 0", f"0 0 {yaw:g}", _YOURS))
     return f"""<?xml version="1.0"?>
 <!-- Made by heft init: a sketch of a body on a table. SI units. Mass and places of the frames are yours to put in;
      each thruster's frame has its x along the force on the body. Centre and inertia are to be found: a guess does. -->
@@ -146,16 +147,6 @@ def _sketch(wanted: Body) -> str:
     </inertial>
   </link>
 {"".join(frames)}</robot>
-"""
-
-
-def _frame(name: str, place: str, turned: str) -> str:
-    return f"""  <link name="{name}"/>
-  <joint name="{name}_mount" type="fixed">
-    <parent link="body"/>
-    <child link="{name}"/>
-    <origin xyz="{place}" rpy="{turned}"/>         <!-- yours -->
-  </joint>
 """
 
 

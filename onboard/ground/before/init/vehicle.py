@@ -298,8 +298,8 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
 def _urdf(wanted: Wanted) -> str:
     parts = [_link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
     if wanted.imu != "none":
-        parts.append(_mount("imu_base", "base", "0 0 0"))
-    parts += [_mount(name, "base", place) for name, place in wanted.pucks.items()]
+        parts.append(mount("imu_base", "base", "0 0 0"))
+    parts += [mount(name, "base", place) for name, place in wanted.pucks.items()]
     before = "base"
     for number, name in enumerate(wanted.joints, 1):
         link = f"link_{number}"
@@ -317,7 +317,7 @@ def _urdf(wanted: Wanted) -> str:
 """
         )
         before = link
-    parts.append(_mount("payload", before, "0.25 0 0"))
+    parts.append(mount("payload", before, "0.25 0 0"))
     return f"""<?xml version="1.0"?>
 <!-- Made by heft init: a sketch of a {len(wanted.joints)}-joint arm. SI units; inertia about the centre of mass. Every
      mass, length and inertia is yours to put in; from a CAD program take its URDF and keep the names. -->
@@ -358,11 +358,12 @@ def _link(name: str, mass_kg: float, centre_m: tuple[float, float, float], lengt
 """
 
 
-def _mount(name: str, parent: str, place: str) -> str:
+def mount(name: str, parent: str, place: str, turned: str = "0 0 0", note: str = "") -> str:
+    """A frame of the URDF, fixed to a link."""
     return f"""  <link name="{name}"/>
   <joint name="{name}_mount" type="fixed">
     <parent link="{parent}"/>
     <child link="{name}"/>
-    <origin xyz="{place}" rpy="0 0 0"/>
+    <origin xyz="{place}" rpy="{turned}"/>{note}
   </joint>
 """
