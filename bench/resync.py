@@ -78,7 +78,7 @@ def fly(seed: int) -> ResyncFlight:
     whole = (imu.time_s, imu.angle_rad, imu.rate_rad_s, imu.specific_force_m_s2)
     synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), IMU_PRIOR).fit()
     try:
-        found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, IMU_PRIOR)
+        found = rescue(recorded, coarse_clocks(model, recorded, RATE_LIMIT), build, IMU_PRIOR)
     except (ResyncError, ConvergenceError) as error:
         return ResyncFlight(str(error), np.nan, np.nan, np.nan, np.full(3, np.nan), _error(synchronised, body))
     off_s = found.clock.reference_s(own_s) - true_s

@@ -154,7 +154,7 @@ def test_it_follows_turns_either_way_from_the_count_nearest_to_zero(clock, count
     assert np.sign(rows["scale"][0]) == np.sign(counts)
 
 
-def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(clock, flight):
+def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(flight):
     flight.fly(0.5)
     flight.chip.angle = lambda now_ns: 2200
     flight.fly(0.005)
@@ -169,7 +169,7 @@ def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(clock, flight
     ("status", "code"),
     [(0x00, "magnet_missing"), (0x10, "magnet_missing"), (0x30, "magnet_weak"), (0x28, "magnet_strong")],
 )
-def test_a_magnet_that_is_not_right_is_a_fault(clock, flight, status, code):
+def test_a_magnet_that_is_not_right_is_a_fault(flight, status, code):
     flight.fly(0.5)
     flight.chip.status = status
     flight.fly(0.5)

@@ -128,7 +128,7 @@ def test_tpdos_that_come_too_fast_to_be_read_back_confirm_each_other(clock):
     assert np.count_nonzero(of(bench.batches, "arm_phase")["status"]) == 2
 
 
-def test_garbage_between_two_changes_is_not_valid_and_costs_no_samples(clock, rng):
+def test_garbage_between_two_changes_is_not_valid_and_costs_no_samples(clock):
     bench = bench_of(clock, COUNTED)
     bench.start()
     change(bench, 4)

@@ -102,7 +102,7 @@ def test_the_count_is_right_whatever_the_phase(error, width, seed):
 # Set-up
 
 
-def test_the_set_up_is_these_transactions(clock, flight):
+def test_the_set_up_is_these_transactions(flight):
     flight.fly(0.45)
     assert codes(flight.batches) == ["started"]
     wrote = [data for kind, *data in flight.chip.transfers if kind == "write"]
@@ -208,7 +208,7 @@ def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, register):
     assert len(of(flight.batches, NAME)) == 0
 
 
-def test_a_calibration_that_fails_is_told(clock, flight):
+def test_a_calibration_that_fails_is_told(flight):
     flight.chip.calibrates = False
     flight.fly(1.0)
     assert codes(flight.batches) == ["configuration"]
@@ -233,14 +233,14 @@ def test_every_conversion_is_a_row_with_its_number(clock, error):
     assert np.abs(spacing - 12.5e6 * (1.0 + error)).max() <= 1e6
 
 
-def test_it_looks_when_a_conversion_is_due_and_hardly_before(clock, flight):
+def test_it_looks_when_a_conversion_is_due_and_hardly_before(flight):
     flight.fly(1.0)
     before, rows = len(flight.chip.transfers), len(flight.rows())
     flight.fly(4.0)
     assert (len(flight.chip.transfers) - before) / (len(flight.rows()) - rows) < 6.0
 
 
-def test_a_sample_at_the_rail_is_saturated(clock, flight):
+def test_a_sample_at_the_rail_is_saturated(flight):
     flight.chip.values = lambda number: 0x7FFFFF if number > 30 else number
     flight.fly(1.5)
     rows = flight.rows()
@@ -248,7 +248,7 @@ def test_a_sample_at_the_rail_is_saturated(clock, flight):
     assert set(rows["value_raw"][-10:]) == {0x7FFFFF}
 
 
-def test_late_polls_lose_what_they_lose_and_count_it(clock, flight, rng):
+def test_late_polls_lose_what_they_lose_and_count_it(flight, rng):
     flight.fly(2.0)
     for _ in range(40):
         flight.clock.advance(int(rng.uniform(1.0, 90.0) * MS))
@@ -273,7 +273,7 @@ def test_a_bus_error_at_any_transaction_in_flight_is_survived(clock, code):
         np.testing.assert_array_equal(flight.true_numbers(), flight.rows()["tick"])
 
 
-def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(clock, flight):
+def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
     flight.fly(30.0)
     flight.chip.fail = lambda number: errno.ENXIO
     flight.fly(10.0)
@@ -287,7 +287,7 @@ def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(clock,
     assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 80 / 1.004, abs=90)  # and the back-off
 
 
-def test_a_brown_out_is_found_and_the_zero_is_put_back(clock, flight):
+def test_a_brown_out_is_found_and_the_zero_is_put_back(flight):
     flight.fly(2.0)
     calibrated = [flight.chip.registers[place] for place in (3, 4, 5)]
     assert calibrated == [0x80, 0x01, 0x23]
@@ -305,7 +305,7 @@ def test_a_brown_out_is_found_and_the_zero_is_put_back(clock, flight):
 
 
 @pytest.mark.parametrize(("register", "value"), [(1, 0x2E), (2, 0x70), (3, 0x00), (7, 0x40), (0x1C, 0x00)])
-def test_a_flipped_bit_is_found_within_a_second(clock, flight, register, value):
+def test_a_flipped_bit_is_found_within_a_second(flight, register, value):
     flight.fly(2.0)
     flight.chip.registers[register] = value
     flight.fly(2.5)
@@ -313,7 +313,7 @@ def test_a_flipped_bit_is_found_within_a_second(clock, flight, register, value):
     assert flight.chip.registers[register] != value
 
 
-def test_a_chip_that_stops_converting_is_reset(clock, flight):
+def test_a_chip_that_stops_converting_is_reset(flight):
     flight.fly(2.0)
     flight.chip.converts = False
     flight.fly(1.0)
@@ -323,7 +323,7 @@ def test_a_chip_that_stops_converting_is_reset(clock, flight):
     assert len(flight.rows()) > 200
 
 
-def test_a_data_ready_bit_that_hangs_makes_no_rows_of_nothing(clock, flight):
+def test_a_data_ready_bit_that_hangs_makes_no_rows_of_nothing(flight):
     flight.fly(2.0)
     before = len(flight.rows())
     flight.chip.stuck[0] = 0x86 | 0x08 | 0x20
@@ -349,7 +349,7 @@ def test_rows_and_gaps_add_up_through_stops_and_starts(clock, flight):
     assert codes(flight.batches)[-1] == "stopped"
 
 
-def test_an_outage_longer_than_the_period_is_known_for_begins_its_clock_anew(clock, flight):
+def test_an_outage_longer_than_the_period_is_known_for_begins_its_clock_anew(flight):
     """3 % of 400 conversions are 12: the number that follows is a guess, and said to be one."""
     flight.fly(0.45)
     flight.chip.fail = lambda number: errno.ENXIO

@@ -20,7 +20,7 @@ def flight(flight):
     return flight
 
 
-def test_rows_carry_what_the_node_said(flight, clock):
+def test_rows_carry_what_the_node_said(flight):
     flight.fly(1000)
     flight.stop()
     assert flight.device.channels == {"rig_force": SCALAR, "rig_angle": SCALAR, "rig_mark": MARK}

@@ -43,7 +43,7 @@ def test_one_glitch_is_named_and_is_no_alarm(rng, ticks):
     assert not any(detector.check(batch).alarm for batch in squares(rng, 10))
 
 
-def test_not_even_when_it_is_all_there_is(rng):
+def test_not_even_when_it_is_all_there_is():
     verdict = ChangeDetector(0.1, 36_000.0, 6).check(np.array([1e6]))
     assert verdict.glitches.all()
     assert not verdict.alarm

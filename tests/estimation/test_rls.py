@@ -124,13 +124,13 @@ def test_forgetting_without_a_prior(rng):
     np.testing.assert_allclose(rls.information(), (Y.T * weight) @ Y, rtol=1e-9)
 
 
-def test_lapack_refusing_is_not_passed_over(rng, monkeypatch):
+def test_lapack_refusing_is_not_passed_over(monkeypatch):
     monkeypatch.setattr("onboard.estimation.recursive.rls.lapack.dtpqrt", lambda *a, **k: (a[2], a[3], None, -4))
     with pytest.raises(AssertionError, match="argument 4"):
         SquareRootRls(1).update(np.ones((1, 1)), np.ones(1), np.ones(1))
 
 
-def test_a_million_updates_stay_positive_definite(rng):
+def test_a_million_updates_stay_positive_definite():
     """Constant regressor with forgetting: covariance filters wind up and go non-finite here."""
     rls = SquareRootRls(3, forgetting=0.999)
     rls.prior(np.zeros(3), np.array([1.0, 1e-3, 1e3]))
@@ -186,7 +186,7 @@ def test_sensitivity_is_the_change_of_the_mean(rng):
     assert plain.residual_sum == pytest.approx(without.solve().residual_sum, rel=1e-10)
 
 
-def test_observability_names_the_direction_the_data_have_seen(rng):
+def test_observability_names_the_direction_the_data_have_seen():
     rls = SquareRootRls(3)
     rls.prior(np.zeros(3), np.array([1.0, 2.0, 0.5]))
     seen = np.array([[1.0, 1.0, 0.0]])
@@ -202,7 +202,7 @@ def test_observability_names_the_direction_the_data_have_seen(rng):
     np.testing.assert_allclose(found.shrinkage, expected, rtol=1e-9)
 
 
-def test_observability_needs_a_full_prior(rng):
+def test_observability_needs_a_full_prior():
     rls = SquareRootRls(2)
     rls.prior(np.zeros(2), np.array([1.0, np.inf]))
     with pytest.raises(SingularError, match="prior"):
@@ -272,7 +272,7 @@ def test_bad_rows_are_named_and_leave_the_estimate_alone(rng, spoil):
     assert rls.rows == before.rows
 
 
-def test_no_rows_are_no_change(rng):
+def test_no_rows_are_no_change():
     rls = SquareRootRls(2)
     rls.update(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     assert rls.rows == 0

@@ -65,7 +65,7 @@ def test_exact_on_any_quadratic_whatever_the_times(seed, period, coefficients):
         assert found.values[0, 0] == pytest.approx(truth, abs=1e-7 * max(1.0, found.noise_gain[0]))
 
 
-def test_cubics_pass_because_the_second_moment_is_zero(rng):
+def test_cubics_pass_because_the_second_moment_is_zero():
     t = np.arange(0, 1, 0.001)
     found = smooth(t, (t - 0.4) ** 3, [0.5], WIDTH)
     assert found.values[0, 0] == pytest.approx(0.001, abs=1e-9)
@@ -132,7 +132,7 @@ def test_many_ticks_are_done_in_pieces_with_the_same_result(rng, monkeypatch):
     np.testing.assert_allclose(pieces.noise_gain, whole.noise_gain, rtol=1e-9)
 
 
-def test_a_gap_invalidates_the_ticks_whose_window_it_is_in(rng):
+def test_a_gap_invalidates_the_ticks_whose_window_it_is_in():
     t = np.arange(0, 1, 0.005)
     t = t[(t < 0.5) | (t > 0.53)]
     at = np.arange(0.1, 0.9, 0.01)

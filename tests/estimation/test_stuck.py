@@ -81,6 +81,6 @@ def test_an_encoder_that_freezes_at_rest_is_found_out_when_it_jumps(batch):
 
 
 @BATCHES
-def test_a_joint_at_rest_or_slow_or_starting_is_not_stuck(rng, batch):
+def test_a_joint_at_rest_or_slow_or_starting_is_not_stuck(batch):
     assert not judged(np.concatenate([np.zeros(500), sweep(), np.full(500, 15_000.0)]), None, batch).any()
     assert not judged(sweep(20_000), None, batch).any()  # a count every few samples

@@ -149,7 +149,7 @@ def test_nothing_in_nothing_out():
     assert found.rls.rows == 0
 
 
-def test_what_makes_no_sense_is_refused(rng):
+def test_what_makes_no_sense_is_refused():
     with pytest.raises(RowError, match="choose one"):
         Memory(1.0, 1.0)
     for given in ({"forgetting_s": 0.0}, {"window_s": -1.0}, {"window_s": np.inf}):

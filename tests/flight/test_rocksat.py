@@ -134,7 +134,7 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return fly(tmp_path_factory.mktemp("heavy") / "heavy.mcap", **HEAVY)
 
 
-def test_replay_notices_another_vehicle(short_mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_notices_another_vehicle(short_mission: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     laid_out = replay_module.vehicle_of
 
     def other(log: object, directory: Path) -> object:

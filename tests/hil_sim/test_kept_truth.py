@@ -23,7 +23,7 @@ def small(monkeypatch):
     monkeypatch.setattr(mission, "_KEPT_S", 0.3)
 
 
-def test_deviates_drawn_in_blocks_are_those_of_one_draw(monkeypatch, rng) -> None:
+def test_deviates_drawn_in_blocks_are_those_of_one_draw(monkeypatch) -> None:
     monkeypatch.setattr(arrays, "_LEAST", 7 * 8 * 3)  # blocks of seven rows
     once, blocks = np.random.default_rng(4), np.random.default_rng(4)
     whole, drawn = once.standard_normal((100, 3)), Deviates(blocks, 100, 3)

@@ -213,7 +213,7 @@ def test_an_address_that_is_taken_is_refused_before_the_flight(tmp_path: Path) -
 
 
 @pytest.mark.realtime
-def test_the_process_finds_its_flight_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_finds_its_flight_and_goes_with_it(tmp_path: Path) -> None:
     log = tmp_path / "flight.mcap"
     with manifest.new_flight(log, "test-live") as directory:
         pass

@@ -249,7 +249,7 @@ def test_a_log_from_time_zero_and_one_without_rows(tmp_path: Path) -> None:
         Recorded(LogReader(tmp_path / "empty.mcap"))
 
 
-def test_frames_of_a_long_log_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_log: Path) -> None:
+def test_frames_of_a_long_log_are_thinned(monkeypatch: pytest.MonkeyPatch, made_log: Path) -> None:
     monkeypatch.setattr("onboard.page.recorded.FRAMES", 8)
     found = Recorded(LogReader(made_log))
     assert 4 <= len(found) <= 9

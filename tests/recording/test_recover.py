@@ -135,7 +135,7 @@ def test_nothing_recoverable_says_so_and_leaves_no_file(tmp_path, content):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_nothing_is_overwritten(tmp_path, small):
+def test_nothing_is_overwritten(small):
     with pytest.raises(FileExistsError):
         recover(small, small)
     assert LogReader(small).complete

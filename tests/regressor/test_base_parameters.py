@@ -221,7 +221,7 @@ def test_trees_with_massless_links_one_body_or_none(tree):
     assert len(written.lines) == len(found.names) > 0
 
 
-def test_names_do_not_depend_on_the_samples(rng):
+def test_names_do_not_depend_on_the_samples():
     model = rocksat()
     one, two = (base_parameters(model, np.random.default_rng(seed)) for seed in (1, 2))
     assert one.names == two.names

@@ -39,7 +39,7 @@ def test_a_joint_at_rest_and_a_gap_keep_it():
     np.testing.assert_array_equal(dahl(position), z)
 
 
-def test_a_motor_of_two_joints_stops_where_they_cancel(rng):
+def test_a_motor_of_two_joints_stops_where_they_cancel():
     friction = CoulombFriction([Motor("a", (("a", 1.0),)), Motor("m", (("a", 1.0), ("b", -2.0)))], JOINTS)
     q, dq = np.zeros((3, 2)), np.array([[1.0, 1.0], [3.0, 1.0], [2.0, 1.0]])
     np.testing.assert_array_equal(friction.follow(q, dq), [[1.0, -1.0], [1.0, 1.0], [1.0, 0.0]])

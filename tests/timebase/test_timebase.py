@@ -141,7 +141,7 @@ def test_a_line_first_heard_hours_after_its_start_gives_the_same_clock(cycle: in
     assert abs(fleet.error_ns("sync")) < 20_000
 
 
-def test_a_pps_of_somebody_else_marks_what_needs_no_code(rng: np.random.Generator) -> None:
+def test_a_pps_of_somebody_else_marks_what_needs_no_code() -> None:
     fleet = Fleet(12)
     fleet.edges = fleet.start_ns + 123_456_789 + np.arange(40) * 1_000_000_000
     fleet.timebase = Timebase(fleet.channels, SyncLine("pulse", 1e9, coded=False))

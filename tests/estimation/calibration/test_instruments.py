@@ -30,7 +30,7 @@ def test_six_positions_cover(rng):
     assert inside / count > 0.93
 
 
-def test_misalignment_is_a_rotation(rng):
+def test_misalignment_is_a_rotation():
     turn = np.array([0.004, -0.003, 0.002])
     x, y, z = turn
     R = np.eye(3) - np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -119,7 +119,7 @@ def test_an_encoder_at_its_stops():
     assert found.counts_sigma > 0.0
 
 
-def test_balance_finds_mass_and_centre(rng):
+def test_balance_finds_mass_and_centre():
     m, c = 4.2, np.array([0.03, -0.05, 0.12])
     gravity, pivot, hinge, support, push, force = ([] for _ in range(6))
     for up, h in (("z", [1, 0, 0]), ("z", [0, 1, 0]), ("x", [0, 1, 0]), ("y", [1, 0, 0]), ("z", [0, 0, 0])):

@@ -44,7 +44,7 @@ print(given // 1024, before - after, *x, numpy.random.Generator(numpy.random.PCG
 """
 
 
-def test_only_what_is_unchanged_of_a_file_and_read_only_is_given_back(monkeypatch):
+def test_only_what_is_unchanged_of_a_file_and_read_only_is_given_back():
     assert list(pages.unchanged(SMAPS)) == [(0x7F00, 0x7F10, 65536)]
 
 

@@ -377,7 +377,7 @@ def test_a_full_receiver_loses_edges_and_blocks_nobody(tmp_path):
     link.close()
 
 
-def test_in_process_end_to_end_is_the_same_each_time(tmp_path, clock):
+def test_in_process_end_to_end_is_the_same_each_time(tmp_path):
     def flight(name):
         mission, now = SmallMission(), [START_NS]
         edges_path = tmp_path / f"{name}"

@@ -54,7 +54,7 @@ class Gaussian(NamedTuple):
         return Interval(mean, sigma, np.full_like(sigma, np.inf), mean - 1.959964 * sigma, mean + 1.959964 * sigma)
 
 
-def test_the_quantities_of_the_urdf_are_the_urdf(rng):
+def test_the_quantities_of_the_urdf_are_the_urdf():
     model, base, quantities = quantities_of()
     assert tuple(quantity.name for quantity in quantities) == FREE_BODY
     assert [quantity.unit for quantity in quantities] == ["m"] * 3 + ["kg m^2"] * 6

@@ -39,7 +39,7 @@ def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
     elif vehicle.prediction is config.Prediction.PIVOT:
         true = _of_pivot(vehicle, truth)
     elif vehicle.prediction is config.Prediction.ROWS:
-        true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
+        true |= _of_rows(build_identifier(vehicle)[0], truth)
     return true
 
 
@@ -77,7 +77,7 @@ def _answer(unit: str, standing: str, *, told: bool = False) -> Row:
     return {"unit": unit, "supported": told, "standing": standing, "leans": "", "drawn": 0.0}
 
 
-def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
+def _of_rows(identifier: Identifier, truth: Truth) -> dict[str, float]:
     """True base parameters and quantities of the rows, by name; NaN where something is not known to the world."""
     model = identifier.model
     by_name = dict.fromkeys(model.names, np.nan)

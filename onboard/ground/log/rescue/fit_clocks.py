@@ -79,7 +79,7 @@ class Rescued(NamedTuple):
 Build = Callable[[FlightSignals, ImuPrior], Exiddm]
 
 
-def coarse_clocks(vehicle: VehicleModel, imu_frame: str, recorded: Recorded, rate_limit: float) -> list[FittedClock]:
+def coarse_clocks(vehicle: VehicleModel, recorded: Recorded, rate_limit: float) -> list[FittedClock]:
     """Clocks by correlation, likeliest first: the gyro is a linear map of base rates predicted from the joints.
 
     One, where it stands out; else the best few, for :func:`rescue` to tell apart.

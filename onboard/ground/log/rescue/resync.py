@@ -188,7 +188,7 @@ def _through_the_model(
     def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
         return free_exiddm(model, frame, signals, ANY_PAYLOAD, {}, imu_prior)
 
-    found = rescue(recorded, coarse_clocks(model, frame, recorded, rate_limit), build, UNCALIBRATED)
+    found = rescue(recorded, coarse_clocks(model, recorded, rate_limit), build, UNCALIBRATED)
     clock = found.clock
     how = "base rate and specific force predicted from the joints, payload and momentum fitted with the clock"
     unique = f"residuals are {found.misfit:.2f} times the noise, settled in {found.rounds} rounds"

@@ -119,7 +119,7 @@ def test_the_payload_is_handed_over_as_it_was_last_answered(flown, flyer):
     assert len(events(flown, "handed_over")) == 1 + withdrawn
 
 
-def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library, capsys):
+def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library):
     """The segment is played to its end; nothing is held then, and nothing is asked for."""
     (flyer / "lost.toml").write_text(
         f"payload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\nejection.at_s = 12.0\n{SCENARIO}"
@@ -236,7 +236,7 @@ def test_rows_that_say_less_than_is_known_are_left_out(rng):
     assert np.abs(np.linalg.eigvalsh(whole - root.T @ root)).max() < 0.02
 
 
-def test_what_is_left_is_named_by_what_it_comes_from(rng):
+def test_what_is_left_is_named_by_what_it_comes_from():
     names = [f"x{k}" for k in range(13)] + ["arm_1_inertial_0", "arm_1_inertial_1", "gyro_scale_x", "gyro_scale_y"]
     P = np.eye(17)
     P[3, 13:15] = P[13:15, 3] = 0.6  # the mass is as uncertain as the link

@@ -54,7 +54,7 @@ def test_an_import_that_fails_leaves_an_earlier_log_as_it_was(bench, tmp_path, m
     assert list((tmp_path / "logs").iterdir()) == [first.path]
 
 
-def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch, capsys):
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
     page = (Path(__file__).resolve().parents[4] / "docs" / "import.md").read_text()
     blocks = dict(re.findall(r"```(\w*)\n(.*?)```", page, re.DOTALL))
     monkeypatch.chdir(tmp_path)

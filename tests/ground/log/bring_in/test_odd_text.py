@@ -137,7 +137,7 @@ def test_a_column_without_any_number_is_an_error_where_rows_are_skipped_too(tmp_
         brought_in(tmp_path, skipping, "t,f\n0,a\n1,b\n2,c\n")
 
 
-def test_the_fewest_rows_are_left_out_so_that_times_rise(tmp_path):
+def test_the_fewest_rows_are_left_out_so_that_times_rise():
     """Against the longest rising part by brute force."""
     rng = np.random.default_rng(3)
     for _ in range(60):

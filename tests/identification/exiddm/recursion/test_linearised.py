@@ -144,9 +144,7 @@ def test_instruments_that_are_not_there_do_not_count(held, predictor, rng):
 
 
 @pytest.mark.parametrize(("direction", "size"), [(all_heavier, 0.1), (farther_out, 0.01)])
-def test_what_no_motion_shows_stays_unknown_when_the_payload_is_found_to_be_another(
-    held, predictor, rng, direction, size
-):
+def test_what_no_motion_shows_stays_unknown_when_the_payload_is_found_to_be_another(held, predictor, direction, size):
     """Steps go on about a payload and a base that are found to be 20 to 30 % heavier."""
     ticks, x = ticks_of(held).part(slice(300, 312)), some_state(predictor)
     linearised, sigma = Linearised(predictor), np.where(np.isnan(predictor.sigma), 10.0, predictor.sigma)

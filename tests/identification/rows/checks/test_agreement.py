@@ -227,7 +227,7 @@ def test_what_vibration_leaves_over_is_seldom_a_step():
     assert not any(has_stepped(seed) for seed in range(150))
 
 
-def test_rows_that_read_nothing_have_no_gain(rng):
+def test_rows_that_read_nothing_have_no_gain():
     """A wrench that is known to be zero: the fit finds what makes it so, and no reading is there to change."""
     n, sigma = 600, 0.05
     t = 0.01 * np.arange(n)

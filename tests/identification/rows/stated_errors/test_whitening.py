@@ -115,7 +115,7 @@ def test_a_hole_begins_it_anew():
     assert Y[-len(again) :] == pytest.approx(again)
 
 
-def test_it_can_be_pickled(rng):
+def test_it_can_be_pickled():
     one = fresh()
     filtered(one, MOTION @ TRUE, 2)
     other = pickle.loads(pickle.dumps(one))

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -66,9 +65,7 @@ class Table(NamedTuple):
     no_clock: str = ""  # why a column that is a time by its name is none, where there is no other
 
 
-def tables(
-    path: Path, kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]
-) -> list[Table]:
+def tables(kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]) -> list[Table]:
     """Tables of a recording; ``units``: by column, of a line of units; ``joints``: of the vehicle, by their angles."""
     apart: dict[str, list[Column]] = {}
     for name, values in columns.items():

@@ -68,7 +68,7 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     if layout is not None and len(layout.units) == len(columns):
         units = dict(zip(columns, layout.units, strict=True))
     made = _Maker(vehicle)
-    some = tables(path, kind, columns, units, vehicle.angles)
+    some = tables(kind, columns, units, vehicle.angles)
     numbered = layout is not None and not layout.csv.header
     if numbered:
         some = [blocks.recognised(one, len(vehicle.angles)) for one in some]
