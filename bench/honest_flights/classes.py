@@ -1,10 +1,10 @@
-"""Classes of flights that the scoreboard tells apart, and how a flight of each is drawn by its seed.
+"""Classes of flights of the scoreboard, and how a flight of each is drawn by its seed.
 
 A class is a table: what flies, and a function that draws what is wrong. *Wrong file*: the vehicle that flies is not the
 one that its file describes; the estimator reads the packaged file, and the simulated parts are as far off as stated.
-*External wrench*: force and torque on the base of which nothing on board tells. *Mild*: instrument errors of half the
-size at which revision 3bd6052 gave no answer, or less. The classes of :data:`RANDOM` are those of
-``bench/plans/honesty.toml``: healthy flights, and faults of the vocabulary, alone and in pairs.
+*External wrench*: force and torque on the base that no instrument on board measures. *Mild*: instrument errors of half
+the size at which revision 3bd6052 gave no answer, or less. Random flights are those of ``bench/plans/honesty.toml``:
+healthy flights, and faults of the vocabulary, alone and in pairs.
 """
 
 from collections.abc import Callable
@@ -214,7 +214,6 @@ CLASSES = {
     "workshop, a joint 5 ms late": Class("arm on a bench", "workshop", JOINTS, _of_one(JOINTS, "delayed", 0.005)),
     "workshop, an axis 5 ms late": Class("arm on a bench", "workshop", ("wrist",), _of_one(AXES, "delayed", 0.005)),
 }
-RANDOM = "random"
 
 
 def of_class(name: str, seed: int) -> tuple[Drawn, str]:

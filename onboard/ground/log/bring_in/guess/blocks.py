@@ -11,7 +11,6 @@ from onboard.ground.log.bring_in.guess.groups import Column, Group, Table
 from onboard.ground.log.bring_in.guess.magnitudes import FloatArray
 
 _MOST_JOINTS = 8
-_TIMES = (0.8, 1.25)  # the derivative over the rate, in one unit of angles and any of time
 
 
 def recognised(table: Table, vehicle_joints: int = 0) -> Table:
