@@ -13,7 +13,7 @@ from drivers.records import SampleStatus, Severity
 from drivers.serial_poll import PolledDevice, Value
 from drivers.serial_stream import MS, Clock, OpenPort
 
-SILENT_AFTER = 3  # rounds in a row that a servo does not answer while others do
+SILENT_AFTER = 5  # rounds in a row that a servo does not answer while others do
 LOOK_NS = 1_000 * MS  # between two looks at the temperature of a servo, or for one that is silent
 HOT_BELOW_LIMIT = 5  # degrees
 LARGEST_STEP = table.COUNTS // 4  # between two samples, counts of the horn

@@ -142,6 +142,6 @@ class DynamixelTiming:
     """
 
     sample_period_ms: float = 5.0
-    timeout_ms: float = 50.0
+    timeout_ms: float = 30.0
     poll_period_ms: float = 1.0
     fast_sync_read: bool = True

@@ -62,9 +62,12 @@ class _Wire(SerialWire):
     """One that knows which of the device's messages are samples, and tells other stations of all of them."""
 
     def __init__(
-        self, device: SerialStation, sample_length: Callable[[bytes], int], tell: Callable[["_Wire", bytes, int], None]
+        self,
+        device: SerialStation,
+        sample_length: Callable[[bytes], int],
+        said: "deque[tuple[_Wire, bytes, int]]",
     ) -> None:
-        self._sample_length, self._tell = sample_length, tell
+        self._sample_length, self._said = sample_length, said
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
         super().__init__(device)
 
@@ -85,7 +88,7 @@ class _Wire(SerialWire):
         if length:
             character_ns = self._device.line.character_ns
             self._ends_ns.append(end_ns - round(len(data) * character_ns) + round(length * character_ns))
-        self._tell(self, data, end_ns)
+        self._said.append((self, data, end_ns))
         return end_ns
 
     def overhear(self, data: bytes, end_ns: int) -> None:
@@ -115,6 +118,7 @@ class SerialBus:
         self.garbled = 0
         self._link = link
         self._wires: list[_Wire] = []
+        self._said = deque[tuple[_Wire, bytes, int]]()  # by stations, not told to the others yet
         self._made: Callable[[], int] = lambda: 0
         self._made_before: int | None = None  # the port was first open
         self._discarded = False
@@ -163,7 +167,7 @@ class SerialBus:
             sample_length: How many characters of a message make a sample; 0: it is none.
             asks: Of a device that is asked: whether a message of the flight computer asks for a sample; None: each.
         """
-        self._wires.append(_Wire(device, sample_length, self._tell))
+        self._wires.append(_Wire(device, sample_length, self._said))
         self._made = made
         if asks is not None:
             self._link.asks = asks
@@ -219,7 +223,10 @@ class SerialBus:
             self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
-        each = [wire.advance(until_ns) for until_ns in self._steps(now_ns) for wire in self._wires]
+        each: list[Arrived] = []
+        for until_ns in self._steps(now_ns):
+            each += [wire.advance(until_ns) for wire in self._wires]
+            self._overhear()
         arrived = each[0] if len(each) == 1 else _joined(sorted(one for other in each for one in other.characters()))
         self._now_ns = now_ns
         if self._faults:
@@ -245,10 +252,13 @@ class SerialBus:
             yield due_ns
         yield now_ns
 
-    def _tell(self, sender: _Wire, data: bytes, end_ns: int) -> None:
-        for wire in self._wires:
-            if wire is not sender:
-                wire.overhear(data, end_ns)
+    def _overhear(self) -> None:
+        """Tell each station what the others began to send; all of them have heard what came before it."""
+        while self._said:
+            sender, data, end_ns = self._said.popleft()
+            for wire in self._wires:
+                if wire is not sender:
+                    wire.overhear(data, end_ns)
 
     def _next_plugging(self, until_ns: int) -> int | None:
         if not self._faults:

@@ -237,10 +237,10 @@ def test_a_turn_is_counted_and_a_leap_is_not_believed(flight):
 
 def test_a_late_answer_does_not_pass_for_the_next_one(flight):
     flight.fly(100)
-    flight.delay_ns = 51 * MS  # a poll later than the timeout
+    flight.delay_ns = 31 * MS  # a poll later than the timeout
     for servo in flight.chain.servos.values():
         servo.present(0, 0, 1)
-    flight.fly(53)
+    flight.fly(33)
     flight.delay_ns = 2 * MS
     for servo in flight.chain.servos.values():
         servo.present(0, 0, 2)

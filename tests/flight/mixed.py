@@ -16,6 +16,7 @@ from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
@@ -30,7 +31,7 @@ from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, St
 
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
-LINKS = 5
+LINKS = 7
 BOOT_MS = 1_000  # the slowest twin is up after half of it
 DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -108,6 +109,7 @@ class MixedWorld:
             "tty_grip": SerialBusTable(kind="serial"),
             "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -141,6 +143,10 @@ class MixedWorld:
         bus["tty_grip"].add(DscLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
         bus["tty_tracker"].add(PoseTrackerTwin(Cameras(), RateClock(), START_NS))
+        for identifier, zero in ((1, 2048), (2, 1000)):
+            wave, torque = Analog(angle(5 + identifier)), Analog(dithered(TORQUE_N_M, 0.02))
+            servo = DynamixelTwin(wave, torque, START_NS, identifier=identifier, zero_count=zero)
+            bus["tty_servos"].add(servo, asks=asks)
         for _ in range(BOOT_MS):
             self.advance(MS)
 

@@ -41,7 +41,7 @@ def test_the_mixed_vehicle_has_every_kind_that_has_a_bus():
 def test_every_channel_is_written_in_its_own_records(flight):
     flying, rows = flight
     assert {channel: rows[channel].dtype for channel in flying.channels} == flying.channels
-    assert flying.channels.keys() >= {"upper_velocity", "upper_torque", "imu_tip_mag_z", "elbow_mark", "wrist_mode"}
+    assert flying.channels.keys() >= {"upper_torque", "servo_6_velocity", "imu_tip_mag_z", "elbow_mark", "wrist_mode"}
     assert rows.keys() - flying.channels.keys() == {"event", "gap"}
     assert (rows["event"].dtype, rows["gap"].dtype) == (EVENT, GAP)
 
@@ -63,6 +63,7 @@ def test_nothing_fails(flight):
         (b"elbow", b"lines_lost"),
         (b"cell", b"stopped"),
         (b"grip", b"stopped"),
+        *((name, b"stopped") for name in (b"servo_6", b"servo_6_velocity", b"servo_6_torque", b"servo_7")),
     }
 
 
@@ -110,7 +111,7 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
     signal = smoothed(flying, rows, SECONDS - 0.1)
     at_ns = START_NS + np.arange(4300, 4600, 50) * MS
     roles = roles_of(flying)
-    assert len(roles.joints) == 5
+    assert len(roles.joints) == 7
     for joint in roles.joints:
         number = int(joint.joint[-1])
         true = np.array([angle(number)(1e-9 * (t - START_NS)) for t in at_ns.tolist()])
@@ -120,7 +121,7 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
         if joint.channel == "elbow":  # it counts modulo 500 until it is set up: where zero is, nobody knows
             true, measured = true[1:] - true[0], measured[1:] - measured[0]
         a_tenth_of_a_millisecond_rad = 0.1e-3 * 0.6
-        a_count_rad = 2.0 * np.pi / 4096 if joint.channel == "tip" else 0.0
+        a_count_rad = 2.0 * np.pi / 4096 if joint.channel in ("tip", "servo_6", "servo_7") else 0.0
         assert measured == pytest.approx(true, abs=a_tenth_of_a_millisecond_rad + a_count_rad), joint.channel
     assert len(roles.cells) == 5
     for cell in roles.cells:

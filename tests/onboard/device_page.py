@@ -19,6 +19,7 @@ from onboard import config
 from onboard.devices.base import BusDevice, DeviceSection, ImuDevice, JointDevice
 from onboard.devices.can.canopen import CanopenNodeDevice
 from onboard.devices.can.canopen_object import MappedObjectDevice
+from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
 from onboard.devices.serial_line.node_channels import CHANNELS
@@ -90,6 +91,7 @@ SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, the
     (LoadCellKeys, "A load cell", "cia404"),
     (ImuDevice, "An IMU", "recorded_imu"),
     (JointDevice, "A joint's encoder", "qsb"),
+    (MotorDevice, "A joint's motor", "cia402"),
     (MappedObjectDevice, "A mapped object", "canopen_object"),
     (CanopenNodeDevice, "A CANopen node", "cia404"),
 ]
@@ -107,7 +109,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
-| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one serial device; speed and format are given here |
+| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one device, or several servos; speed and format |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
@@ -137,7 +139,7 @@ ROOMS = {"i2c": "i2c", "mpu6050": "i2c", "can": "can", "serial_line": "serial", 
 def bus(model: type[BaseModel]) -> str:
     """Of the :data:`TITLES`, by the module that the class stands in; empty for what several have."""
     room = model.__module__.split(".")[2]
-    return "" if room in ("base", "roles") else ROOMS.get(room, "pulse")
+    return "" if room in ("base", "driven", "roles") else ROOMS.get(room, "pulse")
 
 
 def pages() -> dict[str, str]:

@@ -20,7 +20,8 @@ address (bytes)         here
 
 Where the manual is silent: what is read is what is measured as the servo begins to answer; velocity is the mean of the
 last 20 ms; the position has a noise of 0.03 degrees rms (AS5045); in Sync Reads each waits for the one named before it,
-for as long as that is silent; a broadcast Ping is answered after 3 ms for each ID below; other addresses read 0.
+for as long as that is silent; a broadcast Ping is answered after 3 ms for each ID below; other addresses read 0; a
+packet of more than 512 bytes, or with a pause of more than 100 ms inside, is void.
 """
 
 import math
@@ -60,6 +61,7 @@ _WINDOW_S: Final = 0.02
 _VELOCITY_RAD_S: Final = 0.229 * math.tau / 60.0
 _HEAT, _OVERLOAD = 0x04, 0x20
 _BOOT_NS: Final = 400_000_000
+_LONGEST_BYTES, _LONGEST_PAUSE_NS = 512, 100_000_000
 
 
 def crc(data: bytes) -> bytes:
@@ -137,7 +139,7 @@ class DynamixelTwin(SerialTwin):
         self._turn: int | None = None  # counts taken off, so that it began in the first revolution
         self._before: tuple[int, int, int, int] = 0, 0, 0, 0  # instruction, ID before it in a Sync Read; address, count
         self._heard, self._said = b"", 0  # of a Fast Sync Read's packet: what others said, and how much
-        self._ready_ns = self._up_ns = start_ns
+        self._ready_ns = self._up_ns = self._byte_ns = start_ns
         self.answered = 0
         self.bad_packets = 0
         super().__init__(line, start_ns, faults, (FaultKind.SLOW, FaultKind.TRIP, *INPUT_KINDS))
@@ -148,6 +150,7 @@ class DynamixelTwin(SerialTwin):
         self._memory[_EEPROM_BYTES:] = bytes(_TABLE_BYTES - _EEPROM_BYTES)
         self._memory[64], self._memory[68] = 1, 2
         self._frame.clear()
+        self._before = 0, 0, 0, 0
         self._turn = None
         self._ready_ns = now_ns if now_ns == self._start_ns else now_ns + _BOOT_NS
         self._up_ns = now_ns
@@ -170,8 +173,11 @@ class DynamixelTwin(SerialTwin):
         if now_ns < self._ready_ns:
             return
         frame = self._frame
+        if now_ns > self._byte_ns + _LONGEST_PAUSE_NS:
+            frame.clear()
+        self._byte_ns = now_ns
         frame.append(byte)
-        while frame and not frame.startswith(_HEADER[: len(frame)]):
+        while frame and not (_HEADER.startswith(frame[:4]) and frame[6:7] < bytes([_LONGEST_BYTES >> 8])):
             del frame[0]
         if len(frame) < 7 or len(frame) < 7 + int.from_bytes(frame[5:7], "little"):
             return

@@ -113,10 +113,12 @@ def test_sync_read_of_the_manual(monkeypatch):
 
 
 @pytest.mark.parametrize("step_ms", [0.01, 0.3, 5])
-def test_fast_sync_read_of_the_manual(monkeypatch, step_ms):
+@pytest.mark.parametrize("return_delay", [0, 250])
+@pytest.mark.parametrize("positions", [{7: 2079, 4: 1023, 3: 166}, {3: 166, 7: 2079, 4: 1023}])
+def test_fast_sync_read_of_the_manual(monkeypatch, positions, return_delay, step_ms):
     quiet(monkeypatch)
-    positions = {7: 2079, 4: 1023, 3: 166}
-    chain = Chain(*(servo(at_counts(one), identifier=identifier) for identifier, one in positions.items()))
+    options = {"return_delay": return_delay}
+    chain = Chain(*(servo(at_counts(one), identifier=identifier, **options) for identifier, one in positions.items()))
     chain.port.write(bytes.fromhex("FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2"))
     for _ in range(round(5 / step_ms)):
         chain.run(step_ms)
@@ -157,6 +159,24 @@ def test_junk_before_a_packet_and_packets_of_others_are_passed_over():
     for junk in (b"\xff\xff\x00\xff\xff\xff\xfd", b"\x00\x12\xff\xff", b"\xff\xff\xfd\xfd"):
         assert parts(bench.ask(junk + packet("01"), 5)) is not None
     assert bench.say("01", identifier=2) is None
+
+
+def test_what_never_ends_is_given_up():
+    bench = Bench()
+    assert bench.ask(b"\xff\xff\xfd\x00\x01\x00\x02") == b""  # 512 bytes follow: that is no packet
+    assert parts(bench.ask(packet("01"))) is not None
+    assert bench.ask(b"\xff\xff\xfd\x00\x01\xff\x01", 50) == b""
+    assert bench.ask(packet("01")) == b""
+    bench.run(101)
+    assert parts(bench.ask(packet("01"))) is not None
+
+
+def test_a_servo_that_lost_its_supply_has_lost_its_turn():
+    faults = Fault("off", "servo", 0.0069, 0.008)  # between the request and its answer
+    chain = Chain(servo(identifier=1, return_delay=250), servo(0.0, 0.0, faults, identifier=2))
+    chain.run(5.5)
+    assert len(chain.ask(sync_read(1, 2))) == 22
+    assert len(chain.ask(sync_read(1, 2))) == 22  # it starts
 
 
 def test_what_is_stuffed_is_taken_out_and_put_in():

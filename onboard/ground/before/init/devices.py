@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from onboard.devices.base import BusDevice, JointDevice, LoadCellDevice
+from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
@@ -29,6 +30,11 @@ def kinds(role: type) -> tuple[str, ...]:
     """Kinds of a role that can be made: those that say what their table has."""
     made = [k for k, model in DEVICES.items() if issubclass(model, role) and issubclass(model, BusDevice)]
     return tuple(kind for kind in made if _model(kind).new_keys)
+
+
+def with_torque() -> tuple[str, ...]:
+    """Kinds of joints' devices that know the motor's torque."""
+    return tuple(kind for kind in kinds(JointDevice) if issubclass(_model(kind), MotorDevice))
 
 
 def smoothing_ms(kind: str) -> int:
@@ -98,7 +104,8 @@ def joint(
     made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF\n")
     if largest_N_m is None:
         return made
-    return made._replace(text=made.text + _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK))
+    keys = _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK, getattr(_model(kind), "new_torque", ""))
+    return made._replace(text=made.text + keys)
 
 
 def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_A: float | None) -> str:
@@ -129,13 +136,12 @@ _OF_LARGEST = 1e-3  # of a torque by current: its noise of 0.2 % and steps of 0.
 _OF_A_TICK = 2e-3  # the same of a mean over a tick, which has two samples or more: as a free base takes it
 
 
-def _torque(largest_N_m: float, share: float) -> str:
-    """Keys of a drive's torque; the sigma is by the joint's largest, as the drive measures its current."""
+def _torque(largest_N_m: float, share: float, own: str) -> str:
+    """Keys of a drive's torque, ``own`` among them; the sigma is by the joint's largest: it measures its current."""
     sigma = f"torque_sigma_N_m = {share * largest_N_m:.2g}"
     return f"""torque = true                  # recorded, by the motor's current
 {sigma:31s}# yours: {share:.1%} of the joint's largest; more where friction and gear leave more
-torque_scale_sigma = 0.01      # yours: of the torque constant, relative
-torque_still_rad_s = 0.02      # below this rate friction is not known
+{own}torque_still_rad_s = 0.02      # below this rate friction is not known
 """
 
 

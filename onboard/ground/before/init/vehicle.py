@@ -65,7 +65,8 @@ class Wanted(NamedTuple):
     def by_torque(self) -> bool:
         """Whether the joints' torques are used: where they alone show the payload, and on a free base."""
         needed = self.load_cell == "none" and self.base in ("fixed", "prescribed")
-        return (self.encoder == "cia402" and (needed or self.base == "free")) or (self.recorded and needed)
+        by_motor = self.encoder in devices.with_torque() and (needed or self.base == "free")
+        return by_motor or (self.recorded and needed)
 
     @property
     def recorded(self) -> bool:
@@ -150,7 +151,7 @@ def _require(wanted: Wanted) -> None:
     if (devices.RECORDED in others or wanted.recorded) and {wanted.encoder, *others} != {devices.RECORDED}:
         raise config.ConfigError("what is recorded by somebody else is all of it: give recorded for each device")
     if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed") and not wanted.by_torque:
-        text = "give --load-cell, or --encoder cia402 for the torques of the joints"
+        text = f"give --load-cell, or --encoder {' or '.join(devices.with_torque())} for the torques of the joints"
         raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: {text}")
 
 

@@ -1,0 +1,155 @@
+"""DYNAMIXEL X servos, several on one serial line; read, never commanded."""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from drivers import transports
+from drivers.device import Device
+from drivers.dynamixel.device import DynamixelBus
+from drivers.dynamixel.packet import answer_bytes, sync_read_request
+from drivers.dynamixel.registers import COUNTS, PRESENT, PRESENT_BYTES, DynamixelConfig, DynamixelTiming
+from drivers.records import SCALAR
+from onboard.devices.base import BusDevice, Channels, OpeningBus, Problem, Surroundings
+from onboard.devices.buses import PollPeriod, SamplePeriod, SerialLineDevice
+from onboard.devices.driven import MotorDevice
+from onboard.devices.roles import Roles
+from onboard.section import NotNegative, Positive
+from onboard.timebase.delays import Delay, on_wire_s
+from onboard.timebase.specs import ChannelClock, PolledChannel
+
+RETURN_DELAY_S = 500e-6  # as it comes
+
+
+class DynamixelDevice(SerialLineDevice, MotorDevice):
+    """DYNAMIXEL X servo (protocol 2.0) on a joint, with others on its line; all are asked at once.
+
+    It is read and never commanded. `torque`: its motor's current; with `gain_N_m_A` and `torque_sigma_N_m` it is the
+    joint's torque. `counts_per_revolution = -4096` where it counts against the joint. A hardware error is an event with
+    the remedy, and the current is not valid meanwhile. On the motor side of a gear its zero is lost with the supply.
+    """
+
+    about_clock = (
+        "The middle between request and the beginning of its own answer, by the host's clock; where it samples in "
+        "between is not known, which is `delay_sigma_ms`. It has no input for the sync line."
+    )
+    driver_configs = (DynamixelConfig, DynamixelTiming)
+    shares_bus = True
+    new_bus = "tty_servos"
+    new_baud = 1_000_000
+    new_keys: ClassVar[
+        str
+    ] = """id = {number}                         # set each with DYNAMIXEL Wizard, as the baud rate
+zero_count = 2048              # yours: what it reads at joint angle zero, 0 to 4095
+noise_rad = 7e-4               # one sample: a count / sqrt(12), and its sensor's 0.03 degrees
+"""
+    new_torque = """gain_N_m_A = 1.78              # yours: stall torque / stall current, here of an XM430-W350
+torque_scale_sigma = 0.1       # yours: of that, relative
+"""
+    new_smoothing_ms = 300  # its noise is that of an AS5600
+    kind: Literal["dynamixel"]
+    id: Annotated[int, Field(ge=0, le=252)] = DynamixelConfig.id
+    counts_per_revolution: int = COUNTS
+    ampere_per_count: Positive | None = None
+    gain_N_m_A: Annotated[  # noqa: N815
+        Positive | None, Field(description="Joint torque per ampere, gear included.")
+    ] = None
+    delay_sigma_ms: Annotated[
+        NotNegative,
+        Field(description="1 sigma of when it samples: (its return delay, 0.5 ms, + `poll_period_ms`) / sqrt(12)."),
+    ] = 0.45
+    sample_period_ms: SamplePeriod = DynamixelTiming.sample_period_ms
+    timeout_ms: Positive = DynamixelTiming.timeout_ms
+    poll_period_ms: PollPeriod = DynamixelTiming.poll_period_ms
+    fast_sync_read: bool = DynamixelTiming.fast_sync_read
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """See ``BusDevice``: all servos of a line are one driver."""
+        servos = {name: device for name, device in bus.devices.items() if isinstance(device, cls)}
+        timing = next(iter(servos.values())).timing
+        settings = [servo.settings(name) for name, servo in servos.items()]
+        return [DynamixelBus(bus.name, settings, partial(transports.open_serial, bus.url), bus.clock, timing)]
+
+    @classmethod
+    def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
+        """See ``BusDevice``."""
+        first = next(iter(devices))
+        by_id: dict[int, str] = {}
+        for name, device in devices.items():
+            if not isinstance(device, cls):
+                yield ["device", name, "bus"], f"{name!r} is no servo and cannot be on their line; give it a bus"
+                continue
+            other = by_id.setdefault(device.id, name)
+            if other != name:
+                yield ["device", name, "id"], f"{name!r} and {other!r} have ID {device.id}; give each its own"
+            leader = devices[first]
+            if isinstance(leader, cls) and device.timing != leader.timing:
+                yield ["device", name], f"{name!r} and {first!r} are asked at once; give both the same periods and keys"
+
+    @property
+    def nominal_hz(self) -> float:
+        """As it is asked for."""
+        return 1e3 / self.sample_period_ms
+
+    @property
+    def timing(self) -> DynamixelTiming:
+        """How the servos of its line are asked."""
+        return self._settings(DynamixelTiming)
+
+    def settings(self, name: str) -> DynamixelConfig:
+        """See ``BusDevice``."""
+        return self._settings(DynamixelConfig, name=name)
+
+    def channels(self, name: str) -> Channels:
+        """Position, velocity, current."""
+        return dict.fromkeys(self.settings(name).channels, SCALAR)
+
+    @property
+    def torque_units(self) -> Mapping[bytes, float]:
+        """See ``MotorDevice``: of its motor's current."""
+        return {b"A": self.gain_N_m_A or 0.0}
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``."""
+        question_s, answer_s = self._on_wire_s(name, around)
+        return dict.fromkeys(self.channels(name), PolledChannel(1e9 * question_s, 1e9 * answer_s))
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        cause = "its answer and those after it on the wire; the sample lies between it and the question's end"
+        _, answer_s = self._on_wire_s(name, around)
+        return [Delay(channel, "", answer_s, 1e-3 * self.delay_sigma_ms, cause) for channel in self.channels(name)]
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        found = super().roles(name, period_s)
+        single = abs(self.counts_per_revolution) <= COUNTS
+        joint = found.joints[0]._replace(delay_sigma_s=1e-3 * self.delay_sigma_ms)
+        return found._replace(
+            joints=[joint], signals={**found.signals, name: found.signals[name]._replace(absolute=single)}
+        )
+
+    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
+        """See ``DeviceSection``: what is asked must fit on the line."""
+        yield from super().problems(name, around)
+        if self.torque_sigma_N_m is not None and self.gain_N_m_A is None:
+            yield ["device", name, "torque_sigma_N_m"], f"{name!r} measures a current; give gain_N_m_A"
+        servos = list(around.devices_on(self.bus))
+        question = len(sync_read_request(range(len(servos)), PRESENT, PRESENT_BYTES))
+        answer = answer_bytes(len(servos), PRESENT_BYTES, fast=self.fast_sync_read)
+        round_ms = 1e3 * (RETURN_DELAY_S + on_wire_s(question + answer, around.baud(self.bus)))
+        if servos[0] == name and round_ms > min(self.sample_period_ms, self.timeout_ms):
+            text = f"a round of {len(servos)} servos takes {round_ms:.1f} ms on {self.bus!r}: raise its baud rate"
+            yield ["device", name], f"{text}, sample_period_ms or timeout_ms"
+
+    def _on_wire_s(self, name: str, around: Surroundings) -> tuple[float, float]:
+        """Times of the question, and at the least of what follows from its own answer on."""
+        servos = list(around.devices_on(self.bus))
+        question = len(sync_read_request(range(len(servos)), PRESENT, PRESENT_BYTES))
+        behind = len(servos) - servos.index(name)
+        answer = answer_bytes(behind, PRESENT_BYTES, fast=True) - answer_bytes(0, PRESENT_BYTES, fast=True)
+        baud = around.baud(self.bus)
+        return on_wire_s(question, baud), on_wire_s(answer, baud)
