@@ -174,7 +174,7 @@ class VehicleFlight:
             damping_ratio: of that.
         """
         self.show()
-        came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self._grip(), self._grip_twist()
+        came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self.grip(), self.grip_twist()
         J = self.momenta.jacobian(self._holder, came.at_m)
         if self._soft.joints:  # the joints give way too
             mobility = J @ np.linalg.solve(full_inertia(self.model, self.data), J.T)
@@ -187,13 +187,13 @@ class VehicleFlight:
         """Weld the payload that the spring holds to its link, between two rows."""
         assert self.contact is not None
         self.show()
-        comes, self.contact = self.contact.released(self._grip(), self._grip_twist()), None
+        comes, self.contact = self.contact.released(self.grip(), self.grip_twist()), None
         return self.exchange(comes, None)
 
     def approach(self, comes: Released) -> FloatArray:
         """Of a payload before it is caught, axes of its link: velocity of its centre of mass there, rate in space."""
         self.show()
-        (R, _), (rate, _), c = self._grip(), self._grip_twist(), comes.payload.centre_of_mass_m
+        (R, _), (rate, _), c = self.grip(), self.grip_twist(), comes.payload.centre_of_mass_m
         velocity = comes.velocity_m_s + np.cross(comes.rate_rad_s, c)
         return np.concatenate([velocity, R.T @ rate + comes.rate_rad_s])
 
@@ -202,11 +202,12 @@ class VehicleFlight:
         assert self._link is not None
         return self.vehicle.body(self._link)
 
-    def _grip(self) -> tuple[FloatArray, FloatArray]:
+    def grip(self) -> tuple[FloatArray, FloatArray]:
         """Rotation of the link that holds the payload, to world axes, and place of its frame."""
         return self.data.xmat[self._holder].reshape(3, 3).copy(), self.data.xpos[self._holder].copy()
 
-    def _grip_twist(self) -> tuple[FloatArray, FloatArray]:
+    def grip_twist(self) -> tuple[FloatArray, FloatArray]:
+        """Rate of that link and velocity of its frame, world axes, (3,) each."""
         return self.momenta.twist(self._holder)
 
     def _show(self, k: int, out: Rows, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
@@ -309,7 +310,7 @@ class VehicleFlight:
             self._push[:] = 0.0
             return state
         body = self._holder
-        force, torque = contact.wrench(state, self._grip(), self._grip_twist())
+        force, torque = contact.wrench(state, self.grip(), self.grip_twist())
         self._push = self.momenta.generalised(body, state[:3], -force, -torque)
         about = -torque - np.cross(state[:3] - self.data.xipos[body], force)
         self.data.xfrc_applied[body] = np.concatenate([-force, about])

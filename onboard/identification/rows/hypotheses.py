@@ -45,6 +45,18 @@ class Member(NamedTuple):
 _AS_TOLD = Member()
 
 
+def has_happened(evidence: Sequence[tuple[float, bool]]) -> bool | None:
+    """Whether a reported release happened; None: that is not decided.
+
+    Args:
+        evidence: nats for it over that it did not happen, with no instrument or one left out, and whether these count:
+            not where a finding is against the likelier of the two, as an instrument lies that others stand beside.
+    """
+    log_odds = [nats - np.log(ODDS) for nats, counts in evidence if counts]
+    found = {bool(odds > 0.0) for odds in log_odds if abs(odds) > -np.log(LEAST_WEIGHT)}
+    return found.pop() if len(found) == 1 else None
+
+
 class Hypotheses:
     """An :class:`onboard.identification.online.OnlineIdentifier` of several.
 
@@ -191,21 +203,15 @@ class Hypotheses:
 
     def _judge_release(self, findings: dict[Member, Findings]) -> None:
         """Accepts or rejects the reported release, or leaves it undecided."""
-        told = [member for member in findings if not member.still_held]
-        found = set[bool]()
+        told, evidence = [member for member in findings if not member.still_held], list[tuple[float, bool]]()
         for member in told:
             held = member._replace(still_held=True)
-            better = self._nats(member, held)  # that the arm has let go
+            better = self._nats(member, held)
             likelier = member if better > 0.0 else held
-            if len(told) > 1 and not self._is_clean(likelier, findings[likelier]):
-                continue  # an instrument lies that others stand beside
-            if better - np.log(ODDS) > -np.log(LEAST_WEIGHT):
-                found.add(True)
-            elif better - np.log(ODDS) < np.log(LEAST_WEIGHT):
-                found.add(False)
-        if len(found) != 1:
+            evidence.append((better, len(told) == 1 or self._is_clean(likelier, findings[likelier])))
+        accepted = has_happened(evidence)
+        if accepted is None:
             return
-        accepted = found.pop()
         if not accepted:
             self._note("release_contradicted", "the arm moves as before")
         kept = {

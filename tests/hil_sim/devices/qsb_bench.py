@@ -16,7 +16,7 @@ class Bench(Line):
 
     def __init__(self, counts_s=0.0, angle=None, rate_error=0.0, boot=True, **options):
         self.clock = RateClock(rate_error)
-        self._rest = ""
+        self.rest = ""
         super().__init__(QsbTwin(Analog(angle or (lambda t: counts_s * COUNT * t)), self.clock, START_NS, **options))
         if boot:
             assert self.run(150) == b"QSB-D  0E!\r\n"
@@ -27,7 +27,7 @@ class Bench(Line):
 
     def lines(self, ms):
         """The lines that ended in the next ``ms``."""
-        *whole, self._rest = (self._rest + self.run(ms).decode()).split("\r\n")
+        *whole, self.rest = (self.rest + self.run(ms).decode()).split("\r\n")
         return whole
 
     def pulse(self, after_ms, high_ns=300_000):

@@ -129,7 +129,7 @@ def test_the_library_sets_every_field_of_conf(adafruit_on, code):
     library.pwm_frequency, library.fast_filter_threshold, library.watchdog = code, code + 4, True
     assert (library.slow_filter, library.hysteresis, library.power_mode) == (code, code, code)
     assert (library.pwm_frequency, library.fast_filter_threshold, library.watchdog) == (code, code + 4, True)
-    assert twin._reg[7] == 0x20 | (code + 4) << 2 | code
+    assert read(twin, 0x07, 1, 9_500.0)[0] == 0x20 | (code + 4) << 2 | code
 
 
 def test_the_library_sees_a_weak_magnet(adafruit_on):

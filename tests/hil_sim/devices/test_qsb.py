@@ -218,7 +218,7 @@ def test_a_reset_without_save_is_the_factory():
     bench = Bench(faults=faults(Fault("off", "qsb", 0.5, 0.6)))
     bench.do(FREE_X4, b"W15F", b"W0C0", b"S0E")
     bench.run(600)
-    bench._rest = ""
+    bench.rest = ""
     assert bench.lines(100) == []
     assert bench.do(b"R03", b"R15") == ["r 03 0000004F !", "r 15 0000000B !"]
 

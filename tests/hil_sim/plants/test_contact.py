@@ -114,7 +114,7 @@ def test_a_heavy_payload_at_the_end_of_the_arm_swings_no_faster():
     heavy = Body.box(25.0, (0.55, 0.5, 0.5), (0.1, -0.05, 0.2))
     flight, _ = started(Still(), heavy, spring=(10.0, 0.5))
     rows = flight.advance(round(Contact.lasts_s(10.0, 0.5) / STEP_s))
-    left = flight.contact.released(flight._grip(), flight._grip_twist())
+    left = flight.contact.released(flight.grip(), flight.grip_twist())
     assert np.linalg.norm(left.rate_rad_s) < 0.02 * np.linalg.norm(RATE_rad_s)
     assert np.linalg.norm(left.velocity_m_s) < 0.02 * np.linalg.norm(VELOCITY_m_s)
     assert np.abs(rows.sensors).max() < 60.0

@@ -138,9 +138,9 @@ def test_many_instants_at_once_give_the_same_bits_as_one_by_one() -> None:
     assert interpolate_column(walk, places).tolist() == [interpolate_one(walk, at) for at in places.tolist()]
     plant = VehiclePlant(scenario, np.random.default_rng(1))
     plant.advance(7.0)
-    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3), "joint_1")
+    table = scenario.sensor["load_cell"].model_copy(update={"full_scale_readings_s": (6.2,)})
+    cell = LoadCellSensor(plant, table, np.random.default_rng(3), "joint_1")
     encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4), "joint_1")
-    cell._full_scale_s = (6.2,)
     times_s = np.sort(np.random.default_rng(7).uniform(0.1, 6.9, 3000))
     for sensor in (cell, encoder):
         many = sensor.values(times_s)

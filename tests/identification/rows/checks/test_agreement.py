@@ -9,7 +9,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.identification.quantities import Findings, mass_quantities
 from onboard.identification.rows.checks.agreement import instrument_fits, judged_fit
-from onboard.identification.rows.hypotheses import Hypotheses, Member
+from onboard.identification.rows.hypotheses import Hypotheses, Member, has_happened
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.regressor.base_parameters import base_parameters
@@ -432,25 +432,13 @@ def test_a_release_that_does_not_happen_is_not_believed_and_the_true_one_is(rng,
         assert told.mean == pytest.approx(TIP_KG, rel=0.02)
 
 
-BAD, FINE = Findings(("contradicted",)), Findings()
-
-
-def judged(found, of, nats):
-    """What comes of a reported release; ``nats`` for it, by the instrument left out, and those of a doubt are BAD."""
-    found._divide()
-    found._nats = lambda one, other: nats[one.left_out]
-    found._judge_release({member: of.get(member.left_out, FINE) for member in found._members})
-    assert found._released is (found._told_rows is None and not found._news)
-    return None if found._told_rows is not None else found._released
-
-
 @pytest.mark.parametrize(
     ("nats", "accepted"), [(2.4, True), (2.2, None), (0.0, None), (-11.4, None), (-11.6, False), (50.0, True)]
 )
 def test_a_release_is_believed_until_the_rows_leave_a_thousandth_to_it_and_one_report_in_a_hundred_is_false(
     nats, accepted
 ):
-    assert judged(Hypotheses(identifier), {"": BAD}, {"": nats}) is accepted
+    assert has_happened([(nats, True)]) is accepted
 
 
 @pytest.mark.parametrize(
@@ -462,17 +450,12 @@ def test_a_release_is_believed_until_the_rows_leave_a_thousandth_to_it_and_one_r
         (20.0, 20.0, 0.0, None),  # cell_1 does not know yet
     ],
 )
-def test_a_release_is_judged_without_the_cell_that_lies(monkeypatch, all_of_them, without_1, without_2, accepted):
-    found = Hypotheses(identifier, CELLS)
-    monkeypatch.setattr(found, "_is_clean", lambda _, findings: findings == FINE)
-    nats = {"": all_of_them, "cell_1": without_1, "cell_2": without_2}
-    assert judged(found, {"": BAD, "cell_1": BAD}, nats) is accepted
+def test_a_release_is_judged_without_the_cell_that_lies(all_of_them, without_1, without_2, accepted):
+    assert has_happened([(all_of_them, False), (without_1, False), (without_2, True)]) is accepted
 
 
-def test_of_two_cells_that_are_both_fine_and_do_not_agree_about_a_release_neither_decides(monkeypatch):
-    found = Hypotheses(identifier, CELLS)
-    monkeypatch.setattr(found, "_is_clean", lambda _, findings: findings == FINE)
-    assert judged(found, {}, {"": 20.0, "cell_1": 20.0, "cell_2": -20.0}) is None
+def test_of_two_cells_that_are_both_fine_and_do_not_agree_about_a_release_neither_decides():
+    assert has_happened([(20.0, True), (20.0, True), (-20.0, True)]) is None
 
 
 @pytest.mark.parametrize("lies", CELLS)
