@@ -20,7 +20,8 @@ doubtful.
 
 An arm that is heavier than drawn and gains that are all too large by one factor are the same to most motions. So that
 factor alone, beside all else as stated, competes with all that may be wider: unless one of the two is likelier by the
-same odds, the answer covers both, its interval reaching as far as that factor would move it. Free widths are paid
+same odds, the answer covers both, its interval reaching as far as that factor would move it. It is a factor of the
+bodies as drawn, so that its equations are linear however large it is. Free widths are paid
 for: the evidence of each hypothesis has Student's density of its errors in place of the normal one of fitted width.
 
 Errors of gains are estimated beside the parameters here, ``y = exp(e) Y chi`` about the last estimate (a column of
@@ -154,11 +155,15 @@ class StatedSigmas:
         as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
         parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, ~self._common
         for _ in range(_PASSES):
-            A, r = self._information(*self._equations(parts, X, correlation), X, many.width)
+            A, r = self._information(*self._equations(parts, X, correlation, X), X, many.width)
             many = self._settled(A, r, many.width, free)
             X = self._centre + self._L @ many.errors
-        one = self._settled(A, r, as_it_is.width, self._common) if self._common.any() else as_it_is
-        nothing, of_many, of_one = (self._evidence(A, r, each) for each in (as_it_is, many, one))
+        nothing, of_many = (self._evidence(A, r, each) for each in (as_it_is, many))
+        one, of_one = as_it_is, nothing
+        if self._common.any():
+            by_factor = self._information(*self._of_one_factor(parts, X, correlation), many.width)
+            one = self._settled(*by_factor, as_it_is.width, self._common)
+            of_one += self._evidence(*by_factor, one) - self._evidence(*by_factor, as_it_is)
         least = -np.log(ODDS)
         if max(of_many, of_one) - nothing < least:
             return stated
@@ -178,8 +183,25 @@ class StatedSigmas:
         rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
         return Taken(rls, considered, root, covariance, said)
 
-    def _equations(self, blocks: Sequence["_Part"], X: FloatArray, correlation: float) -> tuple[FloatArray, FloatArray]:
-        """Information on parameters and gains about ``X``, (p + k, p + k), and each block's scores, (b, p + k)."""
+    def _of_one_factor(
+        self, parts: Sequence["_Part"], X: FloatArray, correlation: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same equations with a common factor of what is drawn, and about what: its error is then of any size.
+
+        About an estimate that is far from the drawing, a factor would leave the bodies nothing.
+        """
+        X, common = X.copy(), len(X) - len(self._rows) + self._rows.index(None)
+        X[self._bodies] *= np.exp(X[common])
+        X[common] = 0.0
+        return *self._equations(parts, X, correlation, self._centre), X
+
+    def _equations(
+        self, blocks: Sequence["_Part"], X: FloatArray, correlation: float, scaled: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Information on parameters and gains about ``X``, (p + k, p + k), and each block's scores, (b, p + k).
+
+        ``scaled``: parameters that the common factor of all gains multiplies.
+        """
         p, parts = len(X) - len(self._rows), list[tuple[_Part, FloatArray, FloatArray]]()
         left, count = dict[int, float](), dict[int, float]()
         for part in blocks:
@@ -190,6 +212,8 @@ class StatedSigmas:
                 factor = np.exp(X[gains].sum())
                 J[self._bodies, self._bodies] = factor
                 J[self._bodies[:, None], gains] = factor * X[self._bodies, None]
+                common = [p + k for k, row in enumerate(self._rows) if row is None]
+                J[self._bodies[:, None], common] = factor * scaled[self._bodies, None]
             v = np.concatenate([J[:, :p] @ X[:p], [-1.0, 0.0]])
             left[part.instrument] = left.get(part.instrument, 0.0) + max(float(v @ part.whole @ v), 0.0)
             count[part.instrument] = count.get(part.instrument, 0.0) + part.rows

@@ -10,21 +10,24 @@ from onboard.identification.rows.stated_errors.stated import Stated, StatedSigma
 from onboard.regressor.base_parameters import BaseParameters
 
 NOISE, SIGMA = 1e-3, 0.01  # of the rows; of both parameters, drawn as one
-COLUMNS = (Stated("prior.link.upper", "prior.link"), Stated("prior.link.lower", "prior.link"))
+COLUMNS = tuple(
+    Stated(f"prior.link.{one}", "prior.link") for one in ("upper", "lower", "hand", "palm", "thumb", "nail")
+)
 CELLS = ("cell_1", "cell_2")
 ALL = Considered("scale of all torques", "", "scale", 0.01, "scale_sigma of all torques")
 SCALES = tuple(Considered(f"scale of {cell}", cell, "scale", 0.01, f"{cell} scale_sigma") for cell in CELLS)
 
 
 def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sigma=SIGMA) -> tuple[Taken, Taken]:
-    """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the second parameter."""
-    base = BaseParameters(("a", "b"), np.arange(2), np.eye(2), ("a", "b"))
-    blocks, rls, drawn = RowBlocks(2, 1.0, CELLS), SquareRootRls(2, len(considered)), np.ones(2)
-    stated = Taken.of(rls, considered, base, sigma * np.eye(2))
+    """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the last parameter."""
+    n = len(truth)
+    base = BaseParameters(tuple("abcdef"[:n]), np.arange(n), np.eye(n), tuple("abcdef"[:n]))
+    blocks, rls, drawn = RowBlocks(n, 1.0, CELLS), SquareRootRls(n, len(considered)), np.ones(n)
+    stated = Taken.of(rls, considered, base, sigma * np.eye(n))
     rls.prior(drawn, stated.covariance)
     times = np.sort(rng.uniform(0.0, 40.0, 1000))
     for number, gain in enumerate(gains):
-        Y = rng.normal(size=(1000, 2)) * [1.0, told]
+        Y = rng.normal(size=(1000, n)) * [*np.ones(n - 1), told]
         y = gain * (Y @ truth) + (NOISE * rng.normal(size=1000) if noise is None else noise(times, Y))
         each = np.full(1000, NOISE)
         C = np.zeros((1000, len(considered)))
@@ -32,7 +35,7 @@ def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sig
             C[:, [one.row in ("", CELLS[number]) for one in considered]] = y[:, None]
         rls.update(Y, y, each, C if considered else None)
         blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None)
-    sigmas = StatedSigmas(COLUMNS, considered, CELLS, base, drawn, np.ones(2, np.bool_), stated)
+    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, drawn, np.ones(n, np.bool_), stated)
     return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0)
 
 
@@ -96,3 +99,13 @@ def test_a_body_too_heavy_or_gains_too_large_are_both_covered_unless_one_is_the_
     _, found = taken(rng, np.ones(2), (1.0 + error, 1.0 + error), considered=(*SCALES, ALL), sigma=sigma)
     assert 0.75 * error / 1.96 < found.considered[2] < 0.15  # of two links drawn to 2 %, which take the rest
     assert found.said[-1].startswith("all gains may be off by one factor, by ")
+
+
+@pytest.mark.parametrize("truth", [[8.0, -4.0, 6.0, -5.0, 7.0, -6.0], [20.0, -10.0, 15.0, 10.0, -12.0, -15.0]])
+@pytest.mark.parametrize("sigma", [0.3, 1.0])
+def test_one_factor_does_not_stand_for_an_estimate_that_is_no_multiple_of_the_drawing(rng, truth, sigma):
+    considered = tuple(one._replace(sigma=0.035) for one in (*SCALES, ALL))
+    stated, found = taken(rng, np.array(truth), considered=considered, sigma=sigma)
+    (said,) = found.said
+    assert said.startswith("the rows contradict prior.link.")
+    assert found.considered == pytest.approx(stated.considered, rel=0.01)
