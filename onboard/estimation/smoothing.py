@@ -310,7 +310,6 @@ def smooth(
     at_s: ArrayLike,
     width_s: float,
     derivative: int = 0,
-    max_gap_s: float | None = None,
 ) -> Smoothed:
     """Smoothed values, or a derivative of them, at the ticks ``at_s``; in constant memory for any number of ticks.
 
@@ -320,7 +319,6 @@ def smooth(
         at_s: ticks, (n,).
         width_s: full width of the kernel.
         derivative: 0, 1 or 2.
-        max_gap_s: longest gap in a window; default: a fifth of the width.
 
     Raises:
         RowError: see :class:`SmoothingWindow`.
@@ -332,13 +330,13 @@ def smooth(
     spacing = (times[-1] - times[0]) / (times.size - 1) if times.size > 1 else 0.0
     step = max(1, int(_CHUNK_CELLS * spacing / width_s)) if 0.0 < spacing < np.inf and width_s > 0.0 else at.size
     if at.size <= step:
-        return SmoothingWindow(times, at, width_s, max_gap_s).apply(columns, derivative)
+        return SmoothingWindow(times, at, width_s).apply(columns, derivative)
     parts = []
     for first in range(0, at.size, step):
         some = at[first : first + step]
         low = max(int(np.searchsorted(times, some.min() - width_s)) - 1, 0)
         high = int(np.searchsorted(times, some.max() + width_s)) + 1
-        parts.append(SmoothingWindow(times[low:high], some, width_s, max_gap_s).apply(columns[low:high], derivative))
+        parts.append(SmoothingWindow(times[low:high], some, width_s).apply(columns[low:high], derivative))
     return Smoothed(
         np.concatenate([part.values for part in parts]),
         np.concatenate([part.valid for part in parts]),

@@ -25,7 +25,7 @@ class Essential(NamedTuple):
     sigma: FloatArray  # (p,) zero for those left out
 
 
-def essential(mean: FloatArray, covariance: FloatArray, held: NDArray[np.bool_] | None = None) -> Essential:
+def essential(mean: FloatArray, covariance: FloatArray) -> Essential:
     """Removes parameters one by one, largest relative sigma first (Pham and Gautier 1991).
 
     Removing one is conditioning the Gaussian estimate on its being zero, which needs no data rows.
@@ -33,13 +33,11 @@ def essential(mean: FloatArray, covariance: FloatArray, held: NDArray[np.bool_] 
     Args:
         mean: estimate of the base parameters, (p,).
         covariance: its covariance, (p, p).
-        held: (p,) parameters that are always kept, such as a sensor's offset.
     """
     x, C = mean.astype(np.float64), covariance.astype(np.float64)
     kept = np.ones(x.size, np.bool_)
-    stays = np.zeros(x.size, np.bool_) if held is None else held
     order: list[int] = []
-    while (asked := np.flatnonzero(kept & ~stays)).size:
+    while (asked := np.flatnonzero(kept)).size:
         away = np.abs(x[asked]) / np.sqrt(np.diag(C)[asked])
         worst = int(asked[np.argmin(away)])
         if away.min() >= SIGNIFICANT:

@@ -96,16 +96,15 @@ class Estimate(NamedTuple):
     also: tuple[QuantityEstimate, ...] = ()  # of how a captured body came; from its capture on, at most MOST_ALSO
 
 
-def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None = None) -> FloatArray:
+def inertia_about_joint(vehicle: VehicleModel, joint: str) -> FloatArray:
     """Each link's part of the inertia about a joint, as a functional of the standard parameters, (links, P).
 
-    The torque of unit joint acceleration with all else at rest (Limparis 2.132): ``row[l] @ chi`` is the inertia of
-        link l about the joint's axis, kg m^2 (its mass for a prismatic joint).
+    The torque of unit joint acceleration with all else at rest, joints at zero (Limparis 2.132): ``row[l] @ chi``
+        is the inertia of link l about the joint's axis, kg m^2 (its mass for a prismatic joint).
 
     Args:
         vehicle: the model.
         joint: by name.
-        q: joint positions, (joints,); zero where not given.
 
     Raises:
         UnknownFrameError: no such joint.
@@ -114,8 +113,7 @@ def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None 
     ddq = np.zeros((1, len(vehicle.joints)))
     ddq[0, vehicle.joints.index(vehicle.joint(joint))] = 1.0
     still = np.zeros((1, 3))
-    at = np.zeros_like(ddq) if q is None else np.asarray(q, np.float64).reshape(1, -1)
-    row = model.regressor(at, np.zeros_like(ddq), ddq, BaseMotion(still, still, still))[0, 0]
+    row = model.regressor(np.zeros_like(ddq), np.zeros_like(ddq), ddq, BaseMotion(still, still, still))[0, 0]
     parts = np.zeros((len(vehicle.links), row.size))
     for link in range(len(vehicle.links)):
         parts[link, 10 * link : 10 * link + 10] = row[10 * link : 10 * link + 10]

@@ -40,7 +40,7 @@ class Log(Protocol):
     def ended(self) -> bool:
         """Nothing more can be written."""
 
-    def register(self, channel: str, dtype: np.dtype[np.void], *, units: Mapping[str, str] | None = None) -> None:
+    def register(self, channel: str, dtype: np.dtype[np.void]) -> None:
         """Make a channel known."""
 
     def write(self, channel: str, rows: Rows) -> None:
@@ -70,7 +70,6 @@ class Recorder:
     Args:
         writer: the log; the caller may attach files to it.
         rings: drained in this order, each into the channel of its own name.
-        units: channel to field to unit, for the definitions in the log.
         recorded: last recorded row of each channel in a log begun by another recorder.
         space: monitors the disk's free space.
         said: told each event of the recorder's own, which go into the log without a ring.
@@ -86,7 +85,6 @@ class Recorder:
         writer: Log,
         rings: Iterable[Ring],
         *,
-        units: Mapping[str, Mapping[str, str]] | None = None,
         recorded: Mapping[str, ChannelProgress] | None = None,
         space: SpaceGuard | None = None,
         said: Callable[[Rows], object] = lambda rows: None,
@@ -104,7 +102,7 @@ class Recorder:
         self._look_ns = self._tell_ns = 0
         self._told_gaps = 0  # gap records whose rows an event has said to be lost
         for source in self._sources:
-            writer.register(source.name, source.ring.dtype, units=(units or {}).get(source.name))
+            writer.register(source.name, source.ring.dtype)
         writer.register(GAP_CHANNEL, records.GAP)
         writer.register(EVENT_CHANNEL, records.EVENT)
 

@@ -130,7 +130,7 @@ class SegmentedLog:
         self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
         self._end_said = False
-        self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
+        self._channels: dict[str, np.dtype[np.void]] = {}
         self._number, self._ahead = number, number + 1
         self._opened_ns: int | None = None
         self._open_again_ns = self._seal_ns = 0
@@ -204,12 +204,12 @@ class SegmentedLog:
         """Nothing more can be written; ``close`` was called."""
         return self._writer.ended
 
-    def register(self, channel: str, dtype: np.dtype[np.void], *, units: Mapping[str, str] | None = None) -> None:
+    def register(self, channel: str, dtype: np.dtype[np.void]) -> None:
         """See ``LogWriter.register``."""
         for writer in (self._writer, self._next):
             if writer is not None:
-                writer.register(channel, dtype, units=units)
-        self._channels[channel] = dtype, units
+                writer.register(channel, dtype)
+        self._channels[channel] = dtype
 
     def write(self, channel: str, rows: Rows) -> None:
         """See ``LogWriter.write``."""
@@ -282,8 +282,8 @@ class SegmentedLog:
                 writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
             for name, items in self._preamble.metadata.items():
                 writer.add_metadata(name, items)
-            for channel, (dtype, units) in self._channels.items():
-                writer.register(channel, dtype, units=units)
+            for channel, dtype in self._channels.items():
+                writer.register(channel, dtype)
             writer.flush()
         except OSError:
             writer.abandon()

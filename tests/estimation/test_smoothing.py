@@ -60,7 +60,7 @@ def test_exact_on_any_quadratic_whatever_the_times(seed, period, coefficients):
     t = uneven(np.random.default_rng(seed), 0.4, period)
     polynomial = Polynomial(coefficients)
     for derivative in range(3):
-        found = smooth(t, polynomial(t), [0.2], WIDTH, derivative, max_gap_s=0.05)
+        found = SmoothingWindow(t, [0.2], WIDTH, max_gap_s=0.05).apply(polynomial(t), derivative)
         truth = polynomial.deriv(derivative)(0.2) if derivative else polynomial(0.2)
         assert found.values[0, 0] == pytest.approx(truth, abs=1e-7 * max(1.0, found.noise_gain[0]))
 
@@ -136,7 +136,7 @@ def test_a_gap_invalidates_the_ticks_whose_window_it_is_in():
     t = np.arange(0, 1, 0.005)
     t = t[(t < 0.5) | (t > 0.53)]
     at = np.arange(0.1, 0.9, 0.01)
-    found = smooth(t, np.ones(t.size), at, WIDTH, max_gap_s=0.012)
+    found = SmoothingWindow(t, at, WIDTH, max_gap_s=0.012).apply(np.ones(t.size))
     touched = (at + WIDTH / 2 > 0.495 + 0.012) & (at - WIDTH / 2 < 0.535 - 0.012)
     np.testing.assert_array_equal(found.valid, ~touched)
     assert np.isnan(found.values[touched]).all()

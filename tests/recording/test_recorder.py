@@ -181,15 +181,15 @@ def test_a_failing_disk_is_not_hammered(bench, ring):
     assert 15 <= len(tries) <= 21  # 3 s at one try each 150 ms
 
 
-def test_units_and_several_rings(tmp_path):
+def test_several_rings(tmp_path):
     sink = FailingSink(tmp_path / "log.mcap")
     readings, labels = FakeRing("reading"), FakeRing("label", LABEL)
     readings.next, labels.next = [(reading_rows(0, 3), 0)], [(label_rows(0, 2), 1)]
-    recorder = Recorder(LogWriter(sink), [readings, labels], units={"reading": {"value": "N"}})
+    recorder = Recorder(LogWriter(sink), [readings, labels])
     assert recorder.step(0) == (5, 1, False)
     recorder.close(1)
     log = LogReader(tmp_path / "log.mcap")
-    assert log.units["reading"] == {"value": "N"}
+    assert same_fields(log.read("reading"), reading_rows(0, 3))
     assert same_fields(log.read("label"), label_rows(0, 2))
     assert log.channels[GAP_CHANNEL] == GAP
 
