@@ -199,8 +199,6 @@ class FreeFlight:
         base: of the vehicle.
         arm: its five links.
         step_s: between samples.
-        offsets_m: of its joints from the drawing, (5, 3).
-        slosh: of a part of the base's mass.
         actuators: of the base.
 
     Attributes:
@@ -219,14 +217,11 @@ class FreeFlight:
         base: Body = BASE,
         arm: Sequence[Body] = ARM,
         step_s: float = 2e-3,
-        offsets_m: FloatArray = AS_DRAWN,
-        slosh: Slosh | None = None,
         actuators: Actuators = NO_ACTUATORS,
     ) -> None:
         self._motion, self._base, self._arm, self._actuators = motion, base, arm, actuators
-        self._off_drawing = offsets_m, slosh, actuators.wheels
         self.payload, self.step_s = payload, step_s
-        self.model = world(payload, base, arm, step_s, *self._off_drawing)
+        self.model = world(payload, base, arm, step_s, wheels=actuators.wheels)
         self.data = _released(self.model, motion, rate_rad_s)
         actuators.spin_up(self.model, self.data)
         self._samples = 0
@@ -311,7 +306,7 @@ class FreeFlight:
     def _swap(self, payload: Body | None) -> tuple[mujoco.MjModel, mujoco.MjData]:
         before = self.data
         self.payload = payload
-        self.model = world(payload, self._base, self._arm, self.step_s, *self._off_drawing)
+        self.model = world(payload, self._base, self._arm, self.step_s, wheels=self._actuators.wheels)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:], self.data.qvel[:] = before.qpos, before.qvel
         mujoco.mj_forward(self.model, self.data)

@@ -17,32 +17,20 @@ class EdgeCapture:
     their stamps; a dropped edge leaves no hole in the numbers, as the kernel never saw it.
 
     Args:
-        seed: Of the jitter and of random misses and extra edges.
+        seed: Of the jitter.
         jitter_ns: Mean of the random part.
-        miss_probability: Share of edges that are not seen.
-        spurious_rate_hz: Mean rate of spurious edges.
     """
 
-    def __init__(
-        self,
-        seed: int = 0,
-        *,
-        jitter_ns: int = 2_000,
-        miss_probability: float = 0.0,
-        spurious_rate_hz: float = 0.0,
-    ) -> None:
+    def __init__(self, seed: int = 0, *, jitter_ns: int = 2_000) -> None:
         self.missed = 0
         self.spurious = 0
         self._rng = np.random.default_rng([seed, 0x9E])
         self._jitter_ns = jitter_ns
-        self._miss_probability = miss_probability
-        self._spurious_mean_ns = 1e9 / spurious_rate_hz if spurious_rate_hz else 0.0
         self._faults = NO_FAULTS
         self._chatter: list[int] = []
         self._stamps: list[int] = []
         self._sequence = 0
         self._now_ns: int | None = None
-        self._next_spurious_ns = 0.0
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.
@@ -74,8 +62,7 @@ class EdgeCapture:
     def edge(self, edge_ns: int, high_ns: int) -> None:
         """The line goes high at ``edge_ns``."""
         del high_ns
-        dropped = self._faults.active(FaultKind.PULSE_DROP, edge_ns) is not None or self._faults.is_away(edge_ns)
-        if dropped or (self._miss_probability and self._rng.random() < self._miss_probability):
+        if self._faults.active(FaultKind.PULSE_DROP, edge_ns) is not None or self._faults.is_away(edge_ns):
             self.missed += 1
         else:
             self._stamp(edge_ns)
@@ -103,10 +90,4 @@ class EdgeCapture:
         edges = self._faults.spurious_edges(since_ns, now_ns) if self._faults else []
         while self._chatter and self._chatter[0] <= now_ns:
             edges.append(self._chatter.pop(0))
-        if self._spurious_mean_ns:
-            if not self._next_spurious_ns:
-                self._next_spurious_ns = since_ns + self._rng.exponential(self._spurious_mean_ns)
-            while self._next_spurious_ns <= now_ns:
-                edges.append(int(self._next_spurious_ns))
-                self._next_spurious_ns += self._rng.exponential(self._spurious_mean_ns)
         return edges

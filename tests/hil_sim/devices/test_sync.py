@@ -173,29 +173,12 @@ def test_an_edge_is_reported_once_its_stamp_is_due():
 
 def test_the_same_seed_gives_the_same_stamps():
     def stamps(seed):
-        line = EdgeCapture(seed, miss_probability=0.1, spurious_rate_hz=5)
+        line = EdgeCapture(seed)
         for k in range(100):
             line.edge(START_NS + k * 10 * MS, 300_000)
         return line.advance(START_NS + 2_000 * MS)
 
     assert stamps(3) == stamps(3) != stamps(4)
-
-
-def test_misses_leave_no_hole_in_the_numbers():
-    line = EdgeCapture(1, miss_probability=0.25)
-    for k in range(1000):
-        line.edge(START_NS + k * MS, 300_000)
-    seen = line.advance(START_NS + 1001 * MS)
-    assert len(seen) == 1000 - line.missed
-    assert 200 < line.missed < 300
-    assert [sequence for _, sequence in seen] == [*range(1, len(seen) + 1)]
-
-
-def test_random_extra_edges():
-    line = EdgeCapture(1, spurious_rate_hz=50)
-    seen = [edge for k in range(1001) for edge in line.advance(START_NS + k * 10 * MS)]
-    assert len(seen) in (line.spurious, line.spurious - 1)
-    assert 400 < line.spurious < 600
 
 
 def test_dropped_and_spurious_by_plan():
@@ -205,8 +188,8 @@ def test_dropped_and_spurious_by_plan():
     line.advance(START_NS)
     line.edge(START_NS + 50 * MS, 300_000)
     line.edge(START_NS + 150 * MS, 300_000)
-    seen = [round((stamp - START_NS) / MS) for stamp, _ in line.advance(START_NS + 1000 * MS)]
-    assert seen == [150, 200, 240, 280]
+    seen = [(round((stamp - START_NS) / MS), sequence) for stamp, sequence in line.advance(START_NS + 1000 * MS)]
+    assert seen == [(150, 1), (200, 2), (240, 3), (280, 4)]  # a dropped edge leaves no hole in the numbers
     assert (line.missed, line.spurious) == (1, 3)
 
 
