@@ -203,22 +203,19 @@ class DynamixelBus(PolledDevice):
         self._follow_alert(host_ns, servo, alert=bool(block.error & ALERT))
         encoder_fails = bool((servo.faults or 0) & table.ENCODER_ERROR)
         position, accepted = (present.position, False) if encoder_fails else servo.position.place(present.position)
-        bad = SampleStatus.NOT_VALID
-        angle = tau / config.counts_per_revolution
+        per_count = tau / config.counts_per_revolution
+
+        def told(of: str, count: int, scale: float, unit: str, *, good: bool) -> Value:
+            status = SampleStatus.OK if good else SampleStatus.NOT_VALID
+            return Value(config.name + of, count, scale, unit, block.error, int(status))
+
         velocity_rad_s = table.VELOCITY_RAD_S * table.COUNTS / config.counts_per_revolution
-        of_kind = {
-            config.name: (position, angle, "rad", SampleStatus.OK if accepted else bad),
-            f"{config.name}_velocity": (present.velocity, velocity_rad_s, "rad/s", bad if encoder_fails else 0),
-            f"{config.name}_torque": (
-                present.current,
-                servo.ampere,
-                "A",
-                bad if block.error or not servo.ampere else 0,
-            ),
-        }
-        return [
-            Value(channel, *of_kind[channel][:3], block.error, int(of_kind[channel][3])) for channel in config.channels
-        ]
+        readings = (
+            told("", position, per_count, "rad", good=accepted),
+            told("_velocity", present.velocity, velocity_rad_s, "rad/s", good=not encoder_fails),
+            told("_torque", present.current, servo.ampere, "A", good=bool(servo.ampere) and not block.error),
+        )
+        return [one for one in readings if one.channel in config.channels]
 
     def _missed(self, host_ns: int, servo: _Servo) -> None:
         servo.missed += 1

@@ -328,6 +328,35 @@ def test_any_answer_may_be_missing(clock, nth):
         assert set(rows["status"]) == {0}
 
 
+def test_an_aside_that_is_never_answered_holds_up_no_round(clock):
+    flight = Flight(clock)
+    receive = flight.chain.receive
+    flight.chain.receive = lambda request: b"" if request[7:9] == bytes([READ, 31]) else receive(request)
+    flight.start()
+    flight.fly(3000)
+    rows = flight.rows("wrist")
+    assert len(rows) > 60  # a round, then a timeout of 30 ms, and again
+    assert np.diff(rows["host_ns"]).max() < 50 * MS
+
+
+def test_a_loss_that_is_counted_does_not_make_an_estimate_exact(flight):
+    flight.fly(100)
+    flight.chain.servos[4].deaf = True
+    flight.fly(500)
+    flight.port.broken = True
+    flight.fly(300)
+    flight.port.broken = False
+    flight.fly(1200)
+    flight.chain.servos[3].deaf = flight.chain.servos[7].deaf = True
+    flight.fly(100)
+    for servo in flight.chain.servos.values():
+        servo.deaf = False
+    flight.fly(2500)
+    (gap,) = of(flight.batches, "gap")[of(flight.batches, "gap")["channel"] == b"wrist"]
+    assert (gap["cause"], gap["counted"]) == (b"no_answer", 0)
+    flight.rows("wrist")
+
+
 @pytest.mark.parametrize(
     "joints",
     [(), (DynamixelConfig("a", 1), DynamixelConfig("b", 1))],

@@ -90,11 +90,6 @@ torque_scale_sigma = 0.1       # yours: of that, relative
                 yield ["device", name], f"{name!r} and {first!r} are asked at once; give both the same periods and keys"
 
     @property
-    def nominal_hz(self) -> float:
-        """As it is asked for."""
-        return 1e3 / self.sample_period_ms
-
-    @property
     def timing(self) -> DynamixelTiming:
         """How the servos of its line are asked."""
         return self._settings(DynamixelTiming)
