@@ -173,14 +173,13 @@ class RingReader(_Ring):
 
     Args:
         path: an existing ring.
-        position: first row to read; rows older than the ring holds are reported as lost.
 
     Raises:
         RingFormatError: the file is not a ring.
         FileNotFoundError: there is none.
     """
 
-    def __init__(self, path: Path, position: int = 0) -> None:
+    def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_RDWR)
         try:
             header = os.pread(descriptor, _HEADER_BYTES, 0)
@@ -190,7 +189,7 @@ class RingReader(_Ring):
             super().__init__(path, _rebuild(about["fields"]), about["capacity"], descriptor, about["name"])
         finally:
             os.close(descriptor)
-        self.position = position
+        self.position = 0  # first row to read; rows older than the ring holds are reported as lost
 
     @property
     def backlog(self) -> int:

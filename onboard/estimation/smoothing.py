@@ -304,13 +304,7 @@ class SmoothingWindow:
         return values_at.swapaxes(0, 1), gains.T
 
 
-def smooth(
-    times_s: ArrayLike,
-    values: ArrayLike,
-    at_s: ArrayLike,
-    width_s: float,
-    derivative: int = 0,
-) -> Smoothed:
+def smooth(times_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, width_s: float, derivative: int = 0) -> Smoothed:
     """Smoothed values, or a derivative of them, at the ticks ``at_s``; in constant memory for any number of ticks.
 
     Args:

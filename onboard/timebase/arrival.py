@@ -23,7 +23,6 @@ class ArrivalClock(FlywheelingClock):
         delay_ns: known lower bound of the time from the sample to its arrival.
         delay_sigma_ns: its standard deviation.
         drift_per_s: largest change of the relative rate per second.
-        flywheel_after_s: time without arrivals after which the clock flywheels.
     """
 
     BLOCK_S = (0.05, 1.0)  # the first blocks are short, for an early first fit
@@ -32,7 +31,7 @@ class ArrivalClock(FlywheelingClock):
     GATE_NS, GATE_SCATTERS = 3e6, 8.0  # larger residuals: the host stalled, or the device's clock jumped
     FIRST_SCATTER_NS = 1e6  # scatter assumed in weighing arrivals against the nominal rate
     STRANGERS_TO_RESTART = 3
-    INVALID_SIGMA_NS = 20e6
+    flywheel_after_ns, invalid_sigma_ns = 2e9, 20e6
 
     def __init__(
         self,
@@ -41,11 +40,9 @@ class ArrivalClock(FlywheelingClock):
         delay_ns: float = 0.0,
         delay_sigma_ns: float = 0.0,
         drift_per_s: float = DRIFT_PER_S,
-        flywheel_after_s: float = 2.0,
     ) -> None:
         self.nominal_period_ns, self.tolerance = nominal_period_ns, tolerance
         self.delay_ns, self.delay_sigma_ns, self.drift_per_s = delay_ns, delay_sigma_ns, drift_per_s
-        self.flywheel_after_ns, self.invalid_sigma_ns = flywheel_after_s * 1e9, self.INVALID_SIGMA_NS
         self.rejected = 0
         self.restart()
 

@@ -115,11 +115,11 @@ class DeviceClock(FlywheelingClock):
         nominal_period_ns: data-sheet length of a tick; the true one may be ``tolerance`` off.
         tolerance: largest relative error of the nominal period.
         drift_per_s: largest change of the relative rate per second, as far as the marks agree with it.
-        flywheel_after_s: time without marks after which the clock flywheels.
         invalid_sigma_ns: sigma at which a flywheeling clock becomes invalid.
-        common_sigma_ns: common delay of all marks, 1-sigma (stamps are late, never early).
     """
 
+    flywheel_after_ns = 1e9
+    COMMON_SIGMA_NS = 7e3  # common delay of all marks (stamps are late, never early)
     MARKS_TO_LOCK = 5
     MARKS_HELD = 8
     REJECTS_TO_REACQUIRE = 4
@@ -138,13 +138,10 @@ class DeviceClock(FlywheelingClock):
         nominal_period_ns: float,
         tolerance: float = 0.06,
         drift_per_s: float = DRIFT_PER_S,
-        flywheel_after_s: float = 1.0,
         invalid_sigma_ns: float = 2e6,
-        common_sigma_ns: float = 7e3,
     ) -> None:
         self.nominal_period_ns, self.tolerance, self._least_drift_per_s = nominal_period_ns, tolerance, drift_per_s
-        self.flywheel_after_ns, self.invalid_sigma_ns = flywheel_after_s * 1e9, invalid_sigma_ns
-        self.common_sigma_ns = common_sigma_ns
+        self.invalid_sigma_ns = invalid_sigma_ns
         self.rejected = 0
         self.restart()
 
@@ -218,7 +215,7 @@ class DeviceClock(FlywheelingClock):
         at, s = self._moments, self._seconds(tick - self._view.tick)
         drifted_ns = 0.5e9 * self.drift_per_s * s * s
         possible = max(at.xx + 2.0 * at.xy * s + at.yy * s * s, self._least_sigma_ns**2)
-        return math.sqrt(possible + drifted_ns**2 / 3.0 + self.common_sigma_ns**2 + self._contradiction_ns**2)
+        return math.sqrt(possible + drifted_ns**2 / 3.0 + self.COMMON_SIGMA_NS**2 + self._contradiction_ns**2)
 
     def blur(self, ticks: float) -> None:
         """Widen the polygon by ``ticks`` either way: the number of lost samples is uncertain."""

@@ -29,6 +29,7 @@ from onboard.timebase.resync import ResyncError, Stream, align, candidates
 PEAK_HZ = 1.0
 PREDICTED_EVERY_S = 0.01
 SMOOTHING_S = 0.2  # of the joints for the coarse prediction
+_SAMPLES, _WIDTH_S = 5, 0.1  # of the IMU in each tick; of the kernel that smooths the joints
 COARSE_SIGMA_S = 0.05
 ROUNDS = 12
 CANDIDATES = 4
@@ -121,14 +122,7 @@ def placed_signals(recorded: Recorded, clock: FittedClock, samples: int, width_s
     return signals, 0.5 * float(grid_s[0] + grid_s[-1])
 
 
-def rescue(
-    recorded: Recorded,
-    clocks: Sequence[FittedClock],
-    build: Build,
-    imu_prior: ImuPrior,
-    samples: int = 5,
-    width_s: float = 0.1,
-) -> Rescued:
+def rescue(recorded: Recorded, clocks: Sequence[FittedClock], build: Build, imu_prior: ImuPrior) -> Rescued:
     """Clock and payload from clocks that may be nearly right.
 
     Args:
@@ -136,8 +130,6 @@ def rescue(
         clocks: from :func:`coarse_clocks`.
         build: makes the estimator of signals and of a prior on instrument errors.
         imu_prior: on instrument errors; its delay and clock rate error are set here.
-        samples: of the IMU in each tick, odd.
-        width_s: of the kernel that smooths the joints.
 
     Raises:
         ResyncError: no clock settles on a fit that is as good as the noise allows, or more than one does.
@@ -145,7 +137,7 @@ def rescue(
     found: list[Rescued] = []
     for clock in clocks:
         with contextlib.suppress(ConvergenceError, ResyncError):
-            found.append(_settled(recorded, clock, build, imu_prior, samples, width_s))
+            found.append(_settled(recorded, clock, build, imu_prior))
     found.sort(key=lambda one: one.misfit)
     if not found or found[0].misfit > BAD_FIT:
         told = f"the best leaves {found[0].misfit:.1f} times the noise" if found else "none leads to a fit"
@@ -159,13 +151,11 @@ def rescue(
     return found[0]
 
 
-def _settled(
-    recorded: Recorded, clock: FittedClock, build: Build, imu_prior: ImuPrior, samples: int, width_s: float
-) -> Rescued:
+def _settled(recorded: Recorded, clock: FittedClock, build: Build, imu_prior: ImuPrior) -> Rescued:
     """The fit with the clock's own share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))
     for done in range(1, ROUNDS + 1):
-        signals, middle_s = placed_signals(recorded, clock, samples, width_s)
+        signals, middle_s = placed_signals(recorded, clock, _SAMPLES, _WIDTH_S)
         widened = imu_prior._replace(delay_s=clock.sigma_offset_s, clock_rate_error=clock.sigma_rate)
         found = build(signals, widened).fit()
         delay_s, rate_error = found.fit.x[-2:]
