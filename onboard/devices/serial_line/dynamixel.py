@@ -109,13 +109,13 @@ torque_scale_sigma = 0.1       # yours: of that, relative
 
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
-        question_s, answer_s = self._on_wire_s(name, around)
+        question_s, answer_s = self._on_wire_s(around, self._place(name, around))
         return dict.fromkeys(self.channels(name), PolledChannel(1e9 * question_s, 1e9 * answer_s))
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""
         cause = "its answer and those after it on the wire; the sample lies between it and the question's end"
-        _, answer_s = self._on_wire_s(name, around)
+        _, answer_s = self._on_wire_s(around, self._place(name, around))
         return [Delay(channel, "", answer_s, 1e-3 * self.delay_sigma_ms, cause) for channel in self.channels(name)]
 
     def roles(self, name: str, period_s: float) -> Roles:
@@ -133,18 +133,18 @@ torque_scale_sigma = 0.1       # yours: of that, relative
         if self.torque_sigma_N_m is not None and self.gain_N_m_A is None:
             yield ["device", name, "torque_sigma_N_m"], f"{name!r} measures a current; give gain_N_m_A"
         servos = list(around.devices_on(self.bus))
-        question = len(sync_read_request(range(len(servos)), PRESENT, PRESENT_BYTES))
-        answer = answer_bytes(len(servos), PRESENT_BYTES, fast=self.fast_sync_read)
-        round_ms = 1e3 * (RETURN_DELAY_S + on_wire_s(question + answer, around.baud(self.bus)))
+        round_ms = 1e3 * (RETURN_DELAY_S + sum(self._on_wire_s(around, 0)))
         if servos[0] == name and round_ms > min(self.sample_period_ms, self.timeout_ms):
             text = f"a round of {len(servos)} servos takes {round_ms:.1f} ms on {self.bus!r}: raise its baud rate"
             yield ["device", name], f"{text}, sample_period_ms or timeout_ms"
 
-    def _on_wire_s(self, name: str, around: Surroundings) -> tuple[float, float]:
-        """Times of the question, and at the least of what follows from its own answer on."""
-        servos = list(around.devices_on(self.bus))
-        question = len(sync_read_request(range(len(servos)), PRESENT, PRESENT_BYTES))
-        behind = len(servos) - servos.index(name)
-        answer = answer_bytes(behind, PRESENT_BYTES, fast=True) - answer_bytes(0, PRESENT_BYTES, fast=True)
-        baud = around.baud(self.bus)
-        return on_wire_s(question, baud), on_wire_s(answer, baud)
+    def _place(self, name: str, around: Surroundings) -> int:
+        """Servos that answer before it."""
+        return list(around.devices_on(self.bus)).index(name)
+
+    def _on_wire_s(self, around: Surroundings, before: int) -> tuple[float, float]:
+        """Times of the question, and of the answer less those of the first ``before`` servos, at the least."""
+        servos, baud = len(around.devices_on(self.bus)), around.baud(self.bus)
+        question = len(sync_read_request(range(servos), PRESENT, PRESENT_BYTES))
+        whole, first = (answer_bytes(n, PRESENT_BYTES, fast=self.fast_sync_read) for n in (servos, before))
+        return on_wire_s(question, baud), on_wire_s(whole - (first if before else 0), baud)
