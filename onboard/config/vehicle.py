@@ -128,8 +128,8 @@ class Vehicle(BaseModel):
     """A parsed vehicle file: its origin, tree and sections.
 
     ``path``: the file, or the one it replaces; other files are found beside it. ``tree``: as it was written. ``arm``:
-    the operator has armed the drives for this flight. It is made by ``model_construct`` from
-    checked parts, so that no table is validated twice.
+    the operator has armed the drives for this flight. It is made by ``model_construct`` from checked
+    parts, so that no table is validated twice.
     """
 
     model_config = ConfigDict(frozen=True, defer_build=True)

@@ -12,7 +12,7 @@ LIKELY_PLACE_m = 0.01
 """One sigma of each coordinate of a joint or IMU that is off the drawing: an additional bracket, spacer or flange."""
 FARTHEST_SIZE = 3.0
 """In these sigmas; chance exceeds it in 0.3 % of the cases. A larger error is of another kind (a dead cell, a wrong
-sign, half the gain) that no linear model explains: the instrument is left out entirely, if it is one."""
+sign, half the gain) that no linear model explains: an instrument with such an error is left out entirely."""
 ODDS = 1e-2
 """Prior odds that a body, or an instrument's scale, is so wrong, against the file as stated: one flight in a hundred.
 The hypothesis becomes the more probable one from 4.6 nats of evidence on."""

@@ -44,8 +44,8 @@ class StuckWatch:
             usable: (n,) those that are good otherwise.
 
         Returns:
-            Which are stuck, (n,); which of those before them are, counted from the first of these; what
-            the event reports.
+            Which are stuck, (n,); which of those before them are, counted from the first of these; what the
+            event reports.
         """
         if self._readings is None:
             self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
