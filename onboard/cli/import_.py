@@ -77,15 +77,24 @@ def _guess(arguments: argparse.Namespace) -> int:
 
 
 def _names(vehicle: str) -> "Names":
+    from onboard.devices.recorded import PoseKeys, thrusters_among
     from onboard.devices.roles import TorqueKeys
     from onboard.flight.estimate.readings.roles import roles_of
+    from onboard.ground.log.bring_in.guess.body import BodyChannels
     from onboard.ground.log.bring_in.guess.propose import Names
 
-    roles = roles_of(load_vehicle(vehicle))
+    loaded = load_vehicle(vehicle)
+    roles, devices = roles_of(loaded), loaded.file.device
+    thrusters = thrusters_among(devices)
     torques = [(cell.channel, cell.keys) for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
     return Names(
         tuple(imu.channels[0] for imu in roles.imus),
         tuple(joint.channel for joint in roles.joints if not joint.is_rate),
         tuple(channel for channel, _ in torques),
         bool(torques) and all(keys.gain_N_m_A is not None for _, keys in torques),
+        BodyChannels(
+            tuple(thrusters),
+            any(one.reads == "on_time" for one in thrusters.values()),
+            next((name for name, one in devices.items() if isinstance(one, PoseKeys)), ""),
+        ),
     )

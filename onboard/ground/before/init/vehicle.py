@@ -133,9 +133,16 @@ def write_files(directory: Path, files: dict[str, str]) -> list[Path]:
     return [directory / name for name in (*files, schema.FILE)]
 
 
+_JOINTLESS = {  # by base
+    "free": "; a thrown body shows its inertia by a rotor alone: heft init --from tudelft, docs/free_body.md",
+    "planar": ", or --thrusters of a body without an arm",
+}
+
+
 def _require(wanted: Wanted) -> None:
     if not wanted.joints:
-        raise config.ConfigError("an arm without joints shows nothing of what it holds; give --joints")
+        where = _JOINTLESS.get(wanted.base, "")
+        raise config.ConfigError(f"an arm without joints shows nothing of what it holds; give --joints{where}")
     told = wanted.drawn is None and not all(name.isidentifier() for name in wanted.joints)
     if told or len(set(wanted.joints)) < len(wanted.joints):
         raise config.ConfigError(f"--joints {','.join(wanted.joints)}: give each a name of letters, digits and _ once")

@@ -64,6 +64,16 @@ class Table(NamedTuple):
     taken_for_time: str = ""  # why, where no name says it
     no_clock: str = ""  # why a column that is a time by its name is none, where there is no other
 
+    @property
+    def columns(self) -> list[Column]:
+        """All but the clock."""
+        return [*self.rest, *(column for group in self.groups for column in group.columns.values())]
+
+    def without(self, name: str) -> "Table":
+        """Without a column, and the group that it is of."""
+        groups = tuple(group for group in self.groups if name not in group.called)
+        return self._replace(groups=groups, rest=tuple(column for column in self.rest if column.name != name))
+
 
 def tables(kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]) -> list[Table]:
     """Tables of a recording; ``units``: by column, of a line of units; ``joints``: of the vehicle, by their angles."""

@@ -10,6 +10,7 @@ import numpy as np
 from onboard.ground.log.bring_in import foreign, text_rows
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
+from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
 from onboard.ground.log.bring_in.guess.clock import Clock, said
 from onboard.ground.log.bring_in.guess.groups import Group, Table, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
@@ -40,6 +41,7 @@ class Names(NamedTuple):
     angles: tuple[str, ...] = ()
     torques: tuple[str, ...] = ()
     by_current: bool = False  # the torques are read as currents
+    body: BodyChannels = BodyChannels()
 
 
 class Proposal(NamedTuple):
@@ -177,6 +179,11 @@ class _Maker:
         if one is not main and one.clock is None:
             self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
             return
+        for name, column, part in of_a_body(one.columns, self._vehicle.body, time):
+            self.names.append(name)
+            self.parts.append(part)
+            one = one.without(column.name)
+        groups = [group for group in one.groups if not group.commanded]
         quaternion = _best(groups, "quaternion")
         done = list(self._imu(one, groups, quaternion, time))
         for kind in ("angle", "torque", "current", "wrench", "force", "moment", "load_cell", "quaternion", "position"):

@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess.body import BodyChannels
 from onboard.ground.log.bring_in.guess.propose import Names, propose
 from onboard.recording.reader import LogReader
 from tests.ground.log.bring_in.guess import made
@@ -166,6 +167,42 @@ def test_lists_in_a_cell_as_bags_in_csv_have_them(tmp_path, form):
     vectors = [T, lists(turning.rate, " "), lists(turning.force, "  ")]
     log, _ = guessed(made.text(tmp_path / "imu.csv", ["t", "angular_velocity", "linear_acceleration"], vectors))
     held_imu(log, turning)
+
+
+@pytest.mark.parametrize(
+    ("named", "pose"),
+    [
+        (("Valve_2", "valve_1"), ("x [mm]", "y [mm]", "heading [deg]")),
+        (("cmd[1]", "cmd[0]"), ("pos_x_mm", "pos_y_mm", "yaw_deg")),
+        (("u2", "u1"), ("pose_x [mm]", "pose_y [mm]", "theta_deg")),
+    ],
+)
+def test_thrusters_and_the_pose_of_a_body_on_a_table(tmp_path, named, pose):
+    """By the vehicle's names, or in the order of their numbers; a yaw that starts again after a turn goes on."""
+    levels = np.random.default_rng(7).integers(0, 2, (2, COUNT)).astype(np.float64)
+    yaw = 4.0 * T
+    wrapped = np.degrees((yaw + np.pi) % (2.0 * np.pi) - np.pi)
+    columns = [T, levels[1], levels[0], 1e3 * np.sin(T), 1e3 * np.cos(T), wrapped, np.cos(3.0 * T)]
+    path = made.text(tmp_path / "a.csv", ["t", *named, *pose, "pressure"], columns)
+    proposal = propose(path, Names(body=BodyChannels(("valve_1", "valve_2"), pose="tracker")))
+    mapping = tmp_path / "a.toml"
+    mapping.write_text(proposal.text)
+    assert main(["import", str(mapping), str(path), "-o", str(tmp_path / "logs")]) == OK
+    log = LogReader(tmp_path / "logs" / "a.mcap")
+    held(log, {"valve_1": levels[0], "valve_2": levels[1], "tracker_x": np.sin(T), "tracker_y": np.cos(T)})
+    assert np.unwrap(values(log, "tracker_yaw")) == pytest.approx(yaw, abs=1e-4)
+    assert np.diff(values(log, "tracker_yaw")).max() < 0.1
+    assert '# not taken (no name that is known, or no number): "pressure"' in proposal.text
+
+
+def test_thrusters_that_were_commanded_by_times(tmp_path):
+    seconds = np.random.default_rng(7).integers(0, 900, (2, COUNT)).astype(np.float64)
+    path = made.text(tmp_path / "a.csv", ["t", "on_1", "on_2", "x", "y", "yaw"], [T, *seconds, T, T, T])
+    text = propose(path, Names(body=BodyChannels(("a", "b"), on_time=True, pose="pose"))).text
+    of_a = text.partition("[channel.a.value]\n")[2].partition("[channel.b]")[0]
+    assert of_a.startswith('column = "on_1"\n')
+    assert 'unit = "ms"    # up to 89' in of_a
+    assert '"on_1"' not in propose(path, Names(body=BodyChannels(("a", "b"), pose="pose"))).text.partition("# not")[0]
 
 
 def test_lists_of_another_length_are_bad_rows(tmp_path, capsys):

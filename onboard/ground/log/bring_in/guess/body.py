@@ -1,0 +1,78 @@
+"""A body on a table: the columns of its thrusters and of its tracked pose, by the channels of a vehicle file."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.ground.log.bring_in.guess import magnitudes, text
+from onboard.ground.log.bring_in.guess.groups import Column
+from onboard.ground.log.bring_in.guess.magnitudes import Unit
+
+_YAWS = ("yaw", "theta", "psi", "heading", "th", "phi")
+_POSITIONS = ("", "pos", "position", "pose", "p")
+
+
+class BodyChannels(NamedTuple):
+    """Of a vehicle file: its thrusters, whether these were commanded by times, and its tracker's pose."""
+
+    thrusters: tuple[str, ...] = ()
+    on_time: bool = False
+    pose: str = ""
+
+
+def of_a_body(columns: Sequence[Column], wanted: BodyChannels, time: str) -> Iterator[tuple[str, Column, str]]:
+    """Channel, column and table of the mapping of each that is found.
+
+    Thrusters are columns that are called like them, or as many columns as there are, numbered, of which none is
+    commanded below 0 or above 1 (by times: below 0). The pose is x, y and yaw, without more in the name than that
+    they are a position.
+    """
+    for name, one in _thrusters(columns, wanted).items():
+        largest = float(np.nanmax(one.values, initial=0.0))
+        unit = Unit("1", "on is 1")
+        if wanted.on_time:
+            unit = Unit(one.of.unit, "by its name") if one.of.unit in ("s", "ms") else Unit("s", "as is usual")
+            unit = unit if largest < 100.0 or one.of.unit else Unit("ms", f"up to {largest:.4g}")
+        yield name, one, text.scalar(name, one.name, _values(one), unit, time)
+    if not wanted.pose:
+        return
+    named = {_called(one): one for one in reversed(columns)}
+    for axis in "xy":
+        found = next((named[f"{word}{axis}"] for word in _POSITIONS if f"{word}{axis}" in named), None)
+        if found is not None:
+            unit = magnitudes.of_others("position", _values(found), found.of.unit, ("m", "mm"), "m")
+            name = f"{wanted.pose}_{axis}"
+            yield name, found, text.scalar(name, found.name, _values(found), unit, time)
+    yaw = next((named[word] for word in _YAWS if word in named), None)
+    if yaw is not None:
+        unit, name = magnitudes.of_angles(_values(yaw), yaw.of.unit), f"{wanted.pose}_yaw"
+        turn = magnitudes.turn_of(_values(yaw)[:, 0])
+        yield name, yaw, text.scalar(name, yaw.name, _values(yaw), unit, time, "", turn)
+
+
+def _thrusters(columns: Sequence[Column], wanted: BodyChannels) -> dict[str, Column]:
+    by_name = {_called(one): one for one in reversed(columns)}
+    own = {name: by_name[_plain(name)] for name in wanted.thrusters if _plain(name) in by_name}
+    if wanted.thrusters and len(own) == len(wanted.thrusters):
+        return own
+    limit = np.inf if wanted.on_time else 1.0
+    stems = dict.fromkeys(one.of.stem for one in columns if one.of.label.isdigit())
+    for stem in stems:
+        some = [one for one in columns if one.of.stem == stem and one.of.label.isdigit()]
+        levels = all(np.nanmin(_values(one)) >= 0.0 and np.nanmax(_values(one)) <= limit for one in some)
+        if levels and len(some) == len(wanted.thrusters):
+            return dict(zip(wanted.thrusters, sorted(some, key=lambda one: int(one.of.label)), strict=True))
+    return {}
+
+
+def _values(one: Column) -> magnitudes.FloatArray:
+    return np.asarray(one.values, np.float64)[:, None]
+
+
+def _called(one: Column) -> str:
+    return "".join((*one.of.stem, one.of.label))
+
+
+def _plain(name: str) -> str:
+    return "".join(part for part in name.lower() if part.isalnum())
