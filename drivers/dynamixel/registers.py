@@ -20,7 +20,6 @@ PRESENT, PRESENT_BYTES = 126, 10  # Present Current (or Load), Velocity, Positio
 HEALTH, HEALTH_BYTES = 144, 3  # Present Input Voltage, Present Temperature
 COUNTS = 4096  # in a revolution of the horn
 VELOCITY_RAD_S = 0.229 * tau / 60.0  # of a count
-LOAD_SHARE = 1e-3  # of a count of Present Load
 ENCODER_ERROR = 0x08
 FAULTS = {
     0x01: "input voltage out of its limits: check the supply",
