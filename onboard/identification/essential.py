@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
-
-SIGNIFICANT = 1.96  # sigmas from zero at which a parameter is kept
+from onboard.estimation.budget import HALF
 
 
 class Essential(NamedTuple):
@@ -40,7 +39,7 @@ def essential(mean: FloatArray, covariance: FloatArray) -> Essential:
     while (asked := np.flatnonzero(kept)).size:
         away = np.abs(x[asked]) / np.sqrt(np.diag(C)[asked])
         worst = int(asked[np.argmin(away)])
-        if away.min() >= SIGNIFICANT:
+        if away.min() >= HALF:
             break
         gain = C[:, worst] / C[worst, worst]
         x = x - gain * x[worst]

@@ -21,6 +21,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.budget import HALF
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
@@ -29,7 +30,6 @@ from onboard.identification.exiddm.segment_choice import Asked, after, choose, i
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 
-_HALF = 1.959964  # of a 95 % interval, in standard deviations
 _STEADY = 10  # steps in succession with which a goal is met
 _LATE_s, _FIRST_LATE_s = 8.0, 60.0  # of an arm that is not back, or has other things to do first
 _UNMOVED = 2  # segments in which the arm has not moved
@@ -216,7 +216,7 @@ class Asking:
                 at = self._names.index(name)
                 size = (mass, *[radius] * 3, *[half_trace] * 6)[at]
                 rows.append(at)
-                targets.append(_target(goal, size) / _HALF)
+                targets.append(_target(goal, size) / HALF)
         return Asked(D[rows], np.array(targets))
 
     def _is_met(self, estimate: Estimate, asked: Asked) -> bool:

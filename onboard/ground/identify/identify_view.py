@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from onboard.estimation.budget import HALF
 from onboard.ground.calibrate.result import digits
 from onboard.ground.identify import runs_view
 from onboard.ground.identify.identify import Identification
@@ -129,7 +130,7 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         condition = f", condition number {seen.condition:.0f}" if seen.determined else ""
         yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
     if log.before is not None:
-        half = 1.96 * log.before.sigma
+        half = HALF * log.before.sigma
         yield "before capture", f"turned at {within_interval(log.before.rate_rad_s, half[3:])} rad/s in space, and"
         velocity = within_interval(1e3 * log.before.velocity_m_s, 1e3 * half[:3])
         yield "", f"came at {velocity} mm/s to the gripper, in its axes"

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
+from onboard.estimation.budget import INTERVAL
 from onboard.ground.campaign.results import Outcome
 from onboard.ground.campaign.statistics import NO_FAULT, Effect, Share, Summary
 from onboard.ground.campaign.store import Content, Store
@@ -18,7 +19,6 @@ from onboard.ground.drawing.html import Cell
 from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
 from onboard.ground.report.flight.figures import legend
 
-_LEVEL = 0.95
 _MOST_DRAWN = 16  # quantities
 _EDGES = np.linspace(-5.0, 5.0, 41)
 _MOST_TOLD = 8  # flights with confident nonsense at the head of the page
@@ -96,8 +96,8 @@ def _verdicts(found: Summary, failed: int) -> list[tuple[str, str]]:
     if not wrong:
         told.append(("good", "no answer is confidently wrong"))
     for errors in found.errors:
-        if errors.covered.whole and not errors.covered.low <= _LEVEL <= errors.covered.high:
-            narrow = "too narrow" if errors.covered.share < _LEVEL else "wider than they need be"
+        if errors.covered.whole and not errors.covered.low <= INTERVAL <= errors.covered.high:
+            narrow = "too narrow" if errors.covered.share < INTERVAL else "wider than they need be"
             told.append(("warn", f"{errors.quantity}: intervals are {narrow}: {errors.covered.text} inside"))
     if found.accounted.part < found.accounted.whole:
         told.append(("bad", f"samples are unaccounted for in {found.accounted.whole - found.accounted.part} flights"))
@@ -121,7 +121,7 @@ def _answers(found: Summary) -> str:
 
 
 def _kind(covered: Share) -> str:
-    return "n" if not covered.whole or covered.low <= _LEVEL <= covered.high else "n warn"
+    return "n" if not covered.whole or covered.low <= INTERVAL <= covered.high else "n warn"
 
 
 def _coverage(found: Summary) -> Figure | None:
@@ -131,10 +131,10 @@ def _coverage(found: Summary) -> Figure | None:
     figure, (axes,) = subplots(1, 1, height_in=0.4 + 0.22 * len(shown), left_in=1.9)
     at = np.arange(len(shown))[::-1]
     for place, one in zip(at, shown, strict=True):
-        colour = CYCLE[0] if one.covered.low <= _LEVEL <= one.covered.high else COLOUR["warn"]
+        colour = CYCLE[0] if one.covered.low <= INTERVAL <= one.covered.high else COLOUR["warn"]
         axes.plot([100 * one.covered.low, 100 * one.covered.high], [place] * 2, color=colour, linewidth=2.0)
         axes.plot([100 * one.covered.share], [place], "o", color=colour, markersize=5)
-    axes.axvline(100 * _LEVEL, linestyle="--", color=COLOUR["true"])
+    axes.axvline(100 * INTERVAL, linestyle="--", color=COLOUR["true"])
     axes.set_yticks(at, [one.quantity for one in shown])
     axes.set_ylim(-0.6, len(shown) - 0.4)
     axes.set_xlim(min(80.0, 100 * min(one.covered.low for one in shown) - 2.0), 100.5)

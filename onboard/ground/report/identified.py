@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
+from onboard.estimation.budget import HALF
 from onboard.estimation.gates import GateReason
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
@@ -90,7 +91,7 @@ def draw_residuals(residuals: Residuals) -> Figure:
         left.plot(middle, norm.pdf(middle), "--", color=COLOUR["true"], label="normal")
         left.set_title(name)
         legend(left)
-        band = 1.96 / np.sqrt(len(known))
+        band = HALF / np.sqrt(len(known))
         right.fill_between([0, _LAGS], [-band] * 2, [band] * 2, color=COLOUR["idle"], alpha=0.35, linewidth=0)
         right.plot(np.arange(_LAGS + 1), autocorrelation(series, _LAGS), ".-", color=CYCLE[0], markersize=4)
         right.set_title(f"{name}: autocorrelation")

@@ -6,11 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from onboard.estimation.budget import HALF
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
 from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
-from onboard.ground.log.views.compare import DISAGREE, LEVEL, ComparedQuantity, Comparison, interval
+from onboard.ground.log.views.compare import DISAGREE, ComparedQuantity, Comparison, interval
 
 _CAPTION = (
     "Each flight's last answer with its 95 % interval, in the order flown. Line and band: the mean of all, weighted by "
@@ -41,7 +42,7 @@ def _verdicts(found: Comparison) -> list[tuple[str, str]]:
             told.append(
                 ("warn", f"{one.name}: the flights disagree; one value would scatter so in {one.chance:.2g} of all")
             )
-        if one.trend is not None and abs(one.trend[0]) > LEVEL * one.trend[1]:
+        if one.trend is not None and abs(one.trend[0]) > HALF * one.trend[1]:
             told.append(
                 ("warn", f"{one.name} changes by {interval(*one.trend, sign='+')}{unit} from a flight to the next")
             )
@@ -88,7 +89,7 @@ def _figure(found: Comparison) -> Figure | None:
 def _draw(axes: Axes, one: ComparedQuantity) -> None:
     at, value, sigma = np.arange(1, len(one.value) + 1), np.array(one.value), np.array(one.sigma)
     known = np.isfinite(value)
-    low, high = one.mean - LEVEL * one.sigma_mean, one.mean + LEVEL * one.sigma_mean
+    low, high = one.mean - HALF * one.sigma_mean, one.mean + HALF * one.sigma_mean
     ends = [at[0] - 0.4, at[-1] + 0.4]
     axes.fill_between(ends, [low] * 2, [high] * 2, color=COLOUR["idle"], alpha=0.35, linewidth=0)
     axes.plot(ends, [one.mean] * 2, color=COLOUR["idle"], linewidth=1.0)
@@ -96,10 +97,10 @@ def _draw(axes: Axes, one: ComparedQuantity) -> None:
         weight = 1.0 / sigma[known] ** 2
         middle = float(np.sum(weight * at[known]) / np.sum(weight))
         x = np.array([ends[0], middle, ends[1]])
-        line, half = one.mean + one.trend[0] * (x - middle), LEVEL * one.trend[1] * np.abs(x - middle)
+        line, half = one.mean + one.trend[0] * (x - middle), HALF * one.trend[1] * np.abs(x - middle)
         axes.fill_between(x, line - half, line + half, color=COLOUR["true"], alpha=0.12, linewidth=0)
         axes.plot(x, line, "--", color=COLOUR["true"])
-    axes.errorbar(at[known], value[known], LEVEL * sigma[known], fmt="o", color=CYCLE[0], markersize=4)
+    axes.errorbar(at[known], value[known], HALF * sigma[known], fmt="o", color=CYCLE[0], markersize=4)
     axes.set_title(one.name)
     axes.set_ylabel(one.unit)
     axes.set_xlim(ends[0], ends[1])

@@ -6,13 +6,12 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-from scipy.special import ndtri
 
+from onboard.estimation.budget import HALF
 from onboard.ground.before.foresee.contingency import Contingency
-from onboard.ground.before.foresee.plan import LEVEL, UNDETERMINED, Expected
+from onboard.ground.before.foresee.plan import UNDETERMINED, Expected
 from onboard.identification.standing import Level
 
-_HALF = float(ndtri(0.5 + 0.5 * LEVEL))
 _STYLE = {Level.GOOD: "green", Level.WEAK: "yellow"}
 
 
@@ -48,4 +47,4 @@ def _known(one: Expected) -> bool:
 
 
 def _half(one: Expected | None) -> str:
-    return "—" if one is None or not _known(one) else f"± {_HALF * one.sigma:.3g}"
+    return "—" if one is None or not _known(one) else f"± {HALF * one.sigma:.3g}"

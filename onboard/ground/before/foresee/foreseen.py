@@ -6,13 +6,12 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-from scipy.special import ndtri
 
-from onboard.ground.before.foresee.plan import LEVEL, UNDETERMINED, Expected, Foreseen
+from onboard.estimation.budget import HALF
+from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen
 from onboard.identification.standing import Level
 
 _UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3)}
-_HALF = float(ndtri(0.5 + 0.5 * LEVEL))
 _ROUNDING = 1e-9  # of an interval: a value below it is zero
 
 
@@ -34,7 +33,7 @@ def render(found: Foreseen, motion: str) -> RenderableType:
     table.add_column("", no_wrap=True)
     for one in found.quantities:
         unit, factor = _UNITS.get(one.unit, (one.unit, 1.0))
-        half = _HALF * one.sigma
+        half = HALF * one.sigma
         value = 0.0 if abs(one.value) < _ROUNDING * half else one.value
         share = f"{100.0 * half / abs(value):.2g}" if value and one.unit != "m" else ""
         given = f"± {_short(factor * half)}" if isfinite(half) and one.why != UNDETERMINED else "—"
@@ -56,7 +55,7 @@ def _listed(parameters: tuple[Expected, ...], level: Level, word: str) -> str:
     if not mine:
         return ""
     good = level is Level.GOOD
-    said = [f"{one.name} {_short(one.value)} ± {_short(_HALF * one.sigma)}" if good else one.name for one in mine]
+    said = [f"{one.name} {_short(one.value)} ± {_short(HALF * one.sigma)}" if good else one.name for one in mine]
     return f"{word} ({len(mine)} of {len(parameters)} parameters, SI): {', '.join(said)}"
 
 

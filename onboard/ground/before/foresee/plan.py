@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from onboard import config
 from onboard.dynamics.kinematics import link_motions, turned
@@ -13,6 +12,7 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.budget import HALF
 from onboard.estimation.smoothing import Response, SmoothingWindow
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
@@ -22,7 +22,6 @@ from onboard.identification.standing import Level, standing
 from onboard.identification.useful import Useful, sizes
 from onboard.regressor.rows import BaseMotion
 
-LEVEL = 0.95  # of the intervals shown
 UNDETERMINED = "not determined"
 _MOST_TICKS = 20_000  # of which a long motion's rates are taken
 _IN_KERNEL, _APART_S = 5, 0.05  # ticks in its width at least, time between two at most
@@ -142,9 +141,9 @@ def expected(
         sigmas: expected, also of one that is not supported.
         useful: how narrow an interval is that is good.
     """
-    found, z = list[Expected](), float(ndtri(0.5 + 0.5 * LEVEL))
+    found = list[Expected]()
     told = [
-        one._replace(mean=values[one.name], sigma=s, low=values[one.name] - z * s, high=values[one.name] + z * s)
+        one._replace(mean=values[one.name], sigma=s, low=values[one.name] - HALF * s, high=values[one.name] + HALF * s)
         for one, s in zip(answers, sigmas, strict=True)
     ]
     size = sizes(told, useful)

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from onboard.estimation.budget import HALF
 from onboard.ground.calibrate.result import digits
 from onboard.ground.calibrate.weigh.further import Pose
 from onboard.ground.calibrate.weigh.judge import Judged, alone
@@ -36,8 +37,8 @@ def render(answer: Answer, judged: Judged, more: tuple[Pose, ...], title: str) -
     parts: list[RenderableType] = [_quantities(answer, judged, title), _axes(answer), *map(Text, lines)]
     if more:
         said = "; ".join(
-            f"{one.text} (then mass +- {196.0 * one.mass_sigma_kg / abs(answer.quantities[0].mean):.2g} %, centre "
-            f"+- {1.96e3 * one.centre_sigma_m:.2g} mm)"
+            f"{one.text} (then mass +- {100.0 * HALF * one.mass_sigma_kg / abs(answer.quantities[0].mean):.2g} %, "
+            f"centre +- {1e3 * HALF * one.centre_sigma_m:.2g} mm)"
             for one in more
         )
         parts.append(Text(f"further poses that would tell most: {said}"))
@@ -149,7 +150,7 @@ def _draw_masses(axes: Any, answer: Answer, mass: QuantityEstimate) -> None:
     rows += [(f"{one.name[-1]}, zero fitted", one.mass_kg, one.mass_sigma_kg) for one in answer.axes[:3]]
     rows += [("plain least squares", *answer.plain)]
     for k, (_, value, sigma) in enumerate(rows):
-        axes.errorbar(value, k, xerr=1.96 * sigma, fmt="o", ms=4, color=CYCLE[k // 3], capsize=3)
+        axes.errorbar(value, k, xerr=HALF * sigma, fmt="o", ms=4, color=CYCLE[k // 3], capsize=3)
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
     axes.invert_yaxis()
     axes.set_title("mass, kg, by axis; band: the answer")

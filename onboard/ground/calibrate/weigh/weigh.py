@@ -11,6 +11,7 @@ from scipy.fft import dct
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import INTERVAL
 from onboard.estimation.calibration import wrist
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.weigh.columns import Meaning
@@ -27,7 +28,6 @@ MOST_POSES = 3000
 _HALVES = 12  # poses, from which on one half can be predicted from the other
 _ROUGH = 5  # rounds of fits that are only compared
 _RUN = 3  # equal readings, steps of a reading
-_LEVEL = 0.95
 IndexArray = NDArray[np.intp]
 _ANY_MOUNTING_rad = np.pi / 2.0  # flanges are turned to any angle; where poses tell nothing of it, the nearest to none
 
@@ -257,7 +257,7 @@ def _quantities(weighing: wrist.Weighing, poses: Poses, prior: wrist.Prior, know
         sigmas = [float(np.sqrt(_body_covariance(one)[k, k])) for one in weighing.fits]
         if not k:
             sigmas = [float(np.hypot(s, relative * m)) for s, m in zip(sigmas, means, strict=True)]
-        mean, sigma, low, high = wrist.interval(means, sigmas, weighing, _LEVEL)
+        mean, sigma, low, high = wrist.interval(means, sigmas, weighing, INTERVAL)
         shrinkage = float(np.sqrt(told[k, k]) / wide[k])
         supported = shrinkage <= SUPPORTED_SHRINKAGE and known_mass
         if not k:
@@ -285,7 +285,7 @@ def _angles(weighing: wrist.Weighing, wide: FloatArray) -> Iterator[QuantityEsti
     }
     for name, (value, k) in values.items():
         sigmas = [float(np.sqrt(each.covariance[k, k])) for each in weighing.fits]
-        _, sigma, low, high = wrist.interval([float(value)] * len(sigmas), sigmas, weighing, _LEVEL)
+        _, sigma, low, high = wrist.interval([float(value)] * len(sigmas), sigmas, weighing, INTERVAL)
         shrinkage = sigma / wide[k]
         yield QuantityEstimate(
             name, "rad", float(value), sigma, low, high, shrinkage, shrinkage <= SUPPORTED_SHRINKAGE, "as stated before"

@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from drivers.records import Rows, SampleStatus
 from onboard import config
 from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import HALF, INTERVAL
 from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
@@ -25,7 +26,6 @@ from onboard.identification.windows import against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
-_LEVEL = 0.95
 _MISSED = 3.5  # periods without a command: what was commanded then is not known
 _DOUBTED = 1.3  # residual variance of a sensor over its noise variance
 _TOLD = "of what the motion tells"
@@ -130,9 +130,9 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[A
     at = [*range(BODY), *(model.names.index(one) for one in ("delay", "tilt_x", "tilt_y") if one in model.names)]
     scale = np.array([mass_kg, 1.0, 1.0, inertia] + [1.0] * (len(at) - BODY))
     values = np.array([mass_kg, *centre_m, inertia, *fit.x[at[BODY:]]])
-    half = float(stdtrit(found.noise.freedom, 0.5 + 0.5 * _LEVEL))
+    half = float(stdtrit(found.noise.freedom, 0.5 + 0.5 * INTERVAL))
     own = np.sqrt(found.variances(model.sigma)[at])
-    sigma = half / float(ndtri(0.5 + 0.5 * _LEVEL)) * own
+    sigma = half / HALF * own
     stretch = np.array([True, False, False, True] + [False] * (len(at) - BODY))  # logarithms
     low = np.where(stretch, values * np.exp(-half * own), values - half * own)
     high = np.where(stretch, values * np.exp(half * own), values + half * own)

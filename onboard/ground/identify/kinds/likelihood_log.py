@@ -10,12 +10,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import HALF
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.recursive.rls import Observability
 from onboard.ground.identify.kinds.identified import Answer, Identified, standings
@@ -37,7 +37,6 @@ from onboard.recording.reader import LogReader
 EXIDDM = "exiddm"
 LONGEST_S = 60.0  # of flight that is fitted as a whole
 SHORTEST_S = 2.0
-LEVEL = 0.95
 
 
 class Kept(NamedTuple):
@@ -251,7 +250,7 @@ def body_answers(
     """
     values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     sigma = np.sqrt(wider * np.diag(covariance))
-    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
+    half = HALF * sigma
     fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
     return tuple(
         Answer(*fields)

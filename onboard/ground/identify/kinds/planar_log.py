@@ -8,10 +8,10 @@ half, with velocity and tilt at its first tick re-estimated.
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard import config
 from onboard.estimation.arrays import BoolArray
+from onboard.estimation.budget import HALF
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
@@ -19,7 +19,7 @@ from onboard.flight.estimate.problem.identification import build_planar, samples
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Answer, Identified
-from onboard.ground.identify.kinds.likelihood_log import LEVEL, Judged, Kept, identified, longest_held
+from onboard.ground.identify.kinds.likelihood_log import Judged, Kept, identified, longest_held
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
@@ -122,7 +122,7 @@ def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> J
     drag = drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])
     sigma = wider**0.5 * drag.sigma
-    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
+    half = HALF * sigma
     fine = sigma <= SUPPORTED_SHRINKAGE * known
     units = ["N s/m", "N"] * len(pucks)
     values = (drag.drag, sigma, drag.drag - half, drag.drag + half, fine, drag.sigma)

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from scipy.special import ndtri
 
 from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import HALF
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.identification.exiddm.captured_body import NAMES
 from onboard.identification.rows.identifier import Identifier
@@ -29,7 +29,6 @@ from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 COMMON_ERRORS = 3.0
-_LEVEL = 0.95  # of the intervals in the log
 _ALSO = [name.encode() for name in NAMES]
 
 
@@ -72,7 +71,7 @@ def _of_rows(identifier: Identifier, estimate: np.void, said: Rows, triangle: Fl
     # Of fitted errors an interval has less than was stated, and how much less no log tells: none of it is taken off.
     common = ((weights @ root @ triangle[:p, p : p + k] * considered) ** 2).sum(axis=1)
     said = said[: len(weights)]  # what is no combination of parameters follows from these
-    half = 0.5 * (said["high"] - said["low"]) / ndtri(0.5 + 0.5 * _LEVEL)
+    half = 0.5 * (said["high"] - said["low"]) / HALF
     fine = said["supported"] != 0
     wider = np.max((half**2 - common)[fine] / formal[fine], initial=1.0)
     known, right = identifier.rls.prior_equations()

@@ -22,6 +22,7 @@ from onboard.dynamics.model.payload import BodyEstimate
 from onboard.dynamics.model.vehicle import VehicleModel as Model
 from onboard.dynamics.model.vehicle import VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
+from onboard.estimation.budget import HALF
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.ground.log.rescue.sampled import sampled
@@ -254,8 +255,8 @@ def render(placed: Sequence[AlignedLog]) -> RenderableType:
     parts: list[RenderableType] = []
     for one in placed:
         table = Table(title=f"{one.log} on the time of {one.reference}", title_justify="left", show_header=False)
-        table.add_row("offset", f"{one.offset_s:+.6f} s ± {1e6 * 1.96 * one.sigma_offset_s:.0f} µs (95 %)")
-        table.add_row("rate", f"{1e6 * one.rate:+.2f} ppm ± {1e6 * 1.96 * one.sigma_rate:.2f} ppm")
+        table.add_row("offset", f"{one.offset_s:+.6f} s ± {1e6 * HALF * one.sigma_offset_s:.0f} µs (95 %)")
+        table.add_row("rate", f"{1e6 * one.rate:+.2f} ppm ± {1e6 * HALF * one.sigma_rate:.2f} ppm")
         if one.drift_per_s:
             table.add_row("drift", f"{60e6 * one.drift_per_s:+.3f} ppm a minute; merge leaves it out")
         table.add_row("at", f"{one.pivot_s:.3f} s of its time")
@@ -263,9 +264,9 @@ def render(placed: Sequence[AlignedLog]) -> RenderableType:
         table.add_row("unique", one.unique)
         if one.payload is not None:
             body, sigma = one.payload.body, np.sqrt(np.diag(one.payload.covariance))
-            table.add_row("payload", f"{body.mass_kg:.4f} kg ± {1.96 * sigma[0]:.4f} kg")
+            table.add_row("payload", f"{body.mass_kg:.4f} kg ± {HALF * sigma[0]:.4f} kg")
             centre = ", ".join(
-                f"{1e3 * c:.2f} ± {1e3 * 1.96 * s:.2f}" for c, s in zip(body.centre_of_mass_m, sigma[1:4], strict=True)
+                f"{1e3 * c:.2f} ± {1e3 * HALF * s:.2f}" for c, s in zip(body.centre_of_mass_m, sigma[1:4], strict=True)
             )
             table.add_row("", f"centre of mass {centre} mm")
         table.add_row("merge", one.merge_option)

@@ -16,13 +16,13 @@ from rich.table import Table
 from rich.text import Text
 from scipy import stats
 
+from onboard.estimation.budget import HALF
 from onboard.ground.log.views.info import LogInfo, info
 from onboard.ground.log.views.summary import LogOverview, summary
 from onboard.recording.format.scan import Damage
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
-LEVEL = 1.96  # sigmas of a 95 % interval
 DISAGREE = 0.01  # chance that flights of one value scatter so widely, below which it is said
 
 
@@ -167,6 +167,6 @@ def interval(value: float, sigma: float, sign: str = "") -> str:
     """``value`` with the half width of its 95 % interval, to two digits of that."""
     if not np.isfinite(value + sigma):
         return "-"
-    half = LEVEL * sigma
+    half = HALF * sigma
     decimals = max(0, 1 - int(np.floor(np.log10(half)))) if half > 0 else 6
     return f"{value:{sign}.{decimals}f} ± {half:.{decimals}f}"

@@ -32,6 +32,7 @@ from scipy.special import stdtr, stdtrit
 
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.budget import HALF
 from onboard.identification.rows.row_blocks import RowBlocks
 
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
@@ -43,7 +44,6 @@ _OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
-_STATED = 1.96  # sigmas: within a stated interval of 95 %
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
@@ -67,7 +67,7 @@ class GainStep(NamedTuple):
     @property
     def is_as_stated(self) -> bool:
         """Whether it lies between the recordings, and within two of the sigmas stated for that."""
-        return self.between and abs(self.size) <= _STATED * self.stated
+        return self.between and abs(self.size) <= HALF * self.stated
 
     @property
     def suspected(self) -> FloatArray:

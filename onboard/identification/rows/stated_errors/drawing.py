@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import HALF
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.evidence.policy import ODDS
 from onboard.identification.leaning import PART
@@ -18,7 +19,6 @@ from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
 REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
-_EXPECTED = 1.96  # that many sigmas off the drawing are expected of a sound flight; beyond, a scale may be wrong
 _COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
 
@@ -94,8 +94,8 @@ def unstated(
 
     Where the known mass is not the drawing's, a scale of an instrument may be what is wrong: of all rows, or only of
     those without the payload, as after a jump. It is taken so large that it explains what is beyond the expected
-    difference (:data:`_EXPECTED`), and moves every inertia, which by its own rows is known much better, and every mass.
-    ``h`` is zero where the drawing agrees.
+    difference (half of an interval), and moves every inertia, which by its own rows is known much better, and every
+    mass. ``h`` is zero where the drawing agrees.
 
     Args:
         quantities: those that the drawing knows are looked at.
@@ -109,9 +109,9 @@ def unstated(
         if quantity.known is None:
             continue
         off = _off(quantity, jackknife)
-        if off.sigmas <= _EXPECTED:
+        if off.sigmas <= HALF:
             continue
-        beyond = abs(off.found - off.drawn) * np.sqrt(1.0 - (_EXPECTED / off.sigmas) ** 2)
+        beyond = abs(off.found - off.drawn) * np.sqrt(1.0 - (HALF / off.sigmas) ** 2)
         of_part = {part: blocks.of(*part)[0][:, :-2, :-2].sum(axis=0) for part in blocks.parts}
         every = prior + sum(of_part.values())
         unit = 1.0 / np.sqrt(np.diag(every))

@@ -27,9 +27,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import HALF, INTERVAL
 from onboard.estimation.recursive.consistency import BlockScores, NoiseScale, noise_scale
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.rows.stated_errors.stated import FREEDOM
@@ -182,7 +183,7 @@ class FittedCorrections:
             noise = NoiseScale(*np.maximum(1.0, found).tolist())
             wider = np.maximum(1.0, (FREEDOM + c * c + np.diag(P)[p:] / own**2) / (FREEDOM + 1.0))
         M = P[p:, p:] / np.outer(own, own) + np.outer(c, c)
-        values, V = np.linalg.eigh(M * (stdtrit(noise.freedom, 0.975) / ndtri(0.975)) ** 2)
+        values, V = np.linalg.eigh(M * (stdtrit(noise.freedom, 0.5 + 0.5 * INTERVAL) / HALF) ** 2)
         root = np.diag(stated)
         root[np.ix_(of, of)] = own[:, None] * (V * np.sqrt(np.maximum(values, 0.0)) @ V.T)
         return root, noise

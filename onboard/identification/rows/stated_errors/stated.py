@@ -40,6 +40,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.budget import HALF
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.policy import ODDS
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -56,7 +57,6 @@ class Stated(NamedTuple):
 
 FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
-_REACHES = 1.96  # sigmas that an interval of 95 % reaches
 _SETTLED = 0.02  # relative change of a width in a step
 _NAMED = 1.05  # times as wide, from which on it is said of others of the kind: two digits show it
 _MOST_STEPS, _PASSES = 60, 3  # of expectation and maximisation; about a new estimate
@@ -177,7 +177,7 @@ class StatedSigmas:
         if of_many - of_one < least and self._common.any():
             of_gains, common = (self._L @ one.errors)[-k:], self._rows.index(None)
             factor = float(of_gains[common] + np.delete(of_gains, common).mean())
-            considered[self._gains[common]] = max(considered[self._gains[common]], abs(factor) / _REACHES)
+            considered[self._gains[common]] = max(considered[self._gains[common]], abs(factor) / HALF)
             said += (f"all gains may be off by one factor, by {abs(factor):.0%}",)
         covariance = self._base.covariance(root)
         rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)

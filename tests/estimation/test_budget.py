@@ -1,0 +1,31 @@
+"""The false-alarm budget of a flight: each of its numbers, and what many looks make of it."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from onboard.estimation.budget import DOUBT, HALF, INTERVAL, READING, REFUSE, TESTS, of_each, sigmas
+from onboard.identification.evidence.policy import ODDS
+
+
+def test_as_many_flights_are_doubted_as_are_wrong_and_a_hundredth_of_them_refused() -> None:
+    assert DOUBT == ODDS == 1e-2
+    assert REFUSE == 1e-2 * ODDS
+
+
+def test_intervals_hold_19_of_20() -> None:
+    assert INTERVAL == 0.95
+    assert norm.cdf(HALF) - norm.cdf(-HALF) == pytest.approx(0.95)
+
+
+def test_six_tests_of_many_looks_each_spend_the_budget(rng: np.random.Generator) -> None:
+    """Of healthy flights with six tests of twenty looks, one in a hundred is beyond a limit that is never beyond it."""
+    assert TESTS == 6
+    beyond = np.abs(rng.standard_normal((20_000, 6, 20))) > sigmas(of_each(DOUBT, 20))
+    assert 0.008 < beyond.any(axis=(1, 2)).mean() < 0.012
+    assert 1.0 - (1.0 - of_each(REFUSE, 20)) ** 120 == pytest.approx(REFUSE)
+    assert of_each(DOUBT, 0) == of_each(DOUBT)  # nothing to look at
+
+
+def test_a_reading_is_one_of_a_million_of_each_test() -> None:
+    assert pytest.approx(0.01 / 6e6, rel=0.01) == READING
