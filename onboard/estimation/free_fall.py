@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.budget import READING
 
 _CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
 _WINDOW_s = 0.3  # in which size and roughness are judged
-_CHANCE = 1e-9  # of a window of noise alone that is rough
 _ALLOWED = 1.2  # factor of the variance: of a sensor that is a tenth noisier than stated
 
 
@@ -32,7 +32,7 @@ def is_free(force: ArrayLike, sigma: ArrayLike, period_s: float, largest_m_s2: f
     width = 2 * round(0.5 * _WINDOW_s / period_s) + 1
     freedom = width * x.shape[1]
     size = np.linalg.norm(_means(x, width), axis=1)
-    limit = _ALLOWED * float(chdtri(freedom, _CHANCE)) / freedom
+    limit = _ALLOWED * float(chdtri(freedom, READING)) / freedom
     with np.errstate(invalid="ignore"):
         return np.asarray((size <= largest_m_s2) & (_means(rough[:, None], width)[:, 0] <= limit), np.bool_)
 

@@ -4,7 +4,7 @@ A belt or coupling that slips, counts that are lost or a buffer that falls behin
 delay from one sample to the next, and the joint has not moved. A step between two samples is a jump where it differs
 
 - from a line through the three steps on either side, by more than :data:`SCATTERS` times the largest difference of
-  these from it, and by more than noise and rounding make by a chance of :data:`~onboard.estimation.stuck.CHANCE`, and
+  these from it, and by more than noise and rounding make by a chance of ``READING``, and
 - from zero by more than :data:`TRAVELS` of the neighbouring steps: a sample or two that a recorder left out, or
   repeated, are an error of time, and
 - from its neighbours by more than :data:`TRAVELS` times what any of the :data:`_BEFORE` steps before it did: the
@@ -20,10 +20,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.stuck import CHANCE
+from onboard.estimation.budget import READING, sigmas
 
 SCATTERS, TRAVELS = 10.0, 3.0
 ALIKE = 0.2
@@ -37,7 +36,7 @@ _AT = np.delete(np.arange(_WINDOW) - _SIDE, _SIDE).astype(np.float64)
 _LINE = np.column_stack([np.ones(2 * _SIDE), _AT])
 _OFF_LINE = np.eye(2 * _SIDE) - _LINE @ np.linalg.pinv(_LINE)
 _MEAN_BESIDE = np.where(np.arange(_WINDOW) == _SIDE, 0.0, 1.0 / (2 * _SIDE))
-_FAR = -float(ndtri(0.5 * CHANCE)) * math.sqrt(2.0 + 1.0 / _SIDE)  # of a step less a mean of its neighbours'
+_FAR = sigmas(READING) * math.sqrt(2.0 + 1.0 / _SIDE)  # of a step less a mean of its neighbours'
 
 
 class Jump(NamedTuple):

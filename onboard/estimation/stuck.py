@@ -3,7 +3,7 @@
 Two tests:
 
 - *Noise*: the stated noise gives the probability that a reading repeats the count before; a run is stuck when its
-  probability is below :data:`CHANCE`. Half of the stated noise is assumed, conditional on the reading before (filters
+  probability is below ``READING``. Half of the stated noise is assumed, conditional on the reading before (filters
   correlate neighbours). Noise below a count may repeat for long and is not tested.
 - *Travel*: the angle of a moving joint changes by about as much as it did before, and a joint can neither stop nor
   jump from one sample to the next. A run of equal readings is stuck where it begins in motion, or ends with a
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray
+from onboard.estimation.budget import READING
 
-CHANCE = 1e-9  # of a run, from any one sample on
 _SHORTEST = 4  # equal readings that are a run of a travelling joint's
 _TRAVEL = 8.0  # counts a sample, below which a joint may come to rest from one sample to the next
 _JUMP = 2.5  # times its neighbours' steps, which no joint's acceleration makes of rest
@@ -29,7 +29,7 @@ _RUNS = 6  # that are kept for the next readings: the speed before a run, and wh
 
 
 def longest_run(sigma_counts: Sequence[float], memory: float) -> float:
-    """Length of a run of equal readings with probability :data:`CHANCE`; infinite where the noise is below a count.
+    """Length of a run of equal readings with probability ``READING``; infinite where the noise is below a count.
 
     Args:
         sigma_counts: noise of each column, rms, counts.
@@ -40,7 +40,7 @@ def longest_run(sigma_counts: Sequence[float], memory: float) -> float:
     if not all(0.5 <= sigma < math.inf for sigma in spread):
         return math.inf
     chance = math.prod(math.erf(1.0 / (2.0 * math.sqrt(2.0) * sigma)) for sigma in spread)
-    return 1.0 + math.ceil(math.log(CHANCE) / math.log(chance))
+    return 1.0 + math.ceil(math.log(READING) / math.log(chance))
 
 
 class StuckReadings:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.stuck import CHANCE, StuckReadings, longest_run
+from onboard.estimation.budget import READING
+from onboard.estimation.stuck import StuckReadings, longest_run
 
 
 def judged(readings, longest, batch, usable=None):
@@ -29,7 +30,7 @@ def test_the_longest_run_is_as_rare_as_it_says(rng, sigma):
     assert runs.size > 100_000
     assert runs.max() < longest
     chance_of_two = np.mean(runs >= 2)
-    assert chance_of_two ** (longest - 1) < CHANCE
+    assert chance_of_two ** (longest - 1) < READING
 
 
 def test_noise_below_a_count_tells_nothing():

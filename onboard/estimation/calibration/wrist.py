@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import stdtr
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import READING
 from onboard.estimation.errors import CalibrationError
 
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
@@ -45,7 +46,6 @@ _WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zer
 _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
 _ROUNDS = 25
 _CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
-_GLITCH = 1e-9  # chance of a pose's reading below which it is an outlier, as of a tick in flight
 _FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer than transducers resolve
 _LOCAL = 9  # poses about one, whose median is the zero there
 
@@ -241,7 +241,7 @@ def outliers(R: FloatArray, wrench: FloatArray, prior: Prior) -> NDArray[np.bool
         z = left / np.maximum(_scatter(left), _floor(wrench))
         kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(_FEWEST, (3 * n) // 4)])
     freedom = max(1.0, n - 4.0)
-    return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < _GLITCH).any(axis=1))
+    return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < READING).any(axis=1))
 
 
 def zeros(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -23,9 +23,9 @@ from scipy.special import chdtrc
 
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.budget import READING
 from onboard.identification.change import Change
 
-_IMPROBABLE = 1e-9  # chance of an instrument's innovation in a batch below which it is refused
 _CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
 _PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in which a change is detected
 _AGREES_BATCHES = 100  # in a row: it is used again
@@ -173,7 +173,7 @@ class Fusion:
             own = self._lines[k]
             e = innovation[at : (at := at + len(there) * (own.stop - own.start))]
             freedom = int(there[:, own].sum())
-            if k != self.reference and k not in known and freedom and chdtrc(freedom, float(e @ e)) < _IMPROBABLE:
+            if k != self.reference and k not in known and freedom and chdtrc(freedom, float(e @ e)) < READING:
                 return k
         return None
 

@@ -25,6 +25,7 @@ from scipy.special import chdtri
 
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.budget import READING
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.identification.exiddm.guesses import first_rate
@@ -36,7 +37,6 @@ INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
 _BLOCK_TICKS = 200
 _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
-_GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
 _HOPELESS = 2.0  # residual sum per row: a fit that will not get below it is given up
@@ -319,7 +319,7 @@ class WholeFlight:
         """Leave out ticks of an instrument that the last fit contradicts, if these are few; returns how many lines."""
         out = 0
         for device, own in enumerate(self._predictor.lines):
-            limit = float(chdtri(own.stop - own.start, _GLITCH))
+            limit = float(chdtri(own.stop - own.start, READING))
             far = [np.nan_to_num(left[:, own] ** 2).sum(axis=1) > limit for left in self._left]
             count = sum(int(one.sum()) for one in far)
             if count <= _MOST_GLITCHES * sum(int(use[:, device].sum()) for use in self._use):

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import READING, sigmas
 from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.timebase.timebase import Timebase
 
 _BLOCK_S, _CONTRADICTIONS = 1.0, 3  # length of a block, blocks of motion in a row that contradict
 _LEAST = 0.05  # always allowed, of the slope
-_SIGMAS = 6.0
+_SIGMAS = sigmas(READING)
 _MOVING = 30.0  # times the noise: motion in a block that is judged
 
 

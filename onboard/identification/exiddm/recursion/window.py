@@ -20,6 +20,7 @@ from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.budget import READING
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
 from onboard.identification.evidence.bank import Changed
@@ -38,7 +39,6 @@ _ITERATIONS = 40  # predictions
 _ROUGHLY = 5.0  # promised decrease of the squares at which the iteration from a guess ends; steps to the minimum follow
 _SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
-_GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
@@ -335,7 +335,7 @@ class WindowSolve:
     def _leaves_out(self, whole: Pieces) -> bool:
         """Whether there was an outlier and one more may be left out: the worst one is not used from now on."""
         lines = self._predictor.lines
-        each = [whole.squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
+        each = [whole.squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, READING) for own in lines]
         worst = int(np.argmax([beyond.max() for beyond in each]))
         tick = int(each[worst].argmax())
         if self._glitches >= _FEW * len(self._use) or each[worst][tick] < 1.0:
@@ -354,7 +354,7 @@ class WindowSolve:
         squares = float(whole.squares.sum())
         strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), _GOOD_FIT)))
         end = whole.state + F @ (fitted.x - self._at)
-        cost = fitted.residual_sum + glitches * float(chdtri(1.0, _GLITCH))
+        cost = fitted.residual_sum + glitches * float(chdtri(1.0, READING))
         residual = whole.residual[:, self._own].copy()
         kept = covariance
         if self._predictor.bends.size:  # what drives them is not exact: hardly a window's period counts

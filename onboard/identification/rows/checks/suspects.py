@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.budget import READING, sigmas
 from onboard.identification.evidence.bank import Bank, Known, Mixture, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DELAY_s
@@ -45,7 +46,7 @@ _FEWEST = 20  # ticks
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
 _MOST_ALIKE = 0.9
 _NOISE_SIGMA = 0.2  # of the stated power of the motion's noise, relative; as for the recursion
-_HUBER, _FAR = 3.0, 6.0  # sigmas: rows beyond weigh less; contradict
+_HUBER, _FAR = 3.0, sigmas(READING)  # rows beyond weigh less; contradict
 _TINY = float(np.finfo(np.float64).tiny)
 _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
     ("joint_zero", "zero", LIKELY_SIZE),
