@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.budget import READING
+from onboard.estimation.policy import READING
 
 _CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
 _WINDOW_s = 0.3  # in which size and roughness are judged

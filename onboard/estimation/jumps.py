@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import READING, sigmas
+from onboard.estimation.policy import READING, sigmas
 
 SCATTERS, TRAVELS = 10.0, 3.0
 ALIKE = 0.2

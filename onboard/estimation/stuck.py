@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray
-from onboard.estimation.budget import READING
+from onboard.estimation.policy import READING
 
 _SHORTEST = 4  # equal readings that are a run of a travelling joint's
 _TRAVEL = 8.0  # counts a sample, below which a joint may come to rest from one sample to the next

@@ -1,10 +1,9 @@
 """Tests fitted corrections of instruments and links against their stated sigmas.
 
-Under the stated sigmas each is standard normal and their sum of squares is chi-squared. A correction beyond five
-sigmas, or an improbable sum, means a changed calibration or an error without a parameter. Short of that one is doubted
-beyond three sigmas, or farther if there are many: of a hundred the largest lies beyond three by chance in one healthy
-flight of four. The limit is the size that the largest of so many exceeds with one stated chance (Sidak, J. Am. Stat.
-Assoc. 62, 1967).
+Under the stated sigmas each is standard normal and their sum of squares is chi-squared. One that is too large, or an
+improbable sum, means a changed calibration or an error without a parameter. How large depends on how many there are: of
+a hundred the largest lies beyond three sigmas by chance in one healthy flight of four. A test of the largest is refused
+and doubted as often as any other (:mod:`onboard.estimation.policy`).
 
 The estimate of a correction about zero has the sigma ``(prior variance - posterior variance)^(1/2)`` (Hausman,
 Econometrica 46, 1978). Data that tell less of it than its stated sigma move it by less than that sigma, however wrong
@@ -22,13 +21,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dpotrf, dpotri
-from scipy.special import chdtrc, chdtri, ndtri
+from scipy.special import chdtrc, chdtri
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import DOUBT, REFUSE, of_each, sigmas
 
-FARTHEST, DOUBTFUL = 5.0, 3.0  # sigmas, of one
-UNLIKELY, _DOUBTED_TOGETHER = 1e-6, 1e-4  # chance of all of them together
-_DOUBTED = 0.01  # chance that the largest is doubted though all is as stated
+DOUBTFUL = sigmas(of_each(DOUBT))  # of one
 _NOTHING = 1e-7  # mean weight of corrections of which the data tell nothing: below it is rounding
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
@@ -52,11 +50,11 @@ class Together(NamedTuple):
 
     def refused(self) -> tuple[str, ...]:
         """Reason of refusal; empty if there is none."""
-        return (self._text,) if self.chance < UNLIKELY else ()
+        return (self._text,) if self.chance < of_each(REFUSE) else ()
 
     def doubted(self) -> tuple[str, ...]:
         """Reason for a weak verdict; empty if there is none, or one of refusal."""
-        return (self._text,) if UNLIKELY <= self.chance < _DOUBTED_TOGETHER else ()
+        return (self._text,) if of_each(REFUSE) <= self.chance < of_each(DOUBT) else ()
 
     @property
     def _text(self) -> str:
@@ -106,40 +104,40 @@ def too_large(corrections: Mapping[str, float]) -> tuple[str, ...]:
     """Reasons of refusal for corrections by name, in stated sigmas; empty if both tests (this module's head) pass."""
     if not corrections:
         return ()
-    sigmas = np.abs(list(corrections.values()))
-    worst = int(sigmas.argmax())
-    if sigmas[worst] > FARTHEST:
+    each = np.abs(list(corrections.values()))
+    worst = int(each.argmax())
+    if each[worst] > refused_from(len(each)):
         name = list(corrections)[worst]
-        return (
-            f"{name} had to be corrected by {sigmas[worst]:.0f} of its stated sigmas: it has changed, or is not so",
-        )
-    squares = float(sigmas @ sigmas)
-    if chdtrc(len(sigmas), squares) < UNLIKELY:
-        return (f"corrections are larger than stated: squares of {len(sigmas)} of them sum to {squares:.0f} sigmas",)
+        return (f"{name} had to be corrected by {each[worst]:.0f} of its stated sigmas: it has changed, or is not so",)
+    squares = float(each @ each)
+    if chdtrc(len(each), squares) < of_each(REFUSE):
+        return (f"corrections are larger than stated: squares of {len(each)} of them sum to {squares:.0f} sigmas",)
     return ()
 
 
 def contradicted(corrections: Mapping[str, float]) -> tuple[str, ...]:
     """Reason of refusal for corrections by name, in sigmas of what the data tell of each; empty if all are small."""
-    name, sigmas = max(corrections.items(), key=lambda one: abs(one[1]), default=("", 0.0))
-    if abs(sigmas) <= FARTHEST:
+    name, away = max(corrections.items(), key=lambda one: abs(one[1]), default=("", 0.0))
+    if abs(away) <= refused_from(len(corrections)):
         return ()
-    return (
-        f"the motion contradicts what is stated of {name} by {abs(sigmas):.0f} sigmas: it has changed, or is not so",
-    )
+    return (f"the motion contradicts what is stated of {name} by {abs(away):.0f} sigmas: it has changed, or is not so",)
 
 
 def doubtful_from(count: int) -> float:
     """Sigmas beyond which the largest of ``count`` corrections is doubted: this module's head."""
-    chance_of_one = -np.expm1(np.log1p(-_DOUBTED) / max(count, 1))
-    return float(max(DOUBTFUL, -ndtri(chance_of_one / 2.0)))
+    return sigmas(of_each(DOUBT, count))
+
+
+def refused_from(count: int) -> float:
+    """Sigmas beyond which the largest of ``count`` corrections is refused: this module's head."""
+    return sigmas(of_each(REFUSE, count))
 
 
 def doubtful(corrections: Mapping[str, float], scale: str = "of its stated sigmas") -> tuple[str, ...]:
     """Reasons for a weak verdict: corrections that are larger than chance makes of so many; ``scale``: words of it."""
-    limit = doubtful_from(len(corrections))
+    low, high = doubtful_from(len(corrections)), refused_from(len(corrections))
     return tuple(
-        f"{name} had to be corrected by {abs(sigmas):.1f} {scale}"
-        for name, sigmas in corrections.items()
-        if limit < abs(sigmas) <= FARTHEST
+        f"{name} had to be corrected by {abs(away):.1f} {scale}"
+        for name, away in corrections.items()
+        if low < abs(away) <= high
     )

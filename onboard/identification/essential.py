@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 
 
 class Essential(NamedTuple):

@@ -20,7 +20,6 @@ BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"
 BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
 MOST_ALSO = 6  # quantities of an Estimate that are not asked for
-MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate: beyond, no answer is to be used
 # A quantity is reported when the data determine it:
 SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information

@@ -24,8 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.identification.corrections import doubtful, too_large
-from onboard.identification.quantities import MOST_CONTRADICTED, Findings
+from onboard.estimation.policy import MISFIT_REFUSED, MOST_CONTRADICTED
+from onboard.identification.corrections import doubtful, refused_from, too_large
+from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
@@ -33,8 +34,6 @@ from onboard.identification.standing import Level, Standing
 
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
 WEAKLY_PREDICTED = 0.5
-FARTHEST_BODY = 5.0  # sigmas from what was found to the likeliest body
-WORST_MISFIT = 2.0  # of a maximum likelihood fit, whose residuals are independent
 
 
 class Verdict(NamedTuple):
@@ -119,11 +118,11 @@ def _contradictions(evidence: Evidence) -> list[str]:
             "units, and the sensors against each other"
         )
     for link, away in evidence.away.items():
-        if away > FARTHEST_BODY:
+        if away > refused_from(len(evidence.away)):
             far = f"{away:.0f} sigmas from any body" if away < np.inf else "its mass is not positive"
             said.append(f"the estimate of {link} cannot exist: {far}; check signs and units")
     said += too_large(evidence.corrections)
-    if evidence.misfit is not None and evidence.misfit > WORST_MISFIT:
+    if evidence.misfit is not None and evidence.misfit > MISFIT_REFUSED:
         said.append(
             f"no body explains what was measured: {evidence.misfit:.1f} times the noise is left over; check signs, "
             "frames and units, and the sensors against each other"

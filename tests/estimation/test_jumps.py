@@ -160,3 +160,24 @@ def test_an_encoder_that_jumps_to_zero_or_at_rest_is_compared_too():
     assert back.undoes(to_zero)
     assert not back.undoes(at_rest)
     assert Jump(90, -0.2, 0.2, 0.01).undoes(at_rest)
+
+
+@pytest.mark.parametrize(("off", "same"), [(0.15, True), (0.3, False), (-0.15, True), (-0.3, False)])
+def test_a_jump_back_is_as_large_to_a_fifth(off, same):
+    assert Jump(90, -0.2 * (1.0 + off), 0.0, 0.0).undoes(Jump(10, 0.2, 0.0, 0.0)) is same
+
+
+@pytest.mark.parametrize(("before", "is_found"), [(50, False), (70, True)])
+def test_what_64_steps_before_did_is_remembered(before, is_found):
+    step = np.full(300, 3.0)
+    step[200 - before] += 12.0
+    step[200] += 30.0
+    assert (201 in [at for at, _ in found(np.append(0.0, np.cumsum(step)), sigma=0.3)]) is is_found
+
+
+@pytest.mark.parametrize(("pause", "is_found"), [(4.0, True), (6.0, False)])
+def test_a_step_of_which_half_was_made_in_a_pause_is_no_jump(pause, is_found):
+    step, arrived = np.ones(100), np.arange(101.0)
+    step[50] += 10.0
+    arrived[51:] += pause
+    assert bool(found(np.append(0.0, np.cumsum(step)), arrived=arrived, sigma=0.1)) is is_found

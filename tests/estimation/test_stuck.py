@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.budget import READING
+from onboard.estimation.policy import READING
 from onboard.estimation.stuck import StuckReadings, longest_run
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import REFUSE, of_each, sigmas
 
 EARTH_RATE_rad_s = 7.292115e-5
 LARGEST_SCALE = 0.2  # beyond, a unit or a range is wrong and not a calibration
-CONTRADICTION = 5.0  # stated sigmas of a residual
 
 
 class TriadCalibration(NamedTuple):
@@ -149,7 +149,7 @@ def _triad(
             f"{kind}: a scale of {scale[np.abs(scale - 1.0).argmax()]:.3g}; check axes, signs, units and ranges"
         )
     worst = int(np.abs(whitened).max(axis=1).argmax())
-    if np.abs(whitened[worst]).max() > CONTRADICTION:
+    if np.abs(whitened[worst]).max() > sigmas(of_each(REFUSE, whitened.size)):
         raise CalibrationError(
             f"{kind}: {one} {worst + 1} is {np.abs(whitened[worst]).max():.0f} sigmas off the others; repeat it"
         )

@@ -7,8 +7,7 @@ from scipy.stats import chi2
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
-
-BY_CHANCE = 1e-4  # a misfit that is rarer contradicts the stated sigmas
+from onboard.estimation.policy import REFUSE, of_each
 
 
 class Line(NamedTuple):
@@ -50,7 +49,7 @@ def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, readin
     alone = 1.0 - np.einsum("ki,ij,kj->k", rows, covariance, rows)  # share of its own error that a residual shows
     freedom = len(x) - 2
     squares = float(whitened @ whitened)
-    if freedom and chi2.sf(squares, freedom) < BY_CHANCE:
+    if freedom and chi2.sf(squares, freedom) < of_each(REFUSE):
         deleted = np.abs(whitened) / np.sqrt(alone.clip(1e-9))
         worst = int(deleted.argmax())
         raise CalibrationError(
@@ -139,7 +138,7 @@ def balance(
     if not x[0] > 0.0:
         raise CalibrationError(f"a mass of {x[0]:.3g} kg; check the cell's sign and the direction of gravity")
     freedom = len(A) - 4
-    if freedom and chi2.sf(float(residual @ residual), freedom) < BY_CHANCE:
+    if freedom and chi2.sf(float(residual @ residual), freedom) < of_each(REFUSE):
         worst = int(np.abs(residual).argmax())
         raise CalibrationError(
             f"orientation {worst + 1} is {abs(residual[worst]):.0f} sigmas off the others; repeat it"

@@ -28,8 +28,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import stdtr
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import READING
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import FARTHEST_SIZE, READING
 
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
@@ -41,7 +41,7 @@ SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
 _SPREAD_FACTOR = np.log(
     3.0
 )  # 1 sigma of the logarithm of the spread: data sheets give limits, by range, and not sigmas
-_FAR = SPREADS > 3.0  # of one alone: nearer ones are no other than of all
+_FAR = SPREADS > FARTHEST_SIZE  # of one alone: nearer ones are no other than of all
 _WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zero from pose to pose, over the noise
 _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
 _ROUNDS = 25

@@ -21,7 +21,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE

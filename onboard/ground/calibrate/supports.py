@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from onboard import config
 from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.linear import BY_CHANCE
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import REFUSE, of_each
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
@@ -202,14 +202,14 @@ def _solved(rows: list[_Row], drawn: FloatArray, drawn_sigma_m: float | None) ->
     covariance = np.linalg.inv(H)
     centre = covariance @ right
     left, freedom = b - A @ centre, len(rows) - rank
-    if freedom and chi2.sf(float(left @ left), freedom) < BY_CHANCE:
+    if freedom and chi2.sf(float(left @ left), freedom) < of_each(REFUSE):
         worst = rows[int(np.abs(left).argmax())].name
         raise CalibrationError(f"{worst} contradicts the others by {np.abs(left).max():.0f} sigmas; repeat it")
     if drawn_sigma_m is not None:
         off = A @ drawn - b
         spread = np.eye(len(rows)) + drawn_sigma_m**2 * (A @ A.T)
         squares = float(off @ np.linalg.solve(spread, off))
-        if chi2.sf(squares, len(rows)) < BY_CHANCE:
+        if chi2.sf(squares, len(rows)) < of_each(REFUSE):
             culprit = rows[int(np.abs(off / np.sqrt(np.diag(spread))).argmax())]
             far = abs(float(culprit.way @ drawn) - culprit.at_m)
             raise CalibrationError(
@@ -234,7 +234,7 @@ def _mass(
     weight = own**-2.0 / (own**-2.0).sum()
     mass = float(weight @ sums)
     left = float((((sums - mass) / own) ** 2).sum())
-    if len(sums) > 1 and chi2.sf(left, len(sums) - 1) < BY_CHANCE:
+    if len(sums) > 1 and chi2.sf(left, len(sums) - 1) < of_each(REFUSE):
         worst = int(np.abs((sums - mass) / own).argmax())
         raise CalibrationError(f"scales {worst + 1} weighs {sums[worst]:.4g} kg, all together {mass:.4g} kg; repeat it")
     sigma = float(np.hypot((own**-2.0).sum() ** -0.5, held.scale_relative * mass))

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from onboard.estimation.budget import INTERVAL
+from onboard.estimation.policy import INTERVAL
 from onboard.ground.campaign.results import Outcome
 from onboard.ground.campaign.statistics import NO_FAULT, Effect, Share, Summary
 from onboard.ground.campaign.store import Content, Store

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from onboard.estimation.budget import HALF
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import HALF
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell

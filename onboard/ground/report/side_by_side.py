@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell

@@ -18,6 +18,7 @@ from onboard.dynamics.floating import Floating, predict_floating
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
+from onboard.estimation.policy import ODDS_OF_PART
 from onboard.identification.body.start import Series, guess
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.exiddm.prediction.parameters import Block, Layout
@@ -36,7 +37,8 @@ _TOLERANCE, _MOST, _LOOKS = (
     8,
 )  # of the whitened sum of squares; predictions by which pulses that do nothing are judged
 _LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how many lengths are tried
-_BETTER, _WORSE = 12.0, 3.0  # squares by which valves that stay shut explain the poses; where no longer pulse does
+_BETTER = -2.0 * np.log(ODDS_OF_PART)  # squares by which valves that stay shut explain the poses
+_WORSE = 3.0  # times the squares: longer pulses opened the valves
 _SENSORS = 3
 
 

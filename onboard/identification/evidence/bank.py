@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.evidence.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
 
 _HALVINGS = 12  # of an interval's half: to a few thousandths of it
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)

@@ -5,7 +5,7 @@ import numpy as np
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.evidence.policy import LIKELY_SIZE
+from onboard.estimation.policy import LIKELY_SIZE
 
 EACH = 10.0
 """Size, in stated sigmas, of each parameter of a body or element of an instrument's matrix, when all may be wrong."""

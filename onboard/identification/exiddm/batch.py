@@ -28,6 +28,7 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, covariance_of, fit
+from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.identification.exiddm.guesses import guesses
 from onboard.identification.exiddm.prediction.imu_errors import (
     BIASES,
@@ -44,7 +45,6 @@ from onboard.identification.exiddm.prediction.parameters import Block, Layout, U
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 
-_GOOD_FIT = 1.3  # whitened residual sum per row at which no further guess is tried
 _ITERATIONS = 60  # on a part of the flight
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
 _HELD_OUT_TOLERANCE = 1.0  # of the residual sum
@@ -190,7 +190,7 @@ class Exiddm:
                 continue
             if found is None or tried.residual_sum < found.residual_sum:
                 found = tried
-            if found.residual_sum < _GOOD_FIT * 6 * plan.early:
+            if found.residual_sum < MISFIT_DOUBTED * 6 * plan.early:
                 break
         if found is None:
             raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")

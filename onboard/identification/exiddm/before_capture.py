@@ -26,6 +26,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import symmetric
 from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import DOUBT
 from onboard.identification.exiddm.guesses import FIRST_TICKS, first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
@@ -36,7 +37,6 @@ _EARLY_s: Final = 0.03  # before the first time at which the payload may have be
 _CONTACTS_s: Final = (0.25, 0.35, 0.5)  # after the last one, until the grip has closed
 _BESIDE: Final = 12  # ticks on each side that tell the rate there
 _HOLE: Final = 0.5  # of a tick: largest deviation of a tick's time; beyond it ticks are missing
-_OTHER: Final = 1e-2  # chance below which two times tell different motions
 _RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative
 _UNEXPLAINED: Final = "the motion about the capture is not one that can be predicted"
@@ -130,7 +130,7 @@ def _shortest(about: "_About", ends: Sequence[int]) -> BeforeCapture:
     for end in reversed(ends):
         one = about.until(end)
         away = max((_away(one, longer) for longer in found), default=0.0)
-        if away > chdtri(6, _OTHER):
+        if away > chdtri(6, DOUBT):
             wider = max(1.0, away / 6.0) if len(found) == 1 else 1.0
             break
         found.append(one)

@@ -12,12 +12,10 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.batch import Exiddm, Schedule, checked
-from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
+from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.prediction.parameters import Block
 from onboard.regressor.free_rows import rough_payload
-
-FIRST_TICKS = 10  # for the initial momentum
 
 
 class FreeBase:

@@ -23,13 +23,12 @@ from scipy.special import chdtrc
 
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
-from onboard.estimation.budget import READING
+from onboard.estimation.policy import MOSTLY, READING
 from onboard.identification.change import Change
 
 _CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
 _PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in which a change is detected
 _AGREES_BATCHES = 100  # in a row: it is used again
-_HARDLY = 0.5  # share of the ticks in which the reference has to be there
 _ABSENT_BATCHES = 10  # in a row: it is left out
 
 
@@ -113,7 +112,7 @@ class Fusion:
     def expect(self, measured: FloatArray) -> None:
         """Do without IMUs that have measured in less than half of some ticks, (n, lines), if another has in more."""
         there = {k: float(np.isfinite(measured[:, self._lines[k].start]).mean()) for k in self.imus}
-        absent = [k for k in there if there[k] < _HARDLY]
+        absent = [k for k in there if there[k] < MOSTLY]
         for k in absent if len(absent) < len(there) else ():
             self.leave_out(k, for_good=False, kind="absent")
 

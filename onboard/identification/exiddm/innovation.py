@@ -8,7 +8,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
-from onboard.identification.corrections import DOUBTFUL, FARTHEST
+from onboard.identification.corrections import DOUBTFUL, refused_from
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
@@ -69,6 +69,7 @@ class Innovations:
         self._alone = [
             np.setdiff1d(each, rivals.at) for each in (predictor.of_each[0], *own)
         ]  # held against one by one
+        self._farthest = refused_from(sum(len(each) for each in self._alone))
         self._friction = {  # of torques: what it is multiplied by cannot be negative
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
             for k, one in further
@@ -152,7 +153,7 @@ class Innovations:
         for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
-            beyond = (np.abs(state[own]) > FARTHEST * stated[own]).any() or self._drives(k, state, covariance)
+            beyond = (np.abs(state[own]) > self._farthest * stated[own]).any() or self._drives(k, state, covariance)
             if beyond or fusion.names[k] == too_far:
                 return Accusation(k, 0, for_good=True)
         return None
@@ -160,7 +161,7 @@ class Innovations:
     def _drives(self, torque: int, state: FloatArray, covariance: FloatArray) -> bool:
         """Whether the friction or the rotor's inertia of a joint's torque is negative by more than chance."""
         at = self._friction.get(torque)
-        return at is not None and bool((state[at] < -FARTHEST * np.sqrt(covariance[at, at])).any())
+        return at is not None and bool((state[at] < -self._farthest * np.sqrt(covariance[at, at])).any())
 
     def misled(self, state: FloatArray) -> bool:
         """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.

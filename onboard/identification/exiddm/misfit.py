@@ -9,13 +9,15 @@ from collections.abc import Mapping
 
 from scipy.special import chdtri
 
+from onboard.estimation.policy import DOUBT, of_each
+
 _BLOCK = 600  # degrees of freedom; a mean over them scatters by 6 %
-_CHANCE = 1e-5  # chance of a block's sum: only rarer sums count
+_BLOCKS = 1e4  # of an hour: one a second of each of three instruments
 
 
 def beyond_chance(squares: float, freedom: int) -> float:
-    """A chi-squared sum over its 1e-5 quantile: above 1, it counts."""
-    return squares / float(chdtri(freedom, _CHANCE))
+    """A chi-squared sum over what a block of an hour exceeds by chance: above 1, it counts."""
+    return squares / float(chdtri(freedom, of_each(DOUBT, _BLOCKS)))
 
 
 class InnovationMisfit:

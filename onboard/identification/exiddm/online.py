@@ -14,8 +14,9 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MOST_CONTRADICTED, REFUSE
 from onboard.identification.change import Change
-from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
+from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import CapturedBody
@@ -29,7 +30,6 @@ from onboard.identification.leaning import PART, Causes
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
-    MOST_CONTRADICTED,
     SUPPORTED_SHRINKAGE,
     Estimate,
     Findings,
@@ -44,8 +44,7 @@ _EXCHANGED = "the payload changed without a release, so an instrument did: check
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
 _SWINGING = "slosh, a flexible joint or a drift"
 _GIVEN_UP = "the end of the flight is not taken in: its windows take too long to solve"
-_WORST_MISFIT = 1.5  # of an instrument's innovations
-_MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
+_MOST_SLOW = 4.0  # power below 1.5 Hz
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
 _LEANINGS = 2  # keys that an answer leans on: as above
@@ -241,12 +240,12 @@ class ExiddmIdentifier:
         slow = self.exiddm.lines.slow
         each = {
             **self.exiddm.misfit.by_instrument(),
-            **{f"{name} below 1.5 Hz": ratio for name, ratio in slow.by_sensor(_SLOW_CHANCE).items()},
+            **{f"{name} below 1.5 Hz": ratio for name, ratio in slow.by_sensor(DOUBT).items()},
         }
-        off = {name: ratio for name, ratio in each.items() if ratio > _WORST_MISFIT}
+        off = {name: ratio for name, ratio in each.items() if ratio > MISFIT_DOUBTED}
         swaying = tuple(
             f"residuals of the {name} below 1.5 Hz are {ratio**0.5:.1f} times its noise: {_SWINGING}"
-            for name, ratio in slow.by_sensor(_NO_CHANCE).items()
+            for name, ratio in slow.by_sensor(REFUSE).items()
             if ratio > _MOST_SLOW
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
@@ -285,7 +284,7 @@ class ExiddmIdentifier:
         if not ends:
             return []
         off = {name: abs(one) for name, one in self._by_the_data(found).items() if name.endswith(ends)}
-        return [f"{name} is {one:.1f} sigmas off" for name, one in off.items() if one > DOUBTFUL]
+        return [f"{name} is {one:.1f} sigmas off" for name, one in off.items() if one > doubtful_from(len(off))]
 
     def _refusal(self) -> str:
         """Why no answer is to be used, whatever the estimate; empty if nothing says so."""
@@ -327,7 +326,7 @@ class ExiddmIdentifier:
             return self._mixed[1:]
         line = self.exiddm.lines.strongest
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
-        misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
+        misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(DOUBT).values()])
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.policy import LIKELY_SIZE, STEPS_PER_HOUR
 from onboard.identification.evidence.bank import Changed, Suspect
 from onboard.identification.evidence.bodies import EACH
-from onboard.identification.evidence.policy import LIKELY_SIZE, STEPS_PER_HOUR
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect, Weighed
-from onboard.identification.evidence.bodies import EACH, ways
-from onboard.identification.evidence.policy import (
+from onboard.estimation.policy import (
     LIKELY_SIZE,
     ODDS,
     ODDS_OF_ALL,
@@ -26,6 +24,8 @@ from onboard.identification.evidence.policy import (
     LIKELY_DELAY_s,
     LIKELY_PLACE_m,
 )
+from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect, Weighed
+from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.steps import Steps

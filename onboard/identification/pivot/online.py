@@ -10,6 +10,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
+from onboard.estimation.policy import MISFIT_DOUBTED, MISFIT_REFUSED
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes
@@ -17,13 +18,11 @@ from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.table.run import TableRun
-from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.windows import WindowedFit, against
 from onboard.regressor.signals import Signals
 
 _FIRST_TICKS, _MORE = 200, 1.15  # of the first fit; times as many for the next one
 _MOST_TICKS = 12_000  # 40 MB of derivatives at once
-_DOUBTED = 1.3  # what is left over of a sensor, over its noise: variances
 CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
 TOLD = "of what the motion tells"
 UNCHECKED = "nothing checks the stated inertia of {}: set a known mass on for a while, shake others while it runs fast"
@@ -184,9 +183,9 @@ class PivotRun(TableRun):
         doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]
         doubts += self._unchecked(sigma[scales], left[np.ix_(scales, scales)])
         for sensor, misfit in zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True):
-            if misfit > _DOUBTED:
+            if misfit > MISFIT_DOUBTED:
                 said = f"residuals of the {sensor} are {misfit**0.5:.1f} times its noise"
-                (bad if misfit > WORST_MISFIT else doubts).append(said)
+                (bad if misfit > MISFIT_REFUSED else doubts).append(said)
         return Findings(tuple(bad), tuple(doubts))
 
     def _unchecked(self, sigma: FloatArray, left: FloatArray) -> list[str]:

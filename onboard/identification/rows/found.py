@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import MOST_CONTRADICTED
 from onboard.estimation.recursive.memory import FOR_EVER
 from onboard.identification.corrections import doubtful, too_large
-from onboard.identification.quantities import MOST_CONTRADICTED, Findings
+from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.agreement import judged_fit
 from onboard.identification.rows.stated_errors.drawing import judged_drawing
 

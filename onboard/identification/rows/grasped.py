@@ -15,7 +15,9 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
+from onboard.estimation.policy import MOST_CONTRADICTED
 from onboard.estimation.recursive.consistency import JackknifeEstimate
+from onboard.identification.corrections import refused_from
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -25,9 +27,6 @@ from onboard.identification.quantities import (
 )
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
-
-MOST_REFUSED = 0.05  # largest share of refused rows; beyond it rows and model contradict each other
-FARTHEST = 5.0  # prior sigmas that a parameter may move where the prior holds; beyond, the rows contradict it
 
 
 class GraspedPayload:
@@ -113,7 +112,7 @@ class GraspedPayload:
 
     def _refused(self, used: int, refused: int) -> str:
         """Reason why rows contradict each other; empty if they do not."""
-        if refused > MOST_REFUSED * (used + refused):
+        if refused > MOST_CONTRADICTED * (used + refused):
             return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
         return ""
 
@@ -122,7 +121,7 @@ def contradiction(names: Sequence[str], jackknife: JackknifeEstimate, prior: Flo
     """Reason why rows and a prior that holds, (p,) and (p, p), contradict each other; empty if they do not."""
     moved = np.abs(jackknife.mean - prior) / np.sqrt(np.diag(covariance))
     worst = int(moved.argmax())
-    if moved[worst] <= FARTHEST:
+    if moved[worst] <= refused_from(len(moved)):
         return ""
     off = f"{names[worst]} is {moved[worst]:.0f} prior sigmas off"
     return f"the rows contradict what was known: {off}; check sensors and prior"

@@ -5,8 +5,8 @@ with the payload released, and still held. Rules:
 
 - An identifier is *contradicted* when its own findings refuse its estimate.
 - While the one with all instruments, as reported, is not contradicted, it is selected. Where two that each leave one
-  instrument out differ by more than 3.3 sigmas of the stated errors it is doubtful, and from 5 on all are contradicted
-  (*do not use*). This stays so when they draw nearer: the rows of the one that lies are not forgotten.
+  instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on all are
+  contradicted (*do not use*). This stays so when they draw nearer: the rows of the one that lies are not forgotten.
 - Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
   instrument named. It stays left out while two contradict each other, until of exactly one other nothing is doubtful.
 - A release is accepted, or rejected, when the evidence of the rows (:mod:`onboard.identification.rows.likelihood`)
@@ -22,8 +22,9 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.policy import DOUBLINGS, LEAST_WEIGHT, ODDS
 from onboard.identification.change import Change
-from onboard.identification.evidence.policy import LEAST_WEIGHT, ODDS
+from onboard.identification.corrections import doubtful_from, refused_from
 from onboard.identification.quantities import Estimate, Findings
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.likelihood import nats
@@ -32,7 +33,6 @@ from onboard.regressor.signals import Signals
 
 _JUDGED_ROWS = 50  # between decisions
 _FEWEST_ROWS = 100  # after a reported release, before the decision
-_APART, _DOUBTFUL_APART = 5.0, 3.3  # sigmas between two answers that contradict each other
 
 
 class Member(NamedTuple):
@@ -174,7 +174,7 @@ class Hypotheses:
         others = [member for member in findings if member.left_out and not member.still_held]
         clean = [member for member in others if self._is_clean(member, findings[member])]
         sigmas, apart = self._apart([member for member in self._members if member.left_out])
-        if sigmas > _APART:
+        if sigmas > refused_from(DOUBLINGS):
             self._contradiction = apart
         chosen, said = _AS_TOLD, as_told
         if (as_told.against or self._contradiction) and len(clean) == 1:
@@ -187,7 +187,7 @@ class Hypotheses:
             )
         elif self._contradiction:
             said = as_told._replace(against=(self._contradiction, *as_told.against))
-        elif sigmas > _DOUBTFUL_APART:
+        elif sigmas > doubtful_from(1):
             said = as_told._replace(doubts=(*as_told.doubts, apart))
         if chosen != self._chosen:
             name = chosen.left_out or self._chosen.left_out

@@ -29,6 +29,8 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.maximum_likelihood import Descent, Fit, Normal, fit
+from onboard.estimation.policy import MISFIT_DOUBTED
+from onboard.identification.corrections import refused_from
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
@@ -47,8 +49,6 @@ _HOPELESS = 4.0  # squares of a search's result by its residuals, three times wh
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 _DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
-WORST_MISFIT = 1.3  # whitened residual sum by its degrees of freedom
-MOST_PUSHING = 3.5  # sigmas of a drag below zero
 MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is told and nothing can be
 
 
@@ -229,7 +229,7 @@ class TableExiddm(Exiddm):
                         found.append(one)
                         of_drag[drags] = min(one.squares, of_drag.get(drags, np.inf))
                 least, most = min(of_drag.values(), default=0.0), max(of_drag.values(), default=0.0)
-                if len(of_drag) == len(_DRAGS) and most - least < _FAIRLY and least < WORST_MISFIT * rows:
+                if len(of_drag) == len(_DRAGS) and most - least < _FAIRLY and least < MISFIT_DOUBTED * rows:
                     break
             if found:
                 break
@@ -356,9 +356,9 @@ def drag_of(found: PayloadFit, pucks: Mapping[str, DragPrior]) -> DragFit:
     places = [found.names.index(name) for name in names]
     drag, spread = found.fit.x[places], np.sqrt(np.diag(found.fit.covariance)[places])
     mass, sigma = found.payload.body.mass_kg, float(np.sqrt(found.payload.covariance[0, 0]))
-    pushing = [name for name, off in zip(names, drag / spread, strict=True) if off < -MOST_PUSHING]
+    pushing = [name for name, off in zip(names, drag / spread, strict=True) if off < -refused_from(len(names))]
     reason = ""
-    if found.misfit > WORST_MISFIT:
+    if found.misfit > MISFIT_DOUBTED:
         times = np.sqrt(found.misfit)
         reason = f"IMU and joints contradict each other: {times:.1f} times the noise is left; check their signs"
     elif pushing:

@@ -25,9 +25,9 @@ from scipy.special import chdtri
 
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
-from onboard.estimation.budget import READING
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
+from onboard.estimation.policy import MISFIT_REFUSED, MOST_CONTRADICTED, READING
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
@@ -37,9 +37,7 @@ INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
 _BLOCK_TICKS = 200
 _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
-_MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
-_HOPELESS = 2.0  # residual sum per row: a fit that will not get below it is given up
 _PATIENCE = 6  # predictions by whose gain the rest is judged
 _ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
 _LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
@@ -322,7 +320,7 @@ class WholeFlight:
             limit = float(chdtri(own.stop - own.start, READING))
             far = [np.nan_to_num(left[:, own] ** 2).sum(axis=1) > limit for left in self._left]
             count = sum(int(one.sum()) for one in far)
-            if count <= _MOST_GLITCHES * sum(int(use[:, device].sum()) for use in self._use):
+            if count <= MOST_CONTRADICTED * sum(int(use[:, device].sum()) for use in self._use):
                 out += count * (own.stop - own.start)
                 for use, one in zip(self._use, far, strict=True):
                     use[one, device] = False
@@ -416,10 +414,10 @@ def _give_up(bests: Sequence[float], rows: int) -> None:
         ConvergenceError: it is such a fit.
     """
     misfit = bests[-1] / max(rows, 1)
-    if len(bests) <= _PATIENCE or misfit < _HOPELESS:
+    if len(bests) <= _PATIENCE or misfit < MISFIT_REFUSED:
         return
     gain = bests[-1] / bests[-1 - _PATIENCE]
-    if misfit * gain ** ((_EVALUATIONS - len(bests)) / _PATIENCE) > _HOPELESS:
+    if misfit * gain ** ((_EVALUATIONS - len(bests)) / _PATIENCE) > MISFIT_REFUSED:
         said = f"residuals stay at {misfit**0.5:.3g} times the noise"
         raise ConvergenceError(f"no payload explains the readings: {said}; check ranges, axes and clocks of all")
 

@@ -23,8 +23,8 @@ from onboard.identification.whole_flight.blocks import Block, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 
-_PAYLOAD = slice(0, 10)
-_DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
+PAYLOAD = slice(0, 10)
+DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,11 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[Block]) -> Differe
     if not rows or len(rows) == len(found.blocks):
         return Difference(0.0, 0, part)
     some = total_of(rows, found.fit.x.size)
-    across = some.information[_PAYLOAD]  # (10, p)
-    own = across[:, _PAYLOAD]
+    across = some.information[PAYLOAD]  # (10, p)
+    own = across[:, PAYLOAD]
     S = own - across @ found.fit.covariance @ across.T
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    squares, freedom = squares_of(some.gradient[_PAYLOAD] / scale, S / np.outer(scale, scale), _DETERMINED)
+    squares, freedom = squares_of(some.gradient[PAYLOAD] / scale, S / np.outer(scale, scale), DETERMINED)
     return Difference(squares / max(1.0, found.misfit), freedom, part)
 
 

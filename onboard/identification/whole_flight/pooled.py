@@ -26,11 +26,10 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import Block, misfit_by_instrument, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight
+from onboard.identification.whole_flight.parts import DETERMINED, PAYLOAD
 
-_PAYLOAD = slice(0, 10)
 _STEPS = 12
 _DONE = 1e-2  # promised decrease of the residual sum at which a step is the last
-_DETERMINED = 1e-6  # see parts
 _HALVINGS = 6
 
 
@@ -143,9 +142,9 @@ class Pool:
         unknown = int((self._prior == 0.0).sum()) + 3 * sum(len(flight.segments) for flight in self._flights)
         misfit = self._cost(z, parts) / max(1, rows - unknown)
         return Pooled(
-            body_estimate(z[:10], P[_PAYLOAD, _PAYLOAD]),
+            body_estimate(z[:10], P[PAYLOAD, PAYLOAD]),
             z[:10],
-            P[_PAYLOAD, _PAYLOAD],
+            P[PAYLOAD, PAYLOAD],
             self.names,
             z,
             P,
@@ -199,9 +198,9 @@ def _reduced(
 
 def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Disagreement:
     """Score test: does the payload of one flight differ, all else common?"""
-    across = part.S[_PAYLOAD]
-    own = across[:, _PAYLOAD]
+    across = part.S[PAYLOAD]
+    own = across[:, PAYLOAD]
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
     spread = (own - across @ P @ across.T) / np.outer(scale, scale)
-    squares, freedom = squares_of(part.s[_PAYLOAD] / scale, spread, _DETERMINED)
+    squares, freedom = squares_of(part.s[PAYLOAD] / scale, spread, DETERMINED)
     return Disagreement(squares / max(1.0, misfit), freedom)

@@ -8,8 +8,6 @@ its axes moves the mass by half of it, and c by a fortieth: 5 % are corrected by
 to six. The flight is then fitted again with that kind hardly bound, as widens the interval of the mass by a quarter.
 Errors of links and joints are tested together in the directions that the flight tells of, which are some seventy of
 more than a hundred.
-Kinds of further instruments are many, and one of them that is wrong can be left out
-(:mod:`onboard.identification.whole_flight.witnesses`), so theirs have to be less likely.
 """
 
 from collections.abc import Sequence
@@ -21,6 +19,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
+from onboard.estimation.policy import DOUBT
 from onboard.identification.exiddm.prediction.further import FurtherCell, instrument_of
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import total_of
@@ -38,7 +37,6 @@ KINDS = (
     "delay_s",
 )
 KINDS_OF_CELL = ("scale", "delay_s")
-UNLIKELY, UNLIKELY_FURTHER = 0.02, 0.005  # chance below which a kind is fitted freely: of the first IMU, of others
 _FREE = 10.0  # times its stated sigma
 _TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
 
@@ -56,7 +54,7 @@ class Kind(Chance):
     @property
     def unlikely(self) -> bool:
         """Whether it is to be fitted freely."""
-        return self.chance < (UNLIKELY_FURTHER if self.device else UNLIKELY)
+        return self.chance < DOUBT
 
     @property
     def text(self) -> str:

@@ -14,18 +14,18 @@ import numpy as np
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, of_each
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.quantities import Findings
-from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 from onboard.identification.whole_flight.parts import differences
 from onboard.identification.whole_flight.stated import Kind, bodies_of, kinds_of
 
-SUSPECT = 1.3  # misfit of an instrument beyond which it is doubted
-_DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
-HARDLY = 0.5  # share of the ticks in which an instrument has to be there to take part
 _STAGES_s = (8.0,)  # part of each segment that is fitted first: most fits without an instrument get nowhere
-_NOT_AS_STATED = 1e-3, 1e-4  # chance of a correction, of a kind: of the first IMU, of further instruments
+_NOT_AS_STATED = 1e-3, 1e-4
+"""Chance at which a kind of correction is doubted: of the first IMU, of further instruments. More than the budget gives
+each of thirty, as it has the flight fitted without each instrument: at 3e-4 an accelerometer that is 3 % off was not
+told from the load cell."""
 
 
 class Tested(NamedTuple):
@@ -56,23 +56,23 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
         found: its fit.
         phase_at: code of the phase at a time, s.
     """
-    against, doubts = [], []
-    for difference in differences(found, phase_at):
-        if difference.chance < _REFUSED:
-            against.append(difference.text)
-        elif difference.chance < _DOUBTED:
-            doubts.append(difference.text)
-    for instrument, misfit in found.by_instrument.items():
-        if misfit > SUSPECT:
-            said = f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise"
-            (against if misfit > WORST_MISFIT else doubts).append(said)
+    against, doubts = list[str](), list[str]()
     kinds = tuple(kinds_of(flight, found))
-    against += [kind.text for kind in kinds if kind.chance < _REFUSED]
-    doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED[kind.device > 0]]
+    of_parts = differences(found, phase_at)
+    refused, doubted = (of_each(budget, len(of_parts)) for budget in (REFUSE, DOUBT))
+    against += [one.text for one in of_parts if one.chance < refused]
+    doubts += [one.text for one in of_parts if refused <= one.chance < doubted]
+    refused = of_each(REFUSE, len(kinds))
+    against += [kind.text for kind in kinds if kind.chance < refused]
+    doubts += [kind.text for kind in kinds if refused <= kind.chance < _NOT_AS_STATED[kind.device > 0]]
+    for instrument, misfit in found.by_instrument.items():
+        if misfit > MISFIT_DOUBTED:
+            said = f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise"
+            (against if misfit > MISFIT_REFUSED else doubts).append(said)
     bodies = bodies_of(flight, found)
-    if bodies.chance < _NOT_AS_STATED[0]:
+    if bodies.chance < of_each(DOUBT):
         said = f"links and joints are not as stated together (chance {bodies.chance:.0e})"
-        (against if bodies.chance < _REFUSED else doubts).append(said)
+        (against if bodies.chance < of_each(REFUSE) else doubts).append(said)
     corrections, of_bodies = _corrections(flight, found), _by_the_data(flight, found)
     against += [*contradicted(of_bodies), *too_large(corrections)]
     ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are tested kind by kind

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
+from onboard.estimation import policy
 from onboard.identification.evidence import bank as bank_module
-from onboard.identification.evidence import policy
 from onboard.identification.evidence.bank import Bank, Hypothesis, Mixture, Suspect, Weighed
 
 SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known

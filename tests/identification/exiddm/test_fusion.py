@@ -69,6 +69,13 @@ def test_in_a_window_an_imu_without_readings_is_not_expected(
     assert fusion.absent == (set(silent) if len(silent) == 1 else set())
 
 
+def test_an_imu_that_reads_in_most_ticks_of_a_window_is_expected(fusion: Fusion) -> None:
+    measured = np.zeros((100, 13))
+    measured[60:, :6] = np.nan
+    fusion.expect(measured)
+    assert not fusion.absent
+
+
 def test_half_an_imu_is_none(fusion: Fusion) -> None:
     measured = np.zeros((2, 13))
     measured[0, 7] = measured[1, 12] = np.nan

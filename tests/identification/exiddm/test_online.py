@@ -8,7 +8,7 @@ import pytest
 from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.estimation.gates import GateReason
-from onboard.identification.corrections import contradicted, expected_sigma
+from onboard.identification.corrections import DOUBTFUL, contradicted, expected_sigma
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
@@ -51,10 +51,10 @@ def test_a_correction_that_the_data_hardly_tell_of_is_held_against_what_they_tel
     assert moved < 1.8 * stated
     sigmas = moved / expected_sigma(np.array([stated**2]), np.array([variance]))[0]
     assert sigmas == pytest.approx(wrong / np.hypot(stated, measured))
-    assert contradicted({"scale_joint_2": -sigmas, "zero": 4.9}) == (
+    assert contradicted({"scale_joint_2": -sigmas, "zero": 4.2}) == (
         "the motion contradicts what is stated of scale_joint_2 by 7 sigmas: it has changed, or is not so",
     )
-    assert contradicted({"zero": 4.9}) == contradicted({}) == ()
+    assert contradicted({"zero": 4.2}) == contradicted({}) == ()
 
 
 def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_left_out_or_it_changes(
@@ -66,7 +66,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     stated = np.full(15, np.nan)
     stated[13] = 2.0 * np.sqrt(covariance[13, 13])
     state = np.zeros(15)
-    state[13] = 6.0 * np.sqrt(0.75) * stated[13]  # of what the data tell
+    state[13] = 2.0 * DOUBTFUL * np.sqrt(0.75) * stated[13]  # of what the data tell
     nothing = np.zeros(0, np.intp)
     predictor = SimpleNamespace(
         stated=stated,

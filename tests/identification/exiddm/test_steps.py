@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from onboard.estimation.policy import ODDS_OF_PART
 from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect
-from onboard.identification.evidence.policy import ODDS_OF_PART
 from onboard.identification.exiddm import steps as steps_module
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.steps import Steps

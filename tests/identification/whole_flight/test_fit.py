@@ -11,7 +11,8 @@ from onboard.dynamics.model.payload import standard_covariance, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.corrections import FARTHEST, doubtful
+from onboard.estimation.policy import DOUBT
+from onboard.identification.corrections import doubtful, refused_from
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
@@ -19,7 +20,7 @@ from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import apart, total_of
 from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
-from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, bodies_of, bound_of, freely, kinds_of, leans_on
+from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_of, freely, kinds_of, leans_on
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -137,6 +138,13 @@ def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
     assert np.abs(found.chi - whole.chi).max() < 0.2 * np.sqrt(np.diag(whole.chi_covariance)).max()
 
 
+@pytest.mark.parametrize(("misfit", "doubts", "against"), [(1.2, 0, 0), (1.5, 1, 0), (2.5, 0, 1)])
+def test_noise_louder_than_stated_is_doubted_and_refused(fitted, misfit, doubts, against):
+    flight, whole = fitted
+    found = witnesses.tested(flight, whole._replace(by_instrument={"IMU": misfit}), lambda time_s: 0).findings
+    assert (len(found.doubts), len(found.against)) == (doubts, against)
+
+
 def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_tells_of_it(ticks, predictor, fitted):
     flight, whole = fitted
     said = witnesses.tested(flight, whole, lambda time_s: 0).findings.against
@@ -152,8 +160,8 @@ def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_
     wrong = WholeFlight(predictor, WIDE, spoilt)
     found = witnesses.tested(wrong, wrong.fit(whole.fit.x), lambda time_s: 0)
     at = found.found.names.index(f"scale_{name}")
-    assert abs(found.found.fit.x[at] / wrong.sigma[at]) < FARTHEST  # hardly moved: it is bound to 0.02 %
-    assert abs(found.of_bodies[f"scale_{name}"]) > FARTHEST
+    assert abs(found.found.fit.x[at] / wrong.sigma[at]) < refused_from(100)  # hardly moved: it is bound to 0.02 %
+    assert abs(found.of_bodies[f"scale_{name}"]) > refused_from(100)
     assert f"scale_{name}" not in found.corrections  # told once
     assert any(
         one.startswith(f"the motion contradicts what is stated of scale_{name} by 1") for one in found.findings.against
@@ -229,7 +237,7 @@ def test_a_kind_as_stated_is_likely_and_not_freed(fitted):
     assert {one.name for one in kinds} == stated
     assert sum(one.common for one in kinds) == len(stated) - 1  # a delay has no axes
     assert all(one.freedom == (1 if one.common or one.name == "delay_s" else 3) for one in kinds)
-    assert kinds[0].chance > UNLIKELY
+    assert kinds[0].chance > DOUBT
     assert freely(flight, found, kinds) is found
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import READING, sigmas
+from onboard.estimation.policy import READING, sigmas
 from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.timebase.timebase import Timebase
 

@@ -19,9 +19,9 @@ from drivers.records import Batch, Rows, SampleStatus, Severity, event
 from onboard import config
 from onboard.devices.roles import ImuRole
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import READING, sigmas
 from onboard.identification.quantities import Estimate, Findings
 
-_EXPLAINED = 4.0  # sigmas
 _STEPS = 64  # temperatures kept: of some seconds
 _PLAUSIBLE_K = 100.0  # from the first temperature
 _WARMER_K = 5.0  # more than a chip warms by itself after power-up
@@ -169,7 +169,7 @@ class Zeroing:
         if self.offset_m_s2 is None:
             return True
         expected, sigma = self._line(kelvin)
-        return bool((np.abs(force - expected) <= _EXPLAINED * sigma).all())
+        return bool((np.abs(force - expected) <= sigmas(READING) * sigma).all())
 
     def _line(self, kelvin: float) -> tuple[FloatArray, FloatArray]:
         """Offset at a temperature, (3,), and the sigma of one tick there, (3,)."""

@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen
 from onboard.identification.standing import Level
 

@@ -12,7 +12,7 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import Response, SmoothingWindow
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER
 from onboard.ground.calibrate.weigh.weigh import Answer
-from onboard.identification.evidence.policy import FARTHEST_SIZE, LIKELIER
 from onboard.identification.quantities import Findings
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Size, Useful

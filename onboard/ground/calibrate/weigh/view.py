@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.ground.calibrate.result import digits
 from onboard.ground.calibrate.weigh.further import Pose
 from onboard.ground.calibrate.weigh.judge import Judged, alone

@@ -11,13 +11,12 @@ from scipy.fft import dct
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import INTERVAL
 from onboard.estimation.calibration import wrist
+from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
-from onboard.identification.evidence.policy import ODDS, ODDS_OF_PART
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 from onboard.identification.rows.checks.prediction import HeldOutFit

@@ -10,8 +10,8 @@ from onboard import config
 from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF, INTERVAL
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.policy import HALF, INTERVAL, MISFIT_DOUBTED, MISFIT_REFUSED
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model
@@ -21,13 +21,12 @@ from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
-from onboard.identification.verdict import WORST_MISFIT, Evidence, verdict
+from onboard.identification.verdict import Evidence, verdict
 from onboard.identification.windows import against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 _MISSED = 3.5  # periods without a command: what was commanded then is not known
-_DOUBTED = 1.3  # residual variance of a sensor over its noise variance
 _TOLD = "of what the motion tells"
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
 
@@ -178,8 +177,8 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
     if not model.weighed:
         doubts.append("nothing checks the thrusters' common force: weigh the body, give its mass and body.mass_sigma")
     for sensor, misfit in zip(_SENSORS, found.by_sensor, strict=True):
-        if misfit > _DOUBTED:
-            (bad if misfit > WORST_MISFIT else doubts).append(
+        if misfit > MISFIT_DOUBTED:
+            (bad if misfit > MISFIT_REFUSED else doubts).append(
                 f"residuals of the {sensor} are {misfit**0.5:.1f} times what is stated"
             )
     return Findings(tuple(bad), tuple(doubts))

@@ -19,6 +19,7 @@ from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
+from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
@@ -55,7 +56,7 @@ from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.parts import halves
 from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
-from onboard.identification.whole_flight.witnesses import HARDLY, Tested, tested, without_each
+from onboard.identification.whole_flight.witnesses import Tested, tested, without_each
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
@@ -190,7 +191,7 @@ class _Flight:
         """
         names = self._online.exiddm.predictor.instruments
         excluded = {at for at, name in enumerate(names) if name in known.left_out}
-        hardly = {at: share for at, share in self._shares().items() if share < HARDLY}
+        hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
         exiddm = self._online.exiddm
 
         def without(*more: int) -> WholeFlight:
@@ -229,7 +230,7 @@ class _Flight:
         predictor = self._online.exiddm.predictor
         shares = {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(predictor.lines)}
         others = [shares[at] for at in range(1, len(predictor.imu_frames))]
-        return shares if max(others, default=0.0) >= HARDLY else {at: share for at, share in shares.items() if at}
+        return shares if max(others, default=0.0) >= MOSTLY else {at: share for at, share in shares.items() if at}
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""

@@ -15,8 +15,8 @@ from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.policy import HALF
 from onboard.estimation.recursive.rls import Observability
 from onboard.ground.identify.kinds.identified import Answer, Identified, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis

@@ -15,6 +15,7 @@ from onboard import config
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
@@ -27,7 +28,6 @@ from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.standing import Level
-from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.witnesses import Tested, tested
@@ -35,7 +35,6 @@ from onboard.recording.reader import LogReader
 
 _STAGES_s = (4.0,)  # part of each run that is fitted first
 _GUESS_kg = 1.0  # initial guess of the payload's mass
-_CONTRADICTS = 1e-6  # chance of a run's payload, beside that of all
 
 
 @dataclass
@@ -114,7 +113,7 @@ def _against(made: Tested) -> tuple[str, ...]:
     """Why a run is not to be pooled: a test fails. That it determines little is no reason."""
     misfit = made.found.misfit
     against = made.findings.against
-    return (*against, f"{misfit:.1f} times the noise is left over") if misfit > WORST_MISFIT else against
+    return (*against, f"{misfit:.1f} times the noise is left over") if misfit > MISFIT_REFUSED else against
 
 
 def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str, ...]]:
@@ -136,7 +135,7 @@ def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str
             continue
         worst = min(range(len(agreeing)), key=lambda k: found.disagreements[k].chance)
         test = found.disagreements[worst]
-        if len(agreeing) < 3 or test.chance * len(agreeing) > _CONTRADICTS:
+        if len(agreeing) < 3 or test.chance > of_each(REFUSE, len(agreeing)):
             break
         agreeing[
             worst
@@ -144,7 +143,7 @@ def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str
         agreeing = [one for one in agreeing if not one.refused]
         best = best if not best.refused else max(agreeing, key=lambda one: _liveliness(one.flight))
     doubts = [] if len(agreeing) > 1 else ["it is a single run"]
-    if test.chance < _CONTRADICTS:
+    if test.chance < of_each(REFUSE, len(agreeing)):
         doubts.append("the runs contradict each other, and nothing tells which is wrong")
     return identified_of(kit.kept, _fitted(found, tuple(doubts))), pool.names
 
@@ -169,7 +168,7 @@ def _fitted(found: Pooled, doubts: tuple[str, ...]) -> Fitted:
     against = tuple(
         f"residuals of the {name} are {misfit**0.5:.1f} times its noise"
         for name, misfit in found.by_instrument.items()
-        if misfit > WORST_MISFIT
+        if misfit > MISFIT_REFUSED
     )
     return Fitted(
         found.payload,

@@ -11,8 +11,8 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.arrays import BoolArray
-from onboard.estimation.budget import HALF
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.policy import HALF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick

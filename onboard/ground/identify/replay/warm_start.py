@@ -20,7 +20,7 @@ import tomli_w
 from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.identification.exiddm.captured_body import NAMES
 from onboard.identification.rows.identifier import Identifier

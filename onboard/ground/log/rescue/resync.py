@@ -22,7 +22,7 @@ from onboard.dynamics.model.payload import BodyEstimate
 from onboard.dynamics.model.vehicle import VehicleModel as Model
 from onboard.dynamics.model.vehicle import VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.ground.log.rescue.sampled import sampled

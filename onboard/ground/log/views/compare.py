@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 from scipy import stats
 
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF
 from onboard.ground.log.views.info import LogInfo, info
 from onboard.ground.log.views.summary import LogOverview, summary
 from onboard.recording.format.scan import Damage

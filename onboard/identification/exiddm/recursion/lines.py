@@ -22,10 +22,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.policy import DOUBT, MOSTLY, of_each
 from onboard.identification.change import CONTACT_s
 
 _BLOCK_s = 8.0
-_CHANCE = 1e-6  # of the largest of all bins of a block: what is exceeded more rarely is a line
+_BLOCKS = 450  # of an hour; as many times half-second sums are all new ones
 _CHANNELS = 6
 _WAITS_s = 0.5, 8.0  # the first, which doubles, and the longest
 _RECENT_s = 60.0  # for which a line is remembered
@@ -33,7 +34,6 @@ _LOWEST_Hz, _FEWEST_CYCLES = 1.0, 2  # of a line: above the one, no fewer than t
 _SLOW_Hz = 1.5  # the arm moves at 0.1 to 0.6 Hz
 _SUMMED_s, _RECENT_SUMS = 0.5, 16
 _SENSORS = "gyro", "accelerometer"
-_MOST = 0.5  # of its channel's power: what a line holds at least
 
 
 class Line(NamedTuple):
@@ -84,8 +84,8 @@ class SlowPower:
             self._ratios = None
         self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
 
-    def by_sensor(self, chance: float) -> dict[str, float]:
-        """Of those whose power is less probable than ``chance``: its mean, 1 for white noise."""
+    def by_sensor(self, budget: float) -> dict[str, float]:
+        """Of those whose power is by chance in fewer flights than the budget: its mean, 1 for white noise."""
         if self._ratios is None:
             recent = np.sum([np.zeros(2), *self._recent], axis=0), 3 * len(self._recent)
             self._ratios = [
@@ -94,7 +94,7 @@ class SlowPower:
                 for name, total in zip(_SENSORS, squares.tolist(), strict=True)
                 if freedom
             ]
-        found: dict[str, float] = {}
+        chance, found = of_each(budget, len(_SENSORS) * _BLOCKS), dict[str, float]()
         for name, ratio, chance_of in self._ratios:
             if chance_of < chance:
                 found[name] = max(found.get(name, 0.0), ratio)
@@ -151,7 +151,7 @@ class InnovationLines:
         place, channel = divmod(int(power.argmax()), _CHANNELS)
         largest, expected = float(power[place, channel]), float(np.log(power.size))
         known = 0.0 if self.strongest is None else self.strongest.power
-        if largest > expected - np.log(_CHANCE) and largest > known:
+        if largest > expected - np.log(of_each(DOUBT, _BLOCKS)) and largest > known:
             frequency = (place + 1) / (self._filled * self._period_s)
             name = "gyro" if channel < _CHANNELS // 2 else "accelerometer"
             self.strongest = Line(largest, largest / expected, frequency, name)
@@ -223,7 +223,7 @@ def line_of(residual: FloatArray, period_s: float) -> Line | None:
         return None
     peaks = power[lowest - 1 : -2] + power[lowest:-1] + power[lowest + 1 :]  # of three bins, Hann's main lobe
     place, channel = divmod(int(peaks.argmax()), power.shape[1])
-    if peaks[place, channel] < _MOST * power[:, channel].sum():
+    if peaks[place, channel] < MOSTLY * power[:, channel].sum():
         return None
     name = "gyro" if channel < power.shape[1] // 2 else "accelerometer"
     scale = float(3.0 * (np.hanning(n) ** 2).sum())  # of three bins of white noise of unit variance

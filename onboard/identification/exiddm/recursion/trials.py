@@ -12,15 +12,17 @@ A tracker of the base's pose sees no payload before the IMUs do. One that is fro
 turns, and what was known then may come from it: the window without it is solved with nothing known of before.
 """
 
+import math
 from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
+from onboard.estimation.policy import REFUSE
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
 
-_CLEARLY = 20.0  # squares by which a fit must be less strained than any other: exp(10) times as likely
+_CLEARLY = -2.0 * math.log(REFUSE)  # squares by which a fit must be less strained than any other
 _DECIDES = 2  # windows before this one are too short to tell a payload from errors of a cell
 
 

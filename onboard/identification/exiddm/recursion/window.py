@@ -20,9 +20,9 @@ from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import READING
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
+from onboard.estimation.policy import DOUBT, READING, REFUSE, of_each
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.exiddm.prediction.imu_prediction import (
@@ -38,9 +38,8 @@ from onboard.regressor.free_rows import rough_payload
 _ITERATIONS = 40  # predictions
 _ROUGHLY = 5.0  # promised decrease of the squares at which the iteration from a guess ends; steps to the minimum follow
 _SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
-_GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _FEW = 0.03  # largest share of outliers
-_EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
+_EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-9  # damping of the first step from a minimum of other ticks or other sigmas
 _UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
@@ -240,7 +239,7 @@ class WindowSolve:
     def _next_guess(self) -> None:
         """Fit from the next guess, stopping at a good fit; settle on the best one."""
         best = self._best or self._stopped_at
-        if best is not None and chdtrc(float(self._use.sum()), best.residual_sum) > _GOOD_FIT:
+        if best is not None and chdtrc(float(self._use.sum()), best.residual_sum) > DOUBT:
             self._guesses.clear()
         if self._guesses:
             x = self._problem.mean.copy()
@@ -352,7 +351,7 @@ class WindowSolve:
         start, F, use = self._problem.state(fitted.x), whole.transition, self._use
         used, glitches, covariance = int(use[:, self._own.start].sum()), self._glitches, F @ fitted.covariance @ F.T
         squares = float(whole.squares.sum())
-        strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), _GOOD_FIT)))
+        strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), DOUBT)))
         end = whole.state + F @ (fitted.x - self._at)
         cost = fitted.residual_sum + glitches * float(chdtri(1.0, READING))
         residual = whole.residual[:, self._own].copy()

@@ -32,7 +32,7 @@ from scipy.special import stdtr, stdtrit
 
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import DOUBT, HALF, INTERVAL, MOSTLY, REFUSE, of_each
 from onboard.identification.rows.row_blocks import RowBlocks
 
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
@@ -40,10 +40,7 @@ DOUBTFUL_UNEXPLAINED = 0.15
 NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
 _STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
-_OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
-STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
-_SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
@@ -251,7 +248,7 @@ def _step(
     freedom = 2.0 * float(shares.sum() ** 2 / (shares @ shares))
     chance = min(1.0, 2.0 * float(stdtr(freedom, -surely)) * tried)
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
-    expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
+    expected = -float(stdtrit(n - 2, 0.5 * (1.0 - INTERVAL) / tried))
     since_s = float(times_s[after[k]] - times_s[0])
     return GainStep(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size, since_s, between)
 
@@ -281,11 +278,11 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > NOISE and fit.unexplained > DOUBTFUL_UNEXPLAINED:
         said = f"{fit.unexplained:.0%} of what {name} reads is left over"
-        if fit.still > _OF_STILL:
+        if fit.still > MOSTLY:
             said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
-    if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > LEAST_STEP:
+    if step is not None and step.chance < of_each(DOUBT) and abs(step.size) > LEAST_STEP:
         if step.between:
             said = (
                 f"{name} reads {step.size:+.0%} of the motion in the recording with the payload against that without it"
@@ -299,6 +296,6 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
             return against, doubts, told
         said = f"{name} reads {step.size:+.0%} of the motion from {step.since_s:.1f} s after its first row on"
         said += ": it or a joint's sensor has changed"
-        is_sure = step.chance < STEP_CHANCE or abs(step.size) > LARGE_STEP
+        is_sure = step.chance < of_each(REFUSE) or abs(step.size) > LARGE_STEP
         (against if is_sure else doubts).append(said)
     return against, doubts, told

@@ -25,11 +25,17 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
-from onboard.estimation.budget import READING, sigmas
+from onboard.estimation.policy import (
+    LIKELY_SIZE,
+    MOST_CONTRADICTED,
+    ODDS,
+    ODDS_OF_PART,
+    READING,
+    LIKELY_DELAY_s,
+    sigmas,
+)
 from onboard.identification.evidence.bank import Bank, Known, Mixture, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
-from onboard.identification.evidence.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DELAY_s
-from onboard.identification.quantities import MOST_CONTRADICTED
 from onboard.identification.rows.checks.agreement import DOUBTFUL_UNEXPLAINED, MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, Ticks
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS, RowsRemade

@@ -10,15 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import DOUBLINGS, HALF, ODDS
 from onboard.estimation.recursive.consistency import JackknifeEstimate
-from onboard.identification.evidence.policy import ODDS
+from onboard.identification.corrections import doubtful_from, refused_from
 from onboard.identification.leaning import PART
 from onboard.identification.quantities import Leaning, Quantity, QuantityEstimate
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
-REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
 _COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
 
@@ -146,12 +145,12 @@ def judged_drawing(
     if quantity.known is None:
         return [], []
     found, drawn, away = _off(quantity, jackknife)
-    if away < DOUBTFUL:
+    if away < doubtful_from(1):
         return [], []
     names = [cause.key for cause in considered if cause.effect in ("scale", "joint_scale")]
     check = f": check {', '.join(names)}" if names else ""
     said = f"{quantity.name} is {found:.3g} {quantity.unit}, drawn {drawn:.3g} ({away:.0f} sigmas off){check}"
-    return ([said], []) if away > REFUSED else ([], [said])
+    return ([said], []) if away > refused_from(DOUBLINGS) else ([], [said])
 
 
 class _Off(NamedTuple):

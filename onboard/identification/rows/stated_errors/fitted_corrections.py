@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.budget import HALF, INTERVAL
+from onboard.estimation.policy import HALF, INTERVAL
 from onboard.estimation.recursive.consistency import BlockScores, NoiseScale, noise_scale
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.rows.stated_errors.stated import FREEDOM

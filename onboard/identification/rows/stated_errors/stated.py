@@ -40,9 +40,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
-from onboard.estimation.budget import HALF
+from onboard.estimation.policy import HALF, ODDS
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.identification.evidence.policy import ODDS
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import BaseParameters

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from onboard.estimation.policy import DOUBT
 from onboard.identification.exiddm.recursion.lines import InnovationLines
 
 PERIOD_s, BATCH = 0.01, 10
@@ -49,24 +50,24 @@ def test_a_window_with_a_swing_as_slow_as_the_motion_is_widened_and_one_of_noise
     """1.8 periods of 0.8 sigma: 5 % of the residuals' power, most of what they have below 1.5 Hz."""
     lines, white = InnovationLines(PERIOD_s), rng.normal(size=(400, 6))
     lines.begin(white)
-    assert lines.slow.by_sensor(1e-4) == {}
+    assert lines.slow.by_sensor(DOUBT) == {}
     swinging = white.copy()
     swinging[:, channel] += 0.8 * np.sin(2.0 * np.pi * 0.45 * PERIOD_s * np.arange(400))
     lines.begin(swinging)
-    [(found, ratio)] = lines.slow.by_sensor(1e-4).items()
+    [(found, ratio)] = lines.slow.by_sensor(DOUBT).items()
     assert found == sensor
     assert 2.0 < ratio < 6.0
     assert (swinging**2).mean() < 1.15
     lines.begin(white)
-    assert lines.slow.by_sensor(1e-4) == {}
+    assert lines.slow.by_sensor(DOUBT) == {}
 
 
 def test_innovations_after_a_window_count_with_it(rng):
     lines, white = InnovationLines(PERIOD_s), rng.normal(size=(8000, 6))
     lines.begin(white[:400])
     run(lines, white)
-    assert lines.slow.by_sensor(1e-4) == {}
+    assert lines.slow.by_sensor(DOUBT) == {}
     run(lines, white + 0.3 * np.sin(2.0 * np.pi * 0.45 * PERIOD_s * np.arange(8000))[:, None])
-    assert lines.slow.by_sensor(1e-4).keys() == {"gyro", "accelerometer"}
+    assert lines.slow.by_sensor(DOUBT).keys() == {"gyro", "accelerometer"}
     lines.slow.forget()
-    assert lines.slow.by_sensor(1e-4) == {}
+    assert lines.slow.by_sensor(DOUBT) == {}

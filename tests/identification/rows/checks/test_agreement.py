@@ -386,8 +386,8 @@ def test_a_cell_that_contradicted_the_other_makes_no_good_answer_again(rng, lies
     assert all(contradicted[contradicted.index(True) :])
 
 
-@pytest.mark.parametrize(("sigmas", "doubted"), [(3.2, False), (3.4, True), (4.9, True)])
-def test_answers_that_are_3_3_sigmas_apart_are_doubted(rng, monkeypatch, sigmas, doubted):
+@pytest.mark.parametrize(("sigmas", "doubted"), [(3.1, False), (3.2, True), (4.7, True)])
+def test_answers_that_are_3_1_sigmas_apart_are_doubted(rng, monkeypatch, sigmas, doubted):
     found = Hypotheses(identifier, ("cell_1", "cell_2"))
     fly(found, rng)
     monkeypatch.setattr(found, "_apart", lambda _: (sigmas, "the cells are apart"))

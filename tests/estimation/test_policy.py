@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onboard.estimation.budget import DOUBT, HALF, INTERVAL, READING, REFUSE, TESTS, of_each, sigmas
-from onboard.identification.evidence.policy import ODDS
+from onboard.estimation.policy import DOUBLINGS, DOUBT, HALF, INTERVAL, ODDS, READING, REFUSE, TESTS, of_each, sigmas
 
 
 def test_as_many_flights_are_doubted_as_are_wrong_and_a_hundredth_of_them_refused() -> None:
@@ -25,6 +24,10 @@ def test_six_tests_of_many_looks_each_spend_the_budget(rng: np.random.Generator)
     assert 0.008 < beyond.any(axis=(1, 2)).mean() < 0.012
     assert 1.0 - (1.0 - of_each(REFUSE, 20)) ** 120 == pytest.approx(REFUSE)
     assert of_each(DOUBT, 0) == of_each(DOUBT)  # nothing to look at
+
+
+def test_rows_of_an_hour_double_twelve_times_from_those_of_a_second() -> None:
+    assert np.log2(3600.0) == pytest.approx(DOUBLINGS, abs=0.5)
 
 
 def test_a_reading_is_one_of_a_million_of_each_test() -> None:
