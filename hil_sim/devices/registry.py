@@ -97,7 +97,7 @@ def read(tables: Mapping[str, DeviceTable], files: Files = ()) -> dict[str, Emul
             unknown = True
         except ValidationError as error:
             problems += [f"device.{name}.{'.'.join(map(str, e['loc'])) or 'table'}: {e['msg']}" for e in error.errors()]
-            refused.append(Refused(error, model, given))
+            refused.append(Refused(error, model, given, ("device", name)))
     if problems:
         told = () if unknown else tuple(refused)
         raise ScenarioError(f"{'; '.join(problems)}. Correct these keys", told, files=files)

@@ -11,11 +11,12 @@ Files = tuple[tuple[str, str], ...]  # path and text of each, laid over those be
 
 
 class Refused(NamedTuple):
-    """A table that a class did not take: pydantic's error, the class, the table."""
+    """A table that a class did not take: pydantic's error, the class, the table, and where it stands."""
 
     error: ValidationError
     model: type[BaseModel]
     table: dict[str, Any]
+    under: tuple[str, ...] = ()
 
 
 class ScenarioError(ValueError):

@@ -153,13 +153,12 @@ class Web:
             request = await self._request(reader)
             if request is not None:
                 await self._answer(request, reader, writer)
-        except OSError:
-            pass  # it went
-        except asyncio.CancelledError:
-            if writer.transport.get_write_buffer_size():
-                writer.transport.abort()  # a close would wait for who takes nothing
+        except (OSError, asyncio.CancelledError):
+            pass  # it went, or takes nothing, or the server closes
         finally:
             self._tasks.discard(task)
+            if writer.transport.get_write_buffer_size():
+                writer.transport.abort()  # a close would wait for who takes nothing
             writer.close()
 
     async def _request(self, reader: asyncio.StreamReader) -> Request | None:
@@ -265,7 +264,4 @@ def _head(status: str, kind: str, length: int | None) -> bytes:
 async def _reply(writer: asyncio.StreamWriter, status: str, kind: str, body: bytes) -> None:
     writer.transport.set_write_buffer_limits(high=0)  # else a small rest would be waited for by nobody
     writer.write(_head(status, kind, len(body)) + body)
-    try:
-        await asyncio.wait_for(writer.drain(), STALL_S)
-    except TimeoutError:
-        writer.transport.abort()
+    await asyncio.wait_for(writer.drain(), STALL_S)

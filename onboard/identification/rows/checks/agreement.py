@@ -296,6 +296,5 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
             return against, doubts, told
         said = f"{name} reads {step.size:+.0%} of the motion from {step.since_s:.1f} s after its first row on"
         said += ": it or a joint's sensor has changed"
-        is_sure = step.chance < of_each(REFUSE) or abs(step.size) > LARGE_STEP
-        (against if is_sure else doubts).append(said)
+        (against if step.chance < of_each(REFUSE) else doubts).append(said)
     return against, doubts, told
