@@ -228,19 +228,23 @@ def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: 
     assert '<parent link="hand"/>' in mount.split("</joint>")[0]
 
 
+_MASS = '<inertial><mass value="{}"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+_FRAME = '<link name="{0}"/><joint name="{0}_j" type="fixed"><parent link="{1}"/><child link="{0}"/></joint>'
+_ONE_JOINT = (
+    f'<link name="bus">{_MASS.format(9)}</link><link name="arm">{_MASS.format(1)}</link>'
+    '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
+    '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+)
+
+
 def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    mass = '<inertial><mass value="{}"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    frame = '<link name="{0}"/><joint name="{0}_j" type="fixed"><parent link="{1}"/><child link="{0}"/></joint>'
-    arm = f'<link name="bus">{mass.format(9)}</link><link name="arm">{mass.format(1)}</link>'
-    arm += '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
-    arm += '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
     for frames, used, said in (
         ((("Imu_link", "bus"), ("arm_imu", "arm"), ("maximum", "bus")), "Imu_link", "the place of link Imu_link"),
         ((("imu_1", "bus"), ("imu_2", "bus")), "imu_base", "origin of bus; --imu-frame imu_1 or imu_2"),
         ((("arm_imu", "arm"),), "imu_base", "at the origin of bus: put its place in"),
     ):
         urdf, lab = tmp_path / "a.urdf", tmp_path / used / frames[0][0]
-        urdf.write_text(f'<robot name="a">{arm}{"".join(frame.format(*one) for one in frames)}</robot>')
+        urdf.write_text(f'<robot name="a">{_ONE_JOINT}{"".join(_FRAME.format(*one) for one in frames)}</robot>')
         asked = ["--base", "free", "--encoder", "recorded", "--urdf", str(urdf)]
         assert cli.main(["init", str(lab), *asked]) == cli.OK
         assert said in capsys.readouterr().out
@@ -249,17 +253,12 @@ def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.Capture
 
 def test_pucks_are_where_the_urdf_has_them_or_in_the_middle_and_around_it(tmp_path, capsys):
     """A disc of 9 kg and 0.1 kg m^2 about z is 0.149 m in radius; pucks that are in the middle alone do not turn it."""
-    mass = '<inertial><mass value="{}"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    frame = '<link name="{0}"/><joint name="{0}_j" type="fixed"><parent link="bus"/><child link="{0}"/></joint>'
-    arm = f'<link name="bus">{mass.format(9)}</link><link name="arm">{mass.format(1)}</link>'
-    arm += '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
-    arm += '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
     for frames, used, said in (
         (("Puck_a", "puck_b"), ("Puck_a", "puck_b"), "at Puck_a, puck_b"),
         ((), ("puck_1", "puck_2", "puck_3", "puck_4"), "0.15 m around it"),
     ):
         urdf, lab = tmp_path / "a.urdf", tmp_path / used[0]
-        urdf.write_text(f'<robot name="a">{arm}{"".join(frame.format(one) for one in frames)}</robot>')
+        urdf.write_text(f'<robot name="a">{_ONE_JOINT}{"".join(_FRAME.format(one, "bus") for one in frames)}</robot>')
         assert cli.main(["init", str(lab), "--base", "planar", "--encoder", "recorded", "--urdf", str(urdf)]) == cli.OK
         assert said in capsys.readouterr().out
         asked = config.load(lab / "vehicle.toml").file.planar

@@ -42,19 +42,28 @@ def test_readings_without_errors_are_explained_to_rounding():
     np.testing.assert_allclose(found.state.tilt, 0.0, atol=ten_microradians)
 
 
+def weighed(one, odd, wrong):
+    """With one reading of the wrench, by its place, too large by ``wrong``, relative."""
+    wrench = one.wrench.copy()
+    wrench[:, odd] *= 1.0 + wrong
+    return wrist.weigh(one.R, wrench, PRIOR, wrist.fit(one.R, wrench, PRIOR))
+
+
+def of_the_mass(mixture, probability):
+    """Its interval, kg."""
+    sigmas = [np.sqrt(fit.covariance[0, 0]) for fit in mixture.fits]
+    return wrist.interval([fit.state.mass for fit in mixture.fits], sigmas, mixture, probability)[2:]
+
+
 def test_one_axis_with_a_wrong_scale_is_told_and_the_answer_is_that_of_the_others():
     """A sixth off: the mass is nearly as sure as without, where a spread of all scales made it three times as wide."""
     for seed, odd in ((540, 0), (541, 1), (542, 2)):
         one, widths = record(seed, count=24), []
         for wrong in (0.0, 1.0 / 6.0):
-            wrench = one.wrench.copy()
-            wrench[:, odd] *= 1.0 + wrong
-            mixture = wrist.weigh(one.R, wrench, PRIOR, wrist.fit(one.R, wrench, PRIOR))
-            sigmas = [np.sqrt(fit.covariance[0, 0]) for fit in mixture.fits]
-            means = [fit.state.mass for fit in mixture.fits]
-            _, _, low, high = wrist.interval(means, sigmas, mixture, 0.999)
+            mixture = weighed(one, odd, wrong)
+            low, high = of_the_mass(mixture, 0.999)
             assert low < one.true.mass_kg < high
-            _, _, low, high = wrist.interval(means, sigmas, mixture, 0.95)
+            low, high = of_the_mass(mixture, 0.95)
             widths.append(high - low)
         of_all, alone = mixture.wider(3.0)
         assert alone[odd] > 0.8 > of_all
@@ -67,11 +76,8 @@ def test_one_moment_with_a_wrong_scale_leaves_the_mass_as_sure_and_the_centre_in
     for seed, odd in ((544, 3), (545, 4), (546, 3), (548, 3), (549, 4)):
         one, widths = record(seed, count=24), []
         for wrong in (0.0, 1.0 / 6.0):
-            wrench = one.wrench.copy()
-            wrench[:, odd] *= 1.0 + wrong
-            mixture = wrist.weigh(one.R, wrench, PRIOR, wrist.fit(one.R, wrench, PRIOR))
-            sigmas = [np.sqrt(fit.covariance[0, 0]) for fit in mixture.fits]
-            _, _, low, high = wrist.interval([fit.state.mass for fit in mixture.fits], sigmas, mixture, 0.95)
+            mixture = weighed(one, odd, wrong)
+            low, high = of_the_mass(mixture, 0.95)
             widths.append(high - low)
         of_all, alone = mixture.wider(3.0)
         assert alone[3] + alone[4] > 0.8 > of_all
