@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.mechanics.block_system import BlockState, BlockSystem
+from bench.block_system import BlockState, BlockSystem
 from onboard.dynamics.mechanics.chain import Chain
 from onboard.estimation.arrays import FloatArray
 
