@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from bench.block_race import BlockRace
+from bench.block_system import BlockSystem
 from onboard.cli.common import load_vehicle
 from onboard.dynamics.mechanics import barycentric, virtual_manipulator
-from bench.block_system import BlockSystem
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.reaction import reaction
 from onboard.ground.before.mechanics.analysis import arm_of
