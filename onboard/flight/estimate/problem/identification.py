@@ -297,7 +297,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
         considered = [*of_gains(considered, roles), *of_motion(roles)]
         zero_force = settings.zero_force_sigma_m_s2
-        if model.spec.base in (BaseKind.PRESCRIBED, BaseKind.FREE) and roles.imus:
+        if roles.imus:
             considered += of_bias(roles.imu, settings.imu_prior, accelerometer=zero_force is None)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)

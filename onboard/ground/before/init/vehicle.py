@@ -256,7 +256,7 @@ delay_s = 1e-4
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
     known, about = _TAKEN_OVER if wanted.recorded and wanted.drawn is not None else _DRAWN
     drawn = "".join(f"{json.dumps(link)} = {known}\n" for link in wanted.links)
-    calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
+    calibrated = _CALIBRATED if wanted.imu != "none" else ""
     mark, chooses = ("# ", "; silent: heft identify chooses") if wanted.recorded and wanted.by_torque else ("", "")
     return f"""
 [estimation]
