@@ -20,6 +20,7 @@ BASES = {
     "fixed_arm": "fixed",
     "parabolic": "free",
     "spherical_bearing": "pivot",
+    "student_arm": "fixed",
     "tumble": "free",
     "workshop": "fixed",
 }

@@ -1,0 +1,59 @@
+"""A student's arm: four servos on one line, an IMU and a load cell on one I2C bus; flown in virtual time."""
+
+from pathlib import Path
+
+from onboard import config
+from onboard.cli import OK, main
+from onboard.flight.estimate.problem.identification import build_identifier
+from tests.flight.missions import Result, fly
+
+SHORT = [
+    {"phase": 0, "action": "hold", "duration_s": 1.0},
+    {"phase": 1, "action": "swing", "duration_s": 14.0},
+    {"phase": 9, "action": "hold", "duration_s": 0.5},
+]
+HELD = {"mass_kg": [0.25, 0.25], "size_mm": [60, 50, 50], "centre_of_mass_mm": [4, -6, 28]}
+SERVOS = [f"joint_{k}" for k in range(1, 5)]
+
+
+def flown(path: Path, *faults: dict[str, object]) -> Result:
+    """The packaged mission, shorter, with 250 g."""
+    return fly(path / "arm.mcap", vehicle="student_arm", payload=HELD, sequence=SHORT, fault=list(faults))
+
+
+def mass(run: Result) -> dict[str, float]:
+    """What was told of the payload's mass."""
+    [row] = [row for row in run.table["parameters"] if row["quantity"] == "M_payload"]
+    return row
+
+
+def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
+    run = flown(tmp_path)
+    assert run.table["accounted"]
+    told = mass(run)
+    assert told["truth"] == 0.25
+    assert told["low"] < 0.25 < told["high"]
+    assert abs(told["value"] / 0.25 - 1.0) < 0.03
+    assert 0.0 < told["high"] - told["low"] < 0.025
+    currents = [channel for channel in run.log.channels if channel.endswith("_torque")]
+    assert currents == [f"{joint}_torque" for joint in SERVOS]
+    assert main(["identify", str(run.path)]) == OK
+
+
+def test_what_is_unplugged_for_a_while_costs_its_rows_and_no_more(tmp_path: Path) -> None:
+    """A servo, then the cell, then the IMU: each is named, comes back, and the mass stays inside its interval."""
+    away = [("joint_3", 3.0, 4.0), ("load_cell", 6.0, 7.0), ("imu_base", 9.0, 10.0)]
+    run = flown(tmp_path, *({"kind": "off", "device": d, "start_s": a, "end_s": b} for d, a, b in away))
+    assert run.table["accounted"]
+    assert any(text.startswith("joint_3: ") for text in run.events("silent"))
+    assert any(text.startswith("joint_3: ") for text in run.events("recovered"))
+    told = mass(run)
+    assert told["low"] < 0.25 < told["high"]
+
+
+def test_what_calibration_leaves_of_the_accelerometer_is_part_of_the_weight() -> None:
+    """Its bias is gravity's error on a base that stands, too."""
+    identifier, _ = build_identifier(config.load(config.packaged("student_arm")))
+    keys = [cause.key for cause in identifier.considered]
+    assert keys.count("imu_prior.accelerometer_bias_m_s2") == 3
+    assert keys.count("imu_prior.gyro_bias_rad_s") == 3
