@@ -64,6 +64,64 @@ REQUEST = np.dtype(
     align=True,
 )
 
+
+INNOVATION = np.dtype(  # what the base IMU measured less what the filter had predicted, a tick, its axes
+    [
+        *_HEAD,
+        ("vehicle_ns", "<i8"),
+        ("error", "<f4", (6,)),  # rad/s, m/s^2
+        ("sigma", "<f4", (6,)),  # of the error: noise, and what the filter did not know
+        ("used", "u1"),  # 0: an outlier, left out
+    ],
+    align=True,
+)
+
+
+class Order(IntEnum):
+    """What an operator may ask of a flight; PUS message subtypes of service 128."""
+
+    MARK = 1  # a numbered line in the log
+    STOP = 2  # the end of the flight, as by SIGTERM
+    SPAN = 3  # packets of a span of the log
+
+
+class Refusal(IntEnum):
+    """Why an order is not carried out."""
+
+    NONE = 0
+    NOT_ARMED = 1
+    OUT_OF_RANGE = 2
+    DUPLICATE = 3
+    UNKNOWN = 4
+    MALFORMED = 5
+    OTHER_SESSION = 6
+    BUSY = 7
+    NOT_DONE = 8
+
+
+ORDER = np.dtype(  # of an operator, as it came, refused ones too
+    [
+        *_HEAD,
+        ("begin_ns", "<i8"),  # of a SPAN, CLOCK_MONOTONIC
+        ("end_ns", "<i8"),
+        ("number", "<u4"),  # of a MARK
+        ("order", "u1"),  # Order; 0: none that is known
+        ("refused", "u1"),  # Refusal, by who took it
+        ("who", "S62"),
+    ],
+    align=True,
+)
+
+ORDER_REPLY = np.dtype(  # of the supervisor, when an order was carried out
+    [
+        *_HEAD,
+        ("order_sequence", "<u8"),
+        ("refused", "u1"),  # Refusal
+        ("channel", "S31"),  # of the order
+    ],
+    align=True,
+)
+
 TRIAL = np.dtype(  # of a controller, when it is over
     [
         *_HEAD,

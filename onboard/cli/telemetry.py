@@ -2,21 +2,26 @@
 
 import argparse
 import json
+import secrets
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import DAMAGED, OK, Commands, busy, complain, console, load_vehicle, warn
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, busy, complain, console, load_vehicle, warn
 
 if TYPE_CHECKING:
     from onboard import config
+    from onboard.config.telemetry import Telemetry
+    from onboard.telemetry.commander import Commander
     from onboard.telemetry.link import Address
 
 _FRAME_S = 0.25
+_COMMANDS_S = 30.0  # that reports on commands are waited for
 
 
 def add(commands: Commands) -> None:
@@ -35,6 +40,16 @@ def add(commands: Commands) -> None:
     what.add_argument("--send", metavar="LINK", help="send what the downlink of LOG would have sent")
     telemetry.add_argument("--json-lines", action="store_true", help="with --decode: every packet as JSON, one a line")
     telemetry.add_argument("--duration", type=float, metavar="S", help="with --decode of a port: end after S seconds")
+    telemetry.add_argument(
+        "--command",
+        action="append",
+        default=[],
+        metavar="WHAT",
+        dest="asked",
+        help='with --decode of a port: ask it of the flight: "mark 3", stop, "span -60 -30" (s before now, or UTC); '
+        "only what its [telemetry] commands arms",
+    )
+    telemetry.add_argument("--source", type=int, default=0, metavar="N", help="with --command: who asks (default 0)")
     telemetry.set_defaults(command=_telemetry)
 
 
@@ -46,6 +61,10 @@ def _telemetry(arguments: argparse.Namespace) -> int:
         raise ValueError(f"heft telemetry needs more ({error}): pip install 'heft-flight[telemetry]'") from error
     if arguments.json_lines and not arguments.decode:
         raise ValueError("--json-lines goes with --decode")
+    if arguments.asked and (not arguments.decode or _link(arguments.decode).kind == "file"):
+        raise ValueError("--command is sent over a link: add --decode udp://HOST:PORT or serial:///...")
+    if not 0 <= arguments.source < 1 << 16:
+        raise ValueError(f"--source {arguments.source}: give 0 to 65535")
     if arguments.send is not None:
         return _send(arguments.of, arguments.send)
     with _vehicle(arguments.of) as vehicle:
@@ -67,10 +86,10 @@ def _vehicle(of: str | None) -> "Iterator[config.Vehicle | None]":
         yield vehicle_of(LogReader(Path(of)), Path(directory))
 
 
-def _apids(vehicle: "config.Vehicle | None") -> dict[str, int]:
+def _settings(vehicle: "config.Vehicle | None") -> "Telemetry":
     from onboard.config.telemetry import Telemetry
 
-    return (Telemetry() if vehicle is None else vehicle.file.telemetry).apids
+    return Telemetry() if vehicle is None else vehicle.file.telemetry
 
 
 def _database(vehicle: "config.Vehicle | None", directory: Path) -> int:
@@ -84,7 +103,9 @@ def _database(vehicle: "config.Vehicle | None", directory: Path) -> int:
             name, quantities = vehicle.file.vehicle.name, Estimator(vehicle).online.quantity_names
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / "heft.xml"
-    path.write_text(database(name, _apids(vehicle), quantities), encoding="utf-8")
+    settings = _settings(vehicle)
+    taken = settings.command_apid if settings.commands else 0
+    path.write_text(database(name, settings.apids, quantities, taken), encoding="utf-8")
     print(path)
     return OK
 
@@ -103,10 +124,11 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
     from onboard.telemetry.stream import Series, Stream
 
     address = _link(arguments.decode)
-    stream, series = Stream(_apids(vehicle)), Series()
+    stream, series = Stream(_settings(vehicle).apids), Series()
     board = Board(stream, series)
-    until = None if arguments.duration is None else time.monotonic() + arguments.duration
-
+    commander, out = _commander(vehicle, arguments)
+    duration_s = arguments.duration or (_COMMANDS_S if arguments.asked else None)
+    until = None if duration_s is None else time.monotonic() + duration_s
     heard = time.monotonic()
 
     def take(packets: list[Packet]) -> None:
@@ -117,15 +139,17 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
             if not place.new:
                 continue
             board.add(packet)
+            commander.heard(packet)
             if arguments.json_lines:
                 print(json.dumps(plain(packet) | {"missing_before": place.missing}), flush=address.kind != "file")
 
-    with _screen(board, quiet=arguments.json_lines) as show, suppress(KeyboardInterrupt):
+    with _screen(board, quiet=arguments.json_lines or bool(arguments.asked)) as show, suppress(KeyboardInterrupt):
         try:
-            for piece in received(address):
+            for piece in received(address, out):
                 take(stream.feed(piece))
                 show(time.monotonic() - heard)
-                if until is not None and time.monotonic() >= until:
+                is_over = arguments.asked and commander.over
+                if is_over or (until is not None and time.monotonic() >= until):
                     break
         except OSError as error:
             if not board.packets or isinstance(error, BrokenPipeError):
@@ -139,9 +163,25 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
     if arguments.json_lines:
         for line in board.losses():
             sys.stderr.write(f"heft: {line}\n")
-    else:
+    elif not arguments.asked:
         console().print(board.render(silent_s))
-    return OK if board.is_whole else DAMAGED
+    if arguments.asked and not (commander.over and all(commander.done)):
+        told = f"{sum(commander.done)} of {len(arguments.asked)} commands are reported to be done"
+        complain(told if commander.over else f"{told} within {duration_s:g} s")
+        return FAILED
+    return OK if board.is_whole or arguments.asked else DAMAGED
+
+
+def _commander(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> "tuple[Commander, deque[bytes]]":
+    """What asks ``--command`` of the flight, and the packets that it wants sent."""
+    from onboard.telemetry.commander import Commander, parse
+    from onboard.telemetry.packets import COUNTS
+
+    out: deque[bytes] = deque()
+    asked = [parse(text) for text in arguments.asked]
+    apid = _settings(vehicle).command_apid
+    count = secrets.randbelow(COUNTS)  # none that has come before
+    return Commander(asked, apid, arguments.source, count, out, print), out
 
 
 @contextmanager

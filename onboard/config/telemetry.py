@@ -1,6 +1,6 @@
 """``[telemetry]``: the packets that ``heft fly --telemetry`` sends down, how often, and how many bytes a second."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,7 @@ class Telemetry(Section):
 
     ``bytes_s``: what all packets together may take. ``..._hz``: how often a packet of the kind is due, of answers and
     reasons one of each quantity. ``..._apid``: application process identifiers, each kind of packet another.
+    ``commands``: what may be asked of the flight, over the link that it sends by and on its page; nothing else may.
     """
 
     bytes_s: Annotated[float, Field(ge=100, le=1e7)] = 1200.0
@@ -29,10 +30,13 @@ class Telemetry(Section):
     event_apid: Apid = 259
     reason_apid: Apid = 260
     flight_apid: Apid = 261
+    report_apid: Apid = 262
+    failure_apid: Apid = 263
+    command_apid: Apid = 264
+    commands: list[Literal["mark", "stop", "span"]] = Field(default_factory=list)
 
     @property
     def apids(self) -> dict[str, int]:
-        """APIDs by kind of packet."""
-        return {
-            key.removesuffix("_apid"): getattr(self, key) for key in type(self).model_fields if key.endswith("_apid")
-        }
+        """APIDs by kind of packet that is sent."""
+        kinds = (key.removesuffix("_apid") for key in type(self).model_fields if key.endswith("_apid"))
+        return {kind: getattr(self, f"{kind}_apid") for kind in kinds if kind != "command"}

@@ -17,6 +17,7 @@ SILENT_S = 5.0  # without a packet, of which some come every second
 _EVENTS = 8
 _OLD_NS = 10_000_000_000  # an answer that so much has come after
 _BODY_UNITS = ("kg", "m", "kg m^2")  # of what is held; others belong to the instruments
+_REPORTED = {1: "accepted", 2: "not accepted", 3: "begun", 7: "completed", 8: "not carried out"}
 _STYLES = {"good": "", "weak": "yellow", "do not use": "dim"}
 
 
@@ -34,6 +35,7 @@ class Board:
         self._answers: dict[str, Packet] = {}
         self._why: dict[str, tuple[str, str]] = {}  # level, reason
         self._events: deque[Packet] = deque(maxlen=_EVENTS)
+        self._reports: deque[Packet] = deque(maxlen=_EVENTS)
         self.packets = self._newest_ns = 0
 
     def add(self, packet: Packet) -> None:
@@ -43,6 +45,8 @@ class Board:
         kind, values = packet.kind.name, packet.values
         if kind == "event":
             self._events.append(packet)
+        elif kind in ("report", "failure"):
+            self._reports.append(packet)
         elif kind in ("answer", "reason"):
             shown = self._answers if kind == "answer" else None
             if shown is None:
@@ -59,6 +63,8 @@ class Board:
             parts += [Text(), self._answer_table(), *self._reasons()]
         if self._events:
             parts += [Text(), *(self._event(packet) for packet in self._events)]
+        if self._reports:
+            parts += [Text(), *(Text(f"{when(one.at_ns)}  {reported(one)}") for one in self._reports)]
         return Group(*parts, Text(), *(Text(line) for line in self.losses()))
 
     def losses(self) -> list[str]:
@@ -137,6 +143,14 @@ class Board:
         values = packet.values
         style = {"info": "", "warning": "yellow", "error": "bold red"}[values["severity"]]
         return Text(f"{when(packet.at_ns)}  {values['source']}: {values['text']}", style)
+
+
+def reported(packet: Packet) -> str:
+    """What a report says of a command."""
+    values = packet.values
+    which = f"command {values['sequence_control'] & 0x3FFF} of source {values['destination']}"
+    what = _REPORTED.get(values["subtype"], f"report {values['subtype']}")
+    return f"{which}: {what}" + (f", {values['code']}: {values['why']}" if "code" in values else "")
 
 
 def when(at_ns: int) -> str:

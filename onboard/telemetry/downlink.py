@@ -1,15 +1,16 @@
 """Which packet is sent next, under a budget of bytes a second. Time is an argument; nothing waits.
 
-In this order: status, what flight this is, mode and phase, at most one event a second, answers, more events, reasons.
-Each of the first four is bounded to a share of the budget, so that answers always get theirs; where these do not fit
-their rate, each waits equally long. A packet is made when there is room for it, of what is newest then. What
-was replaced or left out before it was sent is counted, and the status says it: the log has it all.
+In this order: status, what flight this is, mode and phase, reports on commands, at most one event a second, answers,
+more events, reasons, what was asked for once more. Each of the first five is bounded to a share of the budget, so that
+answers always get theirs; where these do not fit their rate, each waits equally long. A packet is made when there is
+room for it, of what is newest then. What was replaced or left out before it was sent is counted, and the status says
+it: the log has it all.
 """
 
 import math
 import re
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,18 +19,36 @@ from drivers.records import EVENT as EVENT_ROW
 from drivers.records import Batch, Severity
 from onboard import channels
 from onboard.recording.format.texts import printable
-from onboard.telemetry.packets import COUNTS, KINDS, LONGEST, MODES, NO_HEALTH, UNKNOWN_MODE, UNKNOWN_PHASE, encode
+from onboard.telemetry.packets import (
+    COUNTS,
+    KINDS,
+    LONGEST,
+    MODES,
+    NO_HEALTH,
+    PUS_C,
+    UNKNOWN_MODE,
+    UNKNOWN_PHASE,
+    encode,
+)
+from onboard.telemetry.values import health_values, level_of, of_answer, of_event, why_of
 
 MOST_EVENTS = 256  # that wait
 MOST_ANSWERS = 64  # quantities
+MOST_REPORTS = 64  # on commands, that wait
 STALE_NS = 3_000_000_000  # health records come every second
 _BURST_S = 0.5  # of the budget may be sent at once
 _EVENT_S = 1.0  # so often one event comes before answers
 _PHASE_S = 0.2  # between two packets of changes, at least
 _REASON_NS = 5_000_000_000  # between two reasons of a quantity of the same level, at least
-_SHARES = {"status": 0.5, "flight": 0.05, "phase": 0.1, "event": 0.25}  # of the budget, at most, before answers
+_REPORT_S = 0.2  # between two reports on commands, at least
+_SHARES = {
+    "status": 0.5,
+    "flight": 0.05,
+    "phase": 0.1,
+    "failure": 0.1,
+    "event": 0.25,
+}  # of the budget, at most, before answers
 _MODES = {word: number for number, word in MODES}
-_NUMBERS = ("value", "low", "high", "sigma")
 _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
 
@@ -92,11 +111,11 @@ class _Answer:
     def __init__(self, row: np.void, now_ns: int) -> None:
         self.row, self.due_ns, self.told_ns, self.again_ns = row, now_ns, now_ns, now_ns
         self.sent = self.told = False
-        self.level, self.why = _level(row), _why(row)
+        self.level, self.why = level_of(row), why_of(row)
 
     def renew(self, row: np.void, now_ns: int) -> tuple[int, int]:
         """Take a newer row; the number of answers and reasons that it replaces before they were sent."""
-        level, why = _level(row), _why(row)
+        level, why = level_of(row), why_of(row)
         changed = (level, why) != (self.level, self.why)
         replaced = int(not self.sent), int(changed and not self.told and bool(self.why))
         if self.sent:
@@ -140,6 +159,11 @@ class Downlink:
         self._period = {name: self._spaced(name, 1.0 / getattr(settings, f"{name}_hz")) for name in self._due}
         self._event_period_ns, self._change_ns = self._spaced("event", _EVENT_S), self._spaced("phase", _PHASE_S)
         self._answer_ns, self._reason_ns = (round(1e9 / hz) for hz in (settings.answers_hz, settings.reasons_hz))
+        self._report_period_ns = self._spaced("failure", _REPORT_S)
+        self._report_ns = now_ns - self._report_period_ns
+        self._reports: deque[tuple[str, dict[str, Any]]] = deque(maxlen=MOST_REPORTS)
+        self._messages = dict.fromkeys(range(256), 0)  # of service 1, by subtype
+        self._again: deque[np.void] = deque()
         self._health: np.void | None = None
         self._was_stale = False
         self._answers: dict[str, _Answer] = {}
@@ -161,8 +185,13 @@ class Downlink:
 
     @property
     def waiting(self) -> int:
-        """Events, changes and answers that wait."""
-        return self._waiting_events + self._changed + sum(not one.sent for one in self._answers.values())
+        """Events, changes, reports and answers that wait."""
+        return (
+            self._waiting_events
+            + self._changed
+            + len(self._reports)
+            + sum(not one.sent for one in self._answers.values())
+        )
 
     @property
     def _waiting_events(self) -> int:
@@ -210,11 +239,35 @@ class Downlink:
             next(events for events in self._events if events).popleft()
             self._unsent["events"] += 1
 
+    def report(self, subtype: int, request: bytes, source: int, **why: Any) -> None:
+        """Report on a command, by PUS service 1.
+
+        Args:
+            subtype: 1 accepted, 3 begun, 7 completed; 2, 8 not.
+            request: the first four bytes of the command.
+            source: its source identifier.
+            why: ``code`` and ``why`` of a failure.
+        """
+        packet_id, control = int.from_bytes(request[:2], "big"), int.from_bytes(request[2:], "big")
+        values = {"pus": PUS_C, "service": 1, "subtype": subtype, "destination": source, "packet_id": packet_id}
+        values |= {"counter": self._messages[subtype] % (1 << 16), "sequence_control": control}
+        self._messages[subtype] += 1
+        self._reports.append(("report" if subtype % 2 else "failure", values | why))
+
+    def repeat(self, rows: Iterable[np.void]) -> None:
+        """Send rows of events and answers once more, when nothing else is due."""
+        self._again.extend(rows)
+
+    @property
+    def repeating(self) -> int:
+        """Rows that are to be sent once more."""
+        return len(self._again)
+
     def packets(self, now_ns: int) -> Iterator[bytes]:
         """Packets that are due at ``now_ns`` and fit the budget; those not taken are not sent."""
         self._room = min(self._most, self._room + (now_ns - self._at_ns) * 1e-9 * self._bytes_s)
         self._at_ns = now_ns
-        while (found := self._choose(now_ns)) is not None and KINDS[found[0]].length <= self._room:
+        while (found := next(self._wanted(now_ns), None)) is not None and KINDS[found[0]].length <= self._room:
             kind, what = found
             packet = self._make(kind, what, now_ns)
             self._room -= len(packet)
@@ -231,31 +284,38 @@ class Downlink:
         self._at_ns = now_ns
         return self.packets(now_ns)
 
-    def _choose(self, now_ns: int) -> tuple[str, Any] | None:
-        """The kind that is next, and of what."""
-        for kind in ("status", "flight"):
-            if now_ns >= self._due[kind]:
-                return kind, None
+    def _wanted(self, now_ns: int) -> Iterator[tuple[str, Any]]:
+        """Kinds of what is due, the first of them is next, and of what."""
+        yield from ((kind, None) for kind in ("status", "flight") if now_ns >= self._due[kind])
         if now_ns >= self._due["phase"] or (self._changed and now_ns - self._phase_ns >= self._change_ns):
-            return "phase", None
+            yield "phase", None
+        if self._reports and now_ns - self._report_ns >= self._report_period_ns:
+            yield self._reports[0][0], None
         events = self._waiting_events
         if events and now_ns - self._event_ns >= self._event_period_ns:
-            return "event", None
+            yield "event", None
         fresh = [one for one in self._answers.values() if not one.sent and one.due_ns <= now_ns]
         if fresh:
-            return "answer", min(fresh, key=lambda one: one.due_ns)
+            yield "answer", min(fresh, key=lambda one: one.due_ns)
         if events:
-            return "event", None
-        untold = (one for one in self._answers.values() if one.untold(now_ns))
-        first = min(untold, key=lambda one: (one.told, one.told_ns), default=None)
-        return None if first is None else ("reason", first)
+            yield "event", None
+        untold = [one for one in self._answers.values() if one.untold(now_ns)]
+        if untold:
+            yield "reason", min(untold, key=lambda one: (one.told, one.told_ns))
+        if self._again:
+            yield "event" if self._again[0].dtype == EVENT_ROW else "answer", self._again
 
     def _make(self, kind: str, what: Any, now_ns: int) -> bytes:
         at_ns = now_ns
         if kind in self._due:
             self._unsent["overdue"] += self._late(self._due[kind], self._period[kind], now_ns) * (kind == "status")
             self._due[kind] = self._next(self._due[kind], self._period[kind], now_ns)
-        if kind == "status":
+        if what is self._again:
+            row = self._again.popleft()
+            at_ns, values = of_event(row) if kind == "event" else of_answer(row)
+        elif kind in ("report", "failure"):
+            self._report_ns, values = now_ns, self._reports.popleft()[1]
+        elif kind == "status":
             values = self._status(now_ns)
         elif kind == "flight":
             one = self._flight
@@ -267,13 +327,11 @@ class Downlink:
         elif kind == "event":
             self._event_ns = now_ns
             severity = max(number for number, events in enumerate(self._events) if events)
-            row = self._events[severity].popleft()
-            at_ns = int(row["host_ns"])
-            values = {"severity": severity, **{key: printable(row[key]) for key in ("code", "source", "text")}}
+            at_ns, values = of_event(self._events[severity].popleft())
         elif kind == "answer":
             self._unsent["overdue"] += self._late(what.due_ns, self._answer_ns, now_ns)
             what.due_ns, what.sent = self._next(what.due_ns, self._answer_ns, now_ns), True
-            at_ns, values = int(what.row["host_ns"]), _answer_values(what.row)
+            at_ns, values = of_answer(what.row)
         else:
             what.told, what.told_ns, what.again_ns = True, now_ns + _REASON_NS, now_ns + self._reason_ns
             at_ns = int(what.row["host_ns"])
@@ -300,18 +358,8 @@ class Downlink:
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         row, unsent = self._health, self.unsent
-        age_ns = math.inf if row is None else max(0, now_ns - int(row["host_ns"]))
-        if row is None:
-            health: dict[str, Any] = {
-                name: 0 if field.code in "BHIQ" else _NAN for name, field in _HEALTH_FIELDS.items()
-            }
-        else:
-            health = {name: row[of].item() for name, of in _OF_HEALTH.items()}
-            health["health_age"] = age_ns * 1e-9
-            clocks = {state: int(row[f"clocks_{state}"]) for state in ("acquiring", "locked", "flywheel", "invalid")}
-            health["clocks_locked"] = clocks.pop("locked")
-            health["clocks_not_locked"] = sum(clocks.values())
-        stale = age_ns > STALE_NS
+        health = health_values(row, now_ns)
+        stale = row is None or now_ns - int(row["host_ns"]) > STALE_NS
         self._was_stale |= stale and row is not None
         health["word"] |= NO_HEALTH * stale
         health["latched"] |= NO_HEALTH * (stale or self._was_stale)
@@ -326,47 +374,3 @@ class Downlink:
             "overdue": unsent.overdue,
             "unread": self.unread,
         }
-
-
-def _level(row: np.void) -> int:
-    return min(int(row["level"]), 2) if "level" in (row.dtype.names or ()) else 1
-
-
-def _why(row: np.void) -> str:
-    return printable(row["why"]) if "why" in (row.dtype.names or ()) else ""
-
-
-def _answer_values(row: np.void) -> dict[str, Any]:
-    supported = int(bool(row["supported"]))
-    return {
-        "quantity": printable(row["name"]),
-        "unit": printable(row["unit"]),
-        "supported": supported,
-        "level": _level(row),
-        **{name: float(row[name]) if supported else _NAN for name in _NUMBERS},
-    }
-
-
-_OF_HEALTH = {  # fields of the status, of the row HEALTH
-    "latched": "status_latched",
-    "word": "status_word",
-    "rows": "rows",
-    "rows_hz": "rows_hz",
-    "slowest": "slowest_percent",
-    "gaps": "gaps",
-    "missing": "missing",
-    "not_recorded": "not_recorded",
-    "recorder_backlog": "recorder_backlog_percent",
-    "estimator_lag": "estimator_lag_s",
-    "estimator_skipped": "estimator_skipped_s",
-    "restarts": "restarts",
-    "computer_idle": "computer_idle_percent",
-    "memory_free": "memory_free_mb",
-    "disk_free": "disk_free_mb",
-    "temperature": "temperature_deg_c",
-}
-_HEALTH_FIELDS = {
-    field.name: field
-    for field in KINDS["status"].fields
-    if field.name in (*_OF_HEALTH, "health_age", "clocks_locked", "clocks_not_locked")
-}

@@ -7,6 +7,7 @@ sent next is always of what is newest.
 import contextlib
 import os
 import socket
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -15,11 +16,12 @@ from urllib.parse import urlsplit
 from drivers.transports.serial_port import open_port
 from drivers.transports.url import parse as parse_bus
 
-FORMS = "udp://HOST:PORT, serial:///dev/ttyS0?baud=19200 or file://PATH"
+FORMS = "udp://HOST:PORT, udp://HOST:PORT?commands=PORT, serial:///dev/ttyS0?baud=19200 or file://PATH"
 _SERIAL = {"serial": ("path", "baud", "parity", "stop_bits")}
 _BITS = 10  # of a byte on a serial line: start, eight, stop
 _SHARE = 0.95  # of what a line carries: its clock is not exact
 _DATAGRAM = 65536
+_MOST_DATAGRAMS = 16  # in a step
 
 
 class LinkError(ValueError):
@@ -35,6 +37,7 @@ class Address(NamedTuple):
     port: int
     path: str
     bytes_s: float | None  # what it carries; None: anything
+    commands: int = 0  # port that commands are taken at; 0: any
 
 
 def parse(text: str) -> Address:
@@ -53,8 +56,10 @@ def parse(text: str) -> Address:
         return Address(text, kind, "", 0, rest, None)
     with contextlib.suppress(ValueError):  # not an address, or not a port
         parts = urlsplit(text)
-        if kind == "udp" and parts.hostname and parts.port and parts.path in ("", "/") and not parts.query:
-            return Address(text, kind, parts.hostname, parts.port, "", None)
+        if kind == "udp" and parts.hostname and parts.port and parts.path in ("", "/"):
+            name, _, own = parts.query.partition("=")
+            if (name, own) == ("", "") or (name == "commands" and 0 < int(own) < 1 << 16):
+                return Address(text, kind, parts.hostname, parts.port, "", None, int(own or 0))
     raise LinkError(f"{text}: give {FORMS}")
 
 
@@ -67,15 +72,18 @@ class Sink(Protocol):
     def send(self, packet: bytes) -> None:
         """Take a packet; only when ready."""
 
+    def receive(self) -> tuple[bytes, str]:
+        """Bytes that came from the other end since the last call, and where from."""
+
     def close(self) -> None:
         """End."""
 
 
 class _Bytes:
-    """A file or tty: what is written in part goes on with the rest."""
+    """A file or tty: what is written in part goes on with the rest. From a file nothing comes."""
 
-    def __init__(self, descriptor: int, owner: object) -> None:
-        self._descriptor, self._owner, self._rest = descriptor, owner, b""
+    def __init__(self, descriptor: int, owner: object, origin: str = "") -> None:
+        self._descriptor, self._owner, self._rest, self._origin = descriptor, owner, b"", origin
 
     def ready(self) -> bool:
         while self._rest:
@@ -90,6 +98,12 @@ class _Bytes:
         self._rest = packet
         self.ready()
 
+    def receive(self) -> tuple[bytes, str]:
+        try:
+            return (os.read(self._descriptor, _DATAGRAM) if self._origin else b""), self._origin
+        except BlockingIOError:
+            return b"", self._origin
+
     def close(self) -> None:
         self._owner.close()  # type: ignore[attr-defined]
 
@@ -102,6 +116,8 @@ class _Datagrams:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._target = target
+        if address.commands:
+            self._socket.bind(("::" if family == socket.AF_INET6 else "", address.commands))
 
     def ready(self) -> bool:
         return True
@@ -109,6 +125,15 @@ class _Datagrams:
     def send(self, packet: bytes) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # lost: its count is missing
             self._socket.sendto(packet, self._target)
+
+    def receive(self) -> tuple[bytes, str]:
+        """Of the host that packets are sent to; those of others are thrown away."""
+        found = b""
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            for _ in range(_MOST_DATAGRAMS):
+                data, origin = self._socket.recvfrom(_DATAGRAM)
+                found += data if origin[0] == self._target[0] else b""
+        return found[:_DATAGRAM], str(self._target[0])
 
     def close(self) -> None:
         self._socket.close()
@@ -124,17 +149,23 @@ def sink(address: Address) -> Sink:
         return _Datagrams(address)
     if address.kind == "serial":
         port = open_port(parse_bus(address.text, _SERIAL))
-        return _Bytes(port.fileno(), port)
+        return _Bytes(port.fileno(), port, address.path)
     file = Path(address.path).open("ab", buffering=0)  # noqa: SIM115
     return _Bytes(file.fileno(), file)
 
 
-def received(address: Address) -> Iterator[bytes]:
+def received(address: Address, commands: deque[bytes] | None = None) -> Iterator[bytes]:
     """Bytes as they come: of a file all, of a port without end, with an empty piece twice a second of silence.
+
+    Args:
+        address: to read from.
+        commands: packets that are sent to where the others come from, as soon as that is known; those sent are taken
+            out. Not to a file.
 
     Raises:
         OSError: it cannot be opened, or is gone.
     """
+    waiting: deque[bytes] = deque() if commands is None else commands
     if address.kind == "file":
         with Path(address.path).open("rb") as file:
             while piece := file.read(_DATAGRAM):
@@ -145,6 +176,8 @@ def received(address: Address) -> Iterator[bytes]:
         with port:
             while True:
                 yield port.read(1) + port.read(port.in_waiting)
+                while waiting:
+                    port.write(waiting.popleft())
     else:
         [family, _, _, _, own], *_ = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
         with socket.socket(family, socket.SOCK_DGRAM) as bound:
@@ -152,6 +185,10 @@ def received(address: Address) -> Iterator[bytes]:
             bound.bind(own)
             while True:
                 try:
-                    yield bound.recv(_DATAGRAM)
+                    data, origin = bound.recvfrom(_DATAGRAM)
                 except TimeoutError:
                     yield b""
+                    continue
+                yield data
+                while waiting:
+                    bound.sendto(waiting.popleft(), origin)

@@ -6,6 +6,9 @@ is a CUC time code (301.0-B-4) with its P-field: level 2, epoch 1970-01-01, 4 by
 then the number of these definitions, and the session, a number drawn by each process that sends. Sequence counts go by
 APID and session.
 
+Reports on commands are those of PUS service 1 (ECSS-E-ST-70-41C): a PUS header stands before the secondary one, which
+is its time field with the spare bytes that follow.
+
 All numbers are big-endian. Texts are UTF-8 in a field of fixed size, with a zero at their end. So each kind has one
 length, which a decoder holds every packet to.
 """
@@ -20,6 +23,7 @@ from typing import Any, NamedTuple
 from spacepackets.ccsds.spacepacket import SequenceFlags, SpacePacketHeader
 
 from drivers.records import Severity
+from onboard.channels import Refusal
 
 VERSION = 1  # of these definitions: another one for every change of a field
 P_FIELD = 0x2F  # 0, level 2 (010), 4 bytes of seconds (11), 3 bytes of fraction (11)
@@ -28,12 +32,14 @@ COUNTS = 1 << 14  # sequence counts before they begin again
 HEADER_BYTES, SECONDARY, CRC_BYTES = 6, struct.Struct(">BI3sBH"), 2
 _LARGEST = 3.4028234e38  # of single precision
 UNKNOWN_MODE, UNKNOWN_PHASE = 255, -1
+PUS_C = 2 << 4  # version of the PUS, and 0: status of the time reference is not told
 NO_HEALTH = 1 << 31  # in the status words: no health record for three seconds, what they say is old
 
 # Words of onboard.flight.supervise.modes and onboard.identification.standing, without what those import: a process that
 # only sends stays small. A test compares them.
 MODES = (*enumerate(("boot", "checkout", "armed", "run", "safe", "stopped")), (UNKNOWN_MODE, "unknown"))
 LEVELS = tuple(enumerate(("good", "weak", "do not use")))
+REFUSALS = tuple((int(one), one.name.lower().replace("_", " ")) for one in Refusal)
 
 
 class PacketError(ValueError):
@@ -66,16 +72,26 @@ class Kind(NamedTuple):
     name: str
     meaning: str
     fields: tuple[Field, ...]
+    lead: tuple[Field, ...] = ()  # before the secondary header
 
     @property
     def format(self) -> struct.Struct:
         """Of its fields, without headers and CRC."""
-        return struct.Struct(">" + "".join(field.code for field in self.fields))
+        return _format(self.fields)
+
+    @property
+    def secondary_at(self) -> int:
+        """Where the secondary header begins, bytes."""
+        return HEADER_BYTES + _format(self.lead).size
 
     @property
     def length(self) -> int:
         """Of the whole packet, bytes."""
-        return HEADER_BYTES + SECONDARY.size + self.format.size + CRC_BYTES
+        return self.secondary_at + SECONDARY.size + self.format.size + CRC_BYTES
+
+
+def _format(fields: tuple[Field, ...]) -> struct.Struct:
+    return struct.Struct(">" + "".join(field.code for field in fields))
 
 
 STATUS = Kind(
@@ -165,7 +181,29 @@ FLIGHT = Kind(
         Field("monotonic", "Q", "CLOCK_MONOTONIC at the same instant, by which the log's host_ns goes", "ns"),
     ),
 )
-KINDS = {kind.name: kind for kind in (STATUS, ANSWER, PHASE, EVENT, REASON, FLIGHT)}
+_PUS = (
+    Field("pus", "B", "PUS version 2 (C), and 0: status of the time reference is not told"),
+    Field("service", "B", "PUS service, 1: verification"),
+    Field("subtype", "B", "of the message"),
+    Field("counter", "H", "messages of this service and subtype before it in this session"),
+    Field("destination", "H", "source identifier of the command"),
+)
+_REQUEST = (
+    Field("packet_id", "H", "first two bytes of the command"),
+    Field("sequence_control", "H", "its next two bytes: sequence flags and count"),
+)
+REPORT = Kind("report", "a command was accepted (subtype 1), is begun (3), is completed (7)", _REQUEST, _PUS)
+FAILURE = Kind(
+    "failure",
+    "a command was not accepted (subtype 2), or could not be completed (8)",
+    (
+        *_REQUEST,
+        Field("code", "B", "why", choices=REFUSALS),
+        Field("why", "64s", "and what to do"),
+    ),
+    _PUS,
+)
+KINDS = {kind.name: kind for kind in (STATUS, ANSWER, PHASE, EVENT, REASON, FLIGHT, REPORT, FAILURE)}
 LONGEST = max(kind.length for kind in KINDS.values())  # bytes
 
 
@@ -204,10 +242,14 @@ def encode(kind: Kind, apid: int, count: int, session: int, at_ns: int, values: 
         data_len=kind.length - HEADER_BYTES - 1,
         sec_header_flag=True,
     ).pack()
-    fields = [_text(values[f.name], f) if f.is_text else _number(values[f.name], f) for f in kind.fields]
-    body = bytes(head) + SECONDARY.pack(P_FIELD, seconds % (1 << 32), fraction.to_bytes(3, "big"), VERSION, session)
-    body += kind.format.pack(*fields)
+    secondary = SECONDARY.pack(P_FIELD, seconds % (1 << 32), fraction.to_bytes(3, "big"), VERSION, session)
+    body = bytes(head) + _packed(kind.lead, values) + secondary + _packed(kind.fields, values)
     return body + crc(body).to_bytes(CRC_BYTES, "big")
+
+
+def _packed(fields: tuple[Field, ...], values: Mapping[str, Any]) -> bytes:
+    found = [_text(values[f.name], f) if f.is_text else _number(values[f.name], f) for f in fields]
+    return _format(fields).pack(*found)
 
 
 def _text(value: str, field: Field) -> bytes:
@@ -241,16 +283,17 @@ def decode(data: bytes, kinds: Mapping[int, Kind]) -> Packet:
         raise PacketError("its CRC is wrong: damaged on the way")
     head = SpacePacketHeader.unpack(data[:HEADER_BYTES])
     kind = kinds.get(head.apid)
-    p_field, seconds, fraction, version, session = SECONDARY.unpack_from(data, HEADER_BYTES)
+    at = HEADER_BYTES if kind is None or len(data) != kind.length else kind.secondary_at
+    p_field, seconds, fraction, version, session = SECONDARY.unpack_from(data, at)
     if kind is None or head.seq_flags is not SequenceFlags.UNSEGMENTED or not head.sec_header_flag:
         raise PacketError(f"APID {head.apid} is none of this downlink: see [telemetry] of the vehicle file")
     if version != VERSION or p_field != P_FIELD:
         raise PacketError(f"its definitions are number {version}, these are {VERSION}: use the heft that flew")
     if len(data) != kind.length:
         raise PacketError(f"a packet {kind.name} has {kind.length} bytes, this one {len(data)}")
-    found = kind.format.unpack_from(data, HEADER_BYTES + SECONDARY.size)
+    found = _format(kind.lead).unpack_from(data, HEADER_BYTES) + kind.format.unpack_from(data, at + SECONDARY.size)
     fraction_ns = (int.from_bytes(fraction, "big") * 1_000_000_000 + FRACTION - 1) // FRACTION
-    values = {field.name: _value(field, value) for field, value in zip(kind.fields, found, strict=True)}
+    values = {field.name: _value(field, value) for field, value in zip((*kind.lead, *kind.fields), found, strict=True)}
     return Packet(kind, head.seq_count, session, seconds * 1_000_000_000 + fraction_ns, values)
 
 

@@ -12,16 +12,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from drivers.records import EVENT, Batch
 from onboard import channels
 from onboard.flight.store import manifest
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.ring import RingReader
-from onboard.telemetry.downlink import Downlink, Rates
+from onboard.telemetry.commanding import Commanding
+from onboard.telemetry.downlink import Downlink
 from onboard.telemetry.link import Address, Sink, parse, sink
 from onboard.telemetry.replay import STEP_NS, flight_of
+from onboard.telemetry.uplink import Uplink
+
+if TYPE_CHECKING:
+    from onboard.config.telemetry import Telemetry
 
 END_S = 2.0
 _ASK_NS, _AGAIN_NS = 500_000_000, 1_000_000_000  # between two looks for the flight, and two tries of a link
@@ -38,10 +43,12 @@ class Settings(NamedTuple):
     flight_hz: float
     reasons_hz: float
     apids: dict[str, int]
+    command_apid: int
+    commands: list[str]
 
 
 @contextlib.contextmanager
-def sending(log: Path, link: str, settings: Rates) -> Iterator[None]:
+def sending(log: Path, link: str, settings: "Telemetry") -> Iterator[None]:
     """Run a process that sends the flight recorded to ``log`` while the context lasts.
 
     Args:
@@ -79,11 +86,13 @@ def main(arguments: Sequence[str]) -> int:
 class _Sender:
     """Reads the rings of a flight and sends its packets."""
 
-    def __init__(self, log: Path, address: Address, opened: Sink, settings: Rates) -> None:
+    def __init__(self, log: Path, address: Address, opened: Sink, settings: Settings) -> None:
         self._log, self._address, self._settings = log, address, settings
         self._sink: Sink | None = opened
         self._again_ns, self._failed = 0, False
         self._downlink: Downlink | None = None
+        self._uplink: Uplink | None = None
+        self._commanding: Commanding | None = None
         self._rings: dict[str, RingReader] = {}
         self._others: set[str] = set()
 
@@ -112,6 +121,8 @@ class _Sender:
             time.sleep(STEP_NS * 1e-9)
         if self._downlink is not None:
             self._finish(self._downlink)
+        if self._commanding is not None:
+            self._commanding.close()
         if self._sink is not None:
             self._sink.close()
 
@@ -130,9 +141,15 @@ class _Sender:
         which = flight_of(metadata, flight, self._log.name)
         session = 1 + secrets.randbelow((1 << 16) - 1)
         self._downlink = Downlink(self._settings, session, which, now_ns, self._address.bytes_s)
+        if self._settings.commands:
+            self._uplink = Uplink(self._settings.command_apid, session, self._settings.commands, which)
 
     def _discover(self, directory: Path) -> None:
-        """Open the rings that packets are made of, as they appear."""
+        """Open the rings that packets are made of, and those of commands, as they appear."""
+        if self._uplink is not None and self._commanding is None and self._downlink is not None:
+            with contextlib.suppress(OSError, ValueError):  # under construction: retried
+                to = self._uplink, self._downlink, self._settings.answers_hz
+                self._commanding = Commanding(directory, self._log, *to)
         for path in directory.glob("*.ring"):
             if path.name in self._rings or path.name in self._others:
                 continue
@@ -149,7 +166,15 @@ class _Sender:
     def _step(self, now_ns: int) -> None:
         if self._downlink is not None:
             self._read(self._downlink)
+            if self._commanding is not None:
+                self._commanding.step(*self._received(), now_ns)
             self._send(self._downlink.packets(now_ns), now_ns)
+
+    def _received(self) -> tuple[bytes, str]:
+        try:
+            return (b"", "") if self._sink is None else self._sink.receive()
+        except OSError:
+            return b"", ""  # sending says it
 
     def _read(self, downlink: Downlink) -> None:
         for ring in self._rings.values():

@@ -1,13 +1,15 @@
 """The packets as a mission database: XTCE 1.2 (OMG 20180204), by Yamcs' PyMDB.
 
 Parameters are called by packet and field (``status_latched``). Where the names of a vehicle's quantities are given,
-each has a container and numbers of its own (``m_payload_value``); others come as ``answer_value``.
+each has a container and numbers of its own (``m_payload_value``); others come as ``answer_value``. Commands are written
+where the vehicle file arms any.
 """
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from yamcs.pymdb.commands import Argument, ArgumentEntry, Command, CommandLevel, FixedValueEntry, IntegerArgument
 from yamcs.pymdb.containers import Container, ParameterEntry
 from yamcs.pymdb.datatypes import Epoch
 from yamcs.pymdb.encodings import (
@@ -18,7 +20,7 @@ from yamcs.pymdb.encodings import (
     IntegerTimeEncoding,
     StringEncoding,
 )
-from yamcs.pymdb.expressions import AndExpression, EqExpression, Expression, NeExpression
+from yamcs.pymdb.expressions import AndExpression, EqExpression, Expression, NeExpression, OrExpression
 from yamcs.pymdb.parameters import (
     AbsoluteTimeParameter,
     EnumeratedParameter,
@@ -29,29 +31,70 @@ from yamcs.pymdb.parameters import (
 )
 from yamcs.pymdb.systems import System
 
-from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, VERSION, Field, Kind
+from onboard.channels import Order
+from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, VERSION, Field, Kind
+from onboard.telemetry.uplink import SERVICE
 
 ROOT = "space_packet"  # container to begin with
 _NUMBERS = ("value", "low", "high", "sigma")
+_ASKED = (("source", 16, "who asks: reports go to it"), ("session", 16, "of the packets that come down"))
+_ORDERS = {  # what it is, how grave, its arguments: name, bits, meaning
+    Order.MARK: ("A numbered line in the log", CommandLevel.NORMAL, [("number", 16, "of the mark")]),
+    Order.STOP: ("The end of the flight", CommandLevel.CRITICAL, []),
+    Order.SPAN: (
+        "Events and answers of a span of the log once more",
+        CommandLevel.NORMAL,
+        [("begin", 32, "seconds since 1970"), ("end", 32, "seconds since 1970")],
+    ),
+}
 
 
-def database(name: str, apids: Mapping[str, int], quantities: Sequence[str] = ()) -> str:
+def database(name: str, apids: Mapping[str, int], quantities: Sequence[str] = (), command_apid: int = 0) -> str:
     """The mission database, XML.
 
     Args:
         name: of the space system.
         apids: by kind of packet.
         quantities: that the vehicle answers, as far as they are known before a flight.
+        command_apid: of commands; 0: none are taken.
     """
     system = System(_name(name), short_description="Downlink of a heft flight")
-    apid, head = _head(system)
+    apid, heads = _heads(system, apids)
     for kind in KINDS.values():
-        _kind(system, kind, head, EqExpression(apid, apids[kind.name]), quantities)
+        _kind(system, kind, heads[bool(kind.lead)], EqExpression(apid, apids[kind.name]), quantities)
+    if command_apid:
+        _commands(system, command_apid)
     return str(system.dumps(top_comment=False))
 
 
-def _head(system: System) -> tuple[Parameter[Any], Container]:
-    """Primary and secondary header: the parameter that tells kinds apart, and their container."""
+def _commands(system: System, apid: int) -> None:
+    """Commands without what a link adds to any packet: sequence count, length, CRC-16."""
+
+    def fixed(name: str, value: int, bits: int) -> FixedValueEntry:
+        return FixedValueEntry(name=name, binary=f"{value:04x}", bits=bits)
+
+    def argument(name: str, bits: int, meaning: str) -> Argument[int]:
+        coded = IntegerEncoding(bits)
+        return IntegerArgument(name, signed=False, bits=32, short_description=meaning, encoding=coded)
+
+    head = (("version", 0, 3), ("type", 1, 1), ("secondary_header", 1, 1), ("apid", apid, 11), ("flags", 3, 2))
+    counted = (("sequence_count", 0, 14), ("packet_data_length", 0, 16))
+    service = (("pus_version", 2, 4), ("acknowledge", 15, 4), ("service", SERVICE, 8))
+    for order, (meaning, level, own) in _ORDERS.items():
+        arguments = [argument(*one) for one in (*_ASKED, *own)]
+        entries = [fixed(*one) for one in (*head, *counted, *service, ("subtype", int(order), 8))]
+        Command(
+            system,
+            order.name.lower(),
+            arguments=arguments,
+            entries=[*entries, *map(ArgumentEntry, arguments)],
+            short_description=meaning,
+            level=level,
+        )
+
+
+def _heads(system: System, apids: Mapping[str, int]) -> tuple[Parameter[Any], tuple[Container, Container]]:
+    """The parameter that tells kinds apart, and the containers of headers: without a PUS header, and with one."""
 
     def number(name: str, bits: int, meaning: str) -> Parameter[Any]:
         return IntegerParameter(
@@ -61,7 +104,7 @@ def _head(system: System) -> tuple[Parameter[Any], Container]:
     apid = number("apid", 11, "Application process identifier: the kind of packet")
     definitions = number("definitions", 8, "Number of the packets' definitions")
     p_field = number("time_p_field", 8, "P-field of the CUC time code")
-    entries = [
+    primary = [
         number("packet_version", 3, "Packet version number"),
         number("packet_type", 1, "0: telemetry"),
         number("secondary_header", 1, "1: there is one"),
@@ -69,6 +112,8 @@ def _head(system: System) -> tuple[Parameter[Any], Container]:
         number("sequence_flags", 2, "3: unsegmented"),
         number("sequence_count", 14, "Of this APID and session"),
         number("packet_data_length", 16, "Bytes after this field, less one"),
+    ]
+    secondary = [
         p_field,
         AbsoluteTimeParameter(
             system,
@@ -80,9 +125,18 @@ def _head(system: System) -> tuple[Parameter[Any], Container]:
         definitions,
         number("session", 16, "Drawn by each process that sends"),
     ]
-    packet = Container(system, ROOT, [ParameterEntry(one) for one in entries], abstract=True)
+    packet = Container(system, ROOT, [ParameterEntry(one) for one in primary], abstract=True)
     ours = AndExpression(EqExpression(definitions, VERSION), EqExpression(p_field, P_FIELD))
-    return apid, Container(system, "heft_packet", base=packet, abstract=True, condition=ours)
+    pus = [EqExpression(apid, apids[kind.name]) for kind in KINDS.values() if kind.lead]
+    others = [NeExpression(apid, apids[kind.name]) for kind in KINDS.values() if kind.lead]
+
+    def head(name: str, lead: Sequence[Parameter[Any]], condition: Expression) -> Container:
+        entries = [ParameterEntry(one) for one in (*lead, *secondary)]
+        header = Container(system, f"{name}_header", entries, base=packet, abstract=True, condition=condition)
+        return Container(system, f"{name}_packet", base=header, abstract=True, condition=ours)
+
+    lead = [_parameter(system, f"pus_{field.name}", field) for field in REPORT.lead]
+    return apid, (head("heft", [], AndExpression(*others)), head("pus", lead, OrExpression(*pus)))
 
 
 def _kind(system: System, kind: Kind, head: Container, is_kind: EqExpression, quantities: Sequence[str]) -> None:

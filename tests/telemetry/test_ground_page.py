@@ -10,8 +10,11 @@ from pathlib import Path
 import pytest
 
 from onboard import cli
+from onboard.channels import Order
 from onboard.config.telemetry import Telemetry
-from onboard.telemetry.packets import KINDS, SECONDARY
+from onboard.telemetry.packets import KINDS, REFUSALS, SECONDARY
+from onboard.telemetry.span import MOST_ROWS
+from onboard.telemetry.uplink import LONGEST_SPAN_S, SERVICE
 from tests.flight.missions import Result
 
 ROOT = Path(__file__).parents[2]
@@ -53,3 +56,14 @@ def test_the_table_of_packets_is_that_of_the_code() -> None:
     assert f"`bytes_s` ({settings.bytes_s:,.0f})" in DOWNLINK
     ten = 10 * KINDS["answer"].length * settings.answers_hz
     assert f"answers take {ten:.0f} bytes" in DOWNLINK
+
+
+def test_the_tables_of_commands_are_those_of_the_code() -> None:
+    codes = re.findall(r"^\| (\d) ([a-z ]+) \|", DOWNLINK, re.MULTILINE)
+    assert [(int(code), word) for code, word in codes] == [*REFUSALS[1:]]
+    names = re.findall(r"^\| `(mark|stop|span)\b", DOWNLINK, re.MULTILINE)
+    assert names == [order.name.lower() for order in Order]
+    for order in Order:
+        assert f"{int(order)} {order.name.lower()}" in DOWNLINK
+    assert f"APID `command_apid` ({Telemetry().command_apid}), service {SERVICE}," in DOWNLINK
+    assert f"{LONGEST_SPAN_S} s and {MOST_ROWS:,} rows at most" in DOWNLINK

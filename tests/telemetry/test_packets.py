@@ -20,7 +20,7 @@ AT_NS = 1_764_000_000_123_456_789
 def some(kind: Kind, **given: Any) -> dict[str, Any]:
     """A value for each field."""
     values = {}
-    for number, field in enumerate(kind.fields):
+    for number, field in enumerate((*kind.lead, *kind.fields)):
         values[field.name] = "t" * (number + 1) if field.is_text else field.choices[0][0] if field.choices else number
     return values | given
 

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import tty
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -248,9 +249,9 @@ def test_what_one_end_sends_of_a_log_the_other_shows(
 ) -> None:
     received = link.received
 
-    def until_some_came(address: link.Address) -> Iterator[bytes]:
+    def until_some_came(address: link.Address, commands: deque[bytes]) -> Iterator[bytes]:
         stream, whole, got = Stream(Telemetry().apids), 0, 0
-        for piece in received(address):
+        for piece in received(address, commands):
             yield piece
             got += len(piece)
             whole += sum(packet.kind.length for packet in stream.feed(piece))

@@ -40,4 +40,11 @@ TELEMETRY: dict[str, tuple[str, ...]] = {
     "event_apid": ("The same of events.", "as above"),
     "reason_apid": ("The same of reasons.", "as above"),
     "flight_apid": ("The same of the flight's name and clocks.", "as above"),
+    "report_apid": ("The same of reports that a command was accepted, started, completed.", "as above"),
+    "failure_apid": ("The same of reports that it was not.", "as above"),
+    "command_apid": ("Of the commands that are taken.", "as above"),
+    "commands": (
+        "What may be asked of the flight over the link of `--telemetry`, and on its page: nothing else.",
+        "who can send on the link, or use this computer, may do so",
+    ),
 }

@@ -27,7 +27,7 @@ _NO_EVENTS = np.zeros(0, EVENT)
 _NO_ROWS = {"gap": np.zeros(0, GAP), "quantity": np.zeros(0, QUANTITY)}
 _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
 _NAMED = 3  # channels in a line
-_SAID = {"mode", "zeroed", "realtime", "not_realtime"}  # information that is said
+_SAID = {"mode", "zeroed", "realtime", "not_realtime", "mark", "stop", "span"}  # information that is said
 
 
 class AnnouncedAnswer(NamedTuple):

@@ -17,16 +17,19 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from drivers.records import EVENT, SampleStatus, Severity, event
+from drivers.records import EVENT, Severity, event
 from onboard import config
 from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.health.stream import CHANNELS, HealthMonitor, WorkerState, rates_hz
 from onboard.flight.store import directories, manifest, rings
 from onboard.flight.store.flight_log import MIB, Started, preamble, storage
 from onboard.flight.store.harvest import Harvest, harvest
+from onboard.flight.store.orders import order_channels
 from onboard.flight.supervise import pages, realtime, workers
 from onboard.flight.supervise.announcer import LOGGER, Announcer, missing_all_flight
+from onboard.flight.supervise.end_of_mission import EndOfMission
 from onboard.flight.supervise.modes import Modes
+from onboard.flight.supervise.orders import Orders
 from onboard.flight.supervise.resume import Keeper, Start, planned
 from onboard.flight.supervise.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.supervise.runner_notify import Notifier
@@ -34,11 +37,9 @@ from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worke
 from onboard.flight.supervise.stop_signals import StopSignals
 from onboard.recording.format.errors import LogFormatError
 from onboard.recording.format.segments import segment_path, segments
-from onboard.ring import RingReader
 
 _LOOK_S = 0.1  # between two looks at a flight in which nobody says anything
 ESTIMATOR_ENDS_S = 10.0  # then the answer of its last finished step is the answer
-_LAST_WORDS_S = 0.7  # that the ending phase must last: shorter is a glitch, and an answer may be on its way
 
 
 class Flight(NamedTuple):
@@ -255,7 +256,7 @@ def _fly(
     listeners: "_Listeners",
 ) -> Flight:
     """Fly with rings in ``directory``."""
-    channels = {**rings.device_channels(vehicle), **CHANNELS, "event_supervisor": EVENT}
+    channels = {**rings.device_channels(vehicle), **CHANNELS, **order_channels(vehicle), "event_supervisor": EVENT}
     supervisor = Publisher(rings.create(directory, vehicle, channels, rates_hz(vehicle)), "_supervisor")
     everyone = crew.everyone
     asked_to_stop = StopSignals()
@@ -273,7 +274,7 @@ def _fly(
     notifier = Notifier()
     announcer = Announcer(vehicle, directory, time.monotonic(), listeners.status_s)
     health = HealthMonitor(vehicle, directory, os.getpid(), time.monotonic_ns())
-    end = EndOfMission(vehicle, directory)
+    end, orders = EndOfMission(vehicle, directory), Orders(vehicle, directory, tell, supervisor.publish)
     try:
         crew.start(listeners.ready)
         for worker in everyone:
@@ -283,7 +284,10 @@ def _fly(
         notifier.ready()
         modes.at_work(started)
         LOGGER.info("every worker is at work", extra={"source": "flight", "code": "started"})
-        while not (why := _why_ended(asked_to_stop, end, time.monotonic() - started, duration_s)):
+        while not (
+            why := orders.step(time.monotonic_ns())
+            or _why_ended(asked_to_stop, end, time.monotonic() - started, duration_s)
+        ):
             if listeners.enough(time.monotonic() - started):
                 why = "enough is known, or what is asked for is given up"
                 break
@@ -341,11 +345,11 @@ def _say_plan(plan: Start | None, tell: Callable[[Severity, str, str, str], None
         tell(Severity.WARNING, "not_resumed", "flight", f"a new flight: {plan.why_not}")
 
 
-def _why_ended(asked: StopSignals, end: "EndOfMission", elapsed_s: float, duration_s: float | None) -> str:
+def _why_ended(asked: StopSignals, end: EndOfMission, elapsed_s: float, duration_s: float | None) -> str:
     """Why the flight is over; empty while it is not."""
     if asked.seen:
         return "a signal asked for an end"
-    if end.reached():
+    if end.reached(time.monotonic()):
         return "the mission's end phase"
     return f"{duration_s:g} s are over" if duration_s is not None and elapsed_s > duration_s else ""
 
@@ -375,32 +379,3 @@ def _tell(worker: Worker, happened: str, tell: Callable[[Severity, str, str, str
     else:
         worker.make_spare()
         tell(Severity.INFO, "worker_back", worker.name, f"at work {1e3 * worker.started_in_s:.0f} ms after its start")
-
-
-class EndOfMission:
-    """Watches the phase channel for the phase that ends the flight: it must last, and another one takes it back."""
-
-    def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
-        phases = vehicle.file.estimation.phases
-        self._end = phases.end if phases else None
-        self._reader = RingReader(directory / f"{phases.channel}.ring") if phases else None
-        self._seen_s = math.inf
-        self._first: int | None = None
-
-    @property
-    def was_over(self) -> bool:
-        """Whether the first phase of all was the last of the mission."""
-        return self._first is not None and self._first == self._end
-
-    def reached(self) -> bool:
-        """Whether the ending phase has come and stayed, so that what was under way has had its time."""
-        if self._reader is None or self._end is None:
-            return False
-        rows, _ = self._reader.read()
-        if len(rows) and self._first is None:
-            self._first = int(rows["value_raw"][0])
-        now_s = time.monotonic()
-        for row in rows:
-            if not row["status"] & SampleStatus.NOT_VALID:
-                self._seen_s = min(self._seen_s, now_s) if row["value_raw"] == self._end else math.inf
-        return now_s - self._seen_s > _LAST_WORDS_S

@@ -12,7 +12,7 @@ from onboard import channels, config
 from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.store import rings
 from onboard.flight.supervise.announcer import RECORDER_SAID, Announcer, missing_all_flight
-from onboard.flight.supervise.runner import EndOfMission
+from onboard.flight.supervise.end_of_mission import EndOfMission
 from onboard.ring import RingWriter
 
 
@@ -127,21 +127,18 @@ def test_the_mode_is_said_and_stands_in_the_status_line(
 
 
 def test_a_glitch_of_the_phase_does_not_end_the_flight(
-    vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, monkeypatch: pytest.MonkeyPatch
+    vehicle: config.Vehicle, tmp_path: Path, devices: Publisher
 ) -> None:
     phases = vehicle.file.estimation.phases
     assert phases is not None
-    now_s = [0.0]
-    monkeypatch.setattr("onboard.flight.supervise.runner.time.monotonic", lambda: now_s[0])
     end = EndOfMission(vehicle, tmp_path)
     told = []
     for at_s, code in ((0.0, 3), (1.0, phases.end), (1.5, 3), (3.0, None), (4.0, phases.end), (4.5, None), (5.0, None)):
-        now_s[0] = at_s
         if code is not None:
             row = scalars(len(told), 1)
             row["value_raw"] = code
             devices.publish([Batch(phases.channel, row)])
-        told.append(end.reached())
+        told.append(end.reached(at_s))
     assert told == [False] * 6 + [True]
 
 
@@ -156,7 +153,7 @@ def test_a_mission_that_was_over_before_the_start_is_known(
         row = scalars(number, 1)
         row["value_raw"] = phases.end if code == 77 else code
         devices.publish([Batch(phases.channel, row)])
-        end.reached()
+        end.reached(0.0)
     assert end.was_over == over
 
 
