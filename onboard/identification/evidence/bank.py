@@ -129,16 +129,22 @@ class Weighed(NamedTuple):
 
     @property
     def counting(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses that an answer covers, the most probable first."""
-        some = (one for one in self.every if one.weight >= LEAST_WEIGHT)
-        return tuple(sorted(some, key=lambda one: -one.weight))
+        """Hypotheses that an answer covers, the most probable first: all but what :data:`.LEAST_WEIGHT` leaves out."""
+        first = sorted(self.every, key=lambda one: -one.weight)
+        left = 1.0 - np.cumsum([one.weight for one in first])
+        return tuple(first[: 1 + int((left > LEAST_WEIGHT).sum())])
+
+    @property
+    def likely(self) -> tuple[Hypothesis, ...]:
+        """Those of them that weigh as much by themselves."""
+        return tuple(one for one in self.counting if one.weight >= LEAST_WEIGHT)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Suspects that may be wrong, the most probable first; empty while the file as stated is more probable."""
         if self.every[0].weight >= LIKELIER:
             return ()
-        return tuple(dict.fromkeys(one.suspect.name for one in self.counting if one.suspect is not None))
+        return tuple(dict.fromkeys(one.suspect.name for one in self.likely if one.suspect is not None))
 
     def mixed(self, part: Callable[[Hypothesis], Known]) -> "Mixture":
         """Mixture of the hypotheses that an answer covers; ``part`` gives mean and covariance under each."""

@@ -9,13 +9,14 @@ from scipy.linalg.lapack import dtrtrs
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, refused_from
+from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction
-from onboard.identification.exiddm.suspects import Rivals
+from onboard.identification.exiddm.suspects import Believed, Rivals
 
 _LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
 _FREE = 1e3  # stated sigmas of an error that may be of any size
@@ -38,9 +39,23 @@ class Innovation(NamedTuple):
     steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
     ticks: int
 
+    def judged(self, step: Believed | None) -> "Innovation":
+        """With ``e`` and ``L`` as they are given a step that the filter does not follow: what is to be tested."""
+        if step is None:
+            return self
+        G = self.steps[:, step.number]
+        K = np.linalg.cholesky(np.eye(len(G)) + np.outer(G, G) * step.variance)
+        e = dtrtrs(K, self.e - G * step.size, lower=True)[0]
+        return self._replace(e=e, L=self.L @ K)
+
     def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """``W``, ``e`` and ``steps`` of so many lines."""
         return self.W[:lines], self.e[:lines], self.steps[:lines]
+
+    def corrected(self, lines: int, state: FloatArray, covariance: FloatArray) -> Known:
+        """State, (p,), and covariance, (p, p), with so many lines taken in."""
+        W, e, _ = self.first(lines)
+        return state + W.T @ e, covariance - W.T @ W
 
     @property
     def of_reference(self) -> FloatArray:
@@ -116,15 +131,23 @@ class Innovations:
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 
     def agreeing(
-        self, batch: Batch, there: BoolArray, covariance: FloatArray, innovation: Innovation, misfit: InnovationMisfit
+        self,
+        batch: Batch,
+        there: BoolArray,
+        covariance: FloatArray,
+        innovation: Innovation,
+        misfit: InnovationMisfit,
+        step: Believed | None,
     ) -> tuple[Innovation, int]:
         """Innovation with instruments that contradict those before them at the end, and how many lines to use."""
         fusion, order, refused = self._fusion, self._fusion.order, list[int]()
-        while (bad := fusion.improbable(order, innovation.e, there, refused)) is not None:
+        judged = innovation.judged(step)
+        while (bad := fusion.improbable(order, judged.e, there, refused)) is not None:
             refused.append(bad)
             if bad not in fusion.left_out:
                 order = [k for k in order if k != bad] + [bad]
                 innovation = self.of(batch, there, order, covariance)
+                judged = innovation.judged(step)
         seen = np.array([there[:, own].any() for own in self._lines])
         used = 0
         for k in order:
@@ -133,7 +156,7 @@ class Innovations:
             own = self._lines[k]
             first, used = used, used + len(there) * (own.stop - own.start)
             if k != fusion.reference and seen[k]:
-                e = innovation.e[first:used]
+                e = judged.e[first:used]
                 misfit.add(fusion.names[k], float(e @ e), int(there[:, own].sum()))
         fusion.judged(refused, seen)
         return innovation, used
@@ -184,15 +207,20 @@ class Innovations:
             covariance[at, at] += (_FREE * self._predictor.sigma[at]) ** 2
         return mean, covariance
 
-    def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> None:
-        """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit."""
+    def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> FloatArray:
+        """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit.
+
+        Returns:
+            The reference's whitened innovation at the ticks that were used, gyro then accelerometer, (6 u,).
+        """
         lines = 6 * innovation.ticks
         rows = np.arange(lines).reshape(-1, 6)[there[:, self._lines[self._fusion.reference].start]]
-        if not rows.size:
-            return
         e = innovation.e[rows.ravel()]
+        if not rows.size:
+            return e
         misfit.add(self._fusion.names[self._fusion.reference], float(e @ e), e.size)
         for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
             L = innovation.L[own, :lines]
             r = L @ innovation.e[:lines]
             misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
+        return e

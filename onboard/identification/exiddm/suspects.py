@@ -10,7 +10,7 @@ calibrated), its place or its delay. Of a load cell the scale or the delay.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,14 @@ _OF_IMU = [
 ]
 
 
+class Believed(NamedTuple):
+    """The step in flight that is likelier than anything else."""
+
+    number: int  # among the steps that are followed
+    size: float  # in its sigmas
+    variance: float  # of that
+
+
 class Rivals:
     """Weighs what a filter knows, with the newest weights kept.
 
@@ -56,6 +64,16 @@ class Rivals:
         self.steps = Steps(predictor)
         self._of: tuple[FloatArray, FloatArray, Changed] | None = None
         self._weighed: Weighed | None = None
+
+    def step(self, state: FloatArray, covariance: FloatArray) -> Believed | None:
+        """The step that is likelier than anything else, by the filter's state; None if none is."""
+        weighed, (_, d, J) = self.weighed(state, covariance), self.steps.changed
+        if weighed.likeliest.moves is None or not weighed.contradicts:
+            return None
+        steps = weighed.every[len(weighed.every) - len(d) :]
+        number = next(k for k, one in enumerate(steps) if one is weighed.likeliest)
+        M = 1.0 + max(float(J[number]), 0.0)
+        return Believed(number, float(d[number]) / M, 1.0 / M)
 
     @property
     def at(self) -> IndexArray:
@@ -94,7 +112,7 @@ class Rivals:
         if not weighed.contradicts or set(weighed.likeliest.numbers) <= set(self.freed):
             return None
         before = self.freed
-        counting = (k for one in weighed.counting for k in one.numbers)
+        counting = (k for one in weighed.likely for k in one.numbers)
         self.freed, self._of = tuple(sorted({*before, *counting})), None
         known, steps = (state, covariance), self.steps.changed
         if before:

@@ -1,5 +1,7 @@
 """Hypotheses against brute force: linear problems solved with each prior, and evidences from the readings' density."""
 
+from string import ascii_lowercase
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
@@ -115,7 +117,7 @@ def test_two_are_wrong_only_where_the_data_show_the_second(linear: Linear) -> No
 
 def weighed(*weights: float, size: float = 1.0) -> Weighed:
     """As stated, then suspects a, b, ... whose means lie 1, 2, ... apart."""
-    names = [None, *(Suspect(name, np.zeros(1, np.intp), np.eye(1), 0.01) for name in "abc")]
+    names = [None, *(Suspect(name, np.zeros(1, np.intp), np.eye(1), 0.01) for name in ascii_lowercase)]
     each, small = zip(names[: len(weights)], weights, strict=True), 1e-9 * np.eye(1)  # of what is added to a covariance
     every = (
         Hypothesis(one, (), w, 0.0, size, small, np.eye(1), np.array([1e9 * k])) for k, (one, w) in enumerate(each)
@@ -166,6 +168,14 @@ def test_what_may_be_wrong_is_named_once_all_as_stated_is_no_longer_believed() -
     assert not weighed(0.6, 0.4).contradicts
     assert weighed(0.4, 0.6).contradicts
     assert not weighed(0.4, 0.6, size=3.5).contradicts  # of another kind
+
+
+def test_what_is_left_out_of_an_answer_weighs_no_more_than_it_may_all_together() -> None:
+    """Twenty hypotheses of 0.06 % each are 1.2 %; each by itself is not likely enough to be named."""
+    many = weighed(0.988, *[0.0006] * 20)
+    assert sum(one.weight for one in many.every) - sum(one.weight for one in many.counting) <= policy.LEAST_WEIGHT
+    assert len(many.counting) == 20
+    assert len(many.likely) == 1
 
 
 LIMITS = {

@@ -10,8 +10,10 @@ from scipy.stats import multivariate_normal
 from onboard.estimation.policy import ODDS_OF_PART
 from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect
 from onboard.identification.exiddm import steps as steps_module
+from onboard.identification.exiddm.innovation import Innovation
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.steps import Steps
+from onboard.identification.exiddm.suspects import Believed
 
 CELL = FurtherCell("cell", "", (), 1, CellPrior(0.1, 0.0, 0.0025, 0.0))
 NAMES = ("rate", "a", "b", "bias_cell", "scale_cell")
@@ -99,6 +101,21 @@ def test_each_is_the_fit_with_the_step_as_an_unknown_and_has_the_evidence_of_its
         assert one.nats == pytest.approx(flight.nats(at, which), abs=1e-8)
         for part, wanted in zip(weighed.known(one), flight.solved(at, which), strict=True):
             np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
+
+
+def test_what_is_judged_given_a_step_is_the_innovation_of_one_who_knows_of_it(rng: np.random.Generator) -> None:
+    """Each block given those before it, as without a step: its squares are of the conditional density."""
+    lines, size, variance = 8, 0.3, 0.04
+    L, seen = np.tril(rng.standard_normal((lines, lines))), rng.standard_normal((lines, 2))
+    innovation = Innovation(np.zeros((lines, 5)), rng.standard_normal(lines), L, seen, 1)
+    assert innovation.judged(None) is innovation
+    judged = innovation.judged(Believed(1, size, variance))
+    spread = L @ (np.eye(lines) + variance * np.outer(seen[:, 1], seen[:, 1])) @ L.T
+    off = L @ (innovation.e - size * seen[:, 1])
+    np.testing.assert_allclose(judged.L @ judged.e, off, atol=1e-12)
+    for first in range(1, lines + 1):
+        squares = off[:first] @ np.linalg.solve(spread[:first, :first], off[:first])
+        assert judged.e[:first] @ judged.e[:first] == pytest.approx(squares)
 
 
 def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back(flight: Flight, steps: Steps) -> None:

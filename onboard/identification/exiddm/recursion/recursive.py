@@ -293,6 +293,7 @@ class RecursiveExiddm(Holding):
     def _step(self) -> None:
         assert self.state is not None
         ticks, self._due, self._window = self._pending, self._due - self._step_work, self._none
+        step = self.rivals.step(self.state, self.covariance) if self.held else None
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -309,7 +310,7 @@ class RecursiveExiddm(Holding):
         own = self.predictor.lines[self.fusion.reference]
         base = np.flatnonzero(there[:, own.start])  # ticks with the reference
         if base.size:
-            verdict = self._detector.check((innovation.of_reference[base] ** 2).sum(axis=1))
+            verdict = self._detector.check((innovation.judged(step).of_reference[base] ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
@@ -318,12 +319,11 @@ class RecursiveExiddm(Holding):
                 self.glitches += int(verdict.glitches.sum())
                 there[base[verdict.glitches], own] = False
                 innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
-            self._innovations.judge(innovation, there, self.misfit)
-            self.lines.add(innovation.of_reference[there[:, own.start]].ravel(), there[:, own.start])
+            judged = self._innovations.judge(innovation.judged(step), there, self.misfit)
+            self.lines.add(judged, there[:, own.start])
         if not suspect:
-            innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
-            W, e, _ = innovation.first(used)
-            state, covariance = state + W.T @ e, covariance - W.T @ W
+            innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit, step)
+            state, covariance = innovation.corrected(used, state, covariance)
             self.ticks_used += int(there[:, own.start].sum())
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
@@ -337,6 +337,7 @@ class RecursiveExiddm(Holding):
             if self._stepped.due(apart=self._linearised.apart):
                 self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
                 return
+            self._stepped = None if self._stepped.over else self._stepped
         self._snapshots.append(self.state, self.covariance)
         self._snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
@@ -376,8 +377,7 @@ class RecursiveExiddm(Holding):
         if self._trials is not None and self._trials.changed is not None:
             self._explained(self._trials.changed)
             return
-        known = self._prior[0] is not self._initial[0]
-        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), known)
+        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), self._prior[0] is not self._initial[0])
         self._begin_window()
 
     def _alarm(self, score: float, batches: int) -> None:

@@ -39,10 +39,12 @@ class Stepped:
         length_s: at which they are solved again.
         held: a payload is.
         first: none of the steps has been replaced yet, and the window before them had not grown.
+        well: they are linearised well enough, and only kept: if something is freed, they are solved again.
     """
 
-    def __init__(self, ticks: Ticks, length_s: float, *, held: bool, first: bool) -> None:
-        self._parts, self._length_s, self.held, self.first = [ticks], length_s, held, first
+    def __init__(self, ticks: Ticks, length_s: float, *, held: bool, first: bool, well: bool = False) -> None:
+        self._parts, self._length_s, self.held, self.first = [ticks], length_s, held, first and not well
+        self._well = well
         self._again_s = _APART * self._now_s
         self._rests = not held and ticks.rest  # the arm, in all of them
 
@@ -91,7 +93,13 @@ class Stepped:
 
     def due(self, *, apart: bool) -> bool:
         """They are to be solved again; ``apart``: steps since the last time are linearised about different states."""
-        return self._now_s >= 0.99 * (min(self._again_s, self._length_s) if apart else self._length_s)
+        length_s = min(self._again_s, self._length_s) if apart else self._length_s
+        return not self._well and self._now_s >= 0.99 * length_s
+
+    @property
+    def over(self) -> bool:
+        """They are kept no longer."""
+        return self._well and self._now_s >= 0.99 * self._length_s
 
     @property
     def ticks(self) -> Ticks:
@@ -105,14 +113,14 @@ class Stepped:
         return self.ticks, WindowProblem((Hypothesis.NEW if self.held else Hypothesis.NOTHING,))
 
     def after(self, solved: Solved) -> "Stepped | None":
-        """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""
+        """What is to be solved after the window of all is; None if nothing is, or it was long."""
         rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
         well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
         early = self._now_s < 0.99 * self._length_s
         length_s = self._length_s if early else 2.0 * self._length_s
-        if well or length_s > 1.01 * _LONGEST_s:
+        if (well and not self.held) or length_s > 1.01 * _LONGEST_s:
             return None
-        return Stepped(self.ticks, length_s, held=self.held, first=self.first and early)
+        return Stepped(self.ticks, length_s, held=self.held, first=self.first and early, well=well)
 
 
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:

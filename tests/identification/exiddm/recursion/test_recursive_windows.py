@@ -9,7 +9,7 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.flight.estimate.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.bounded_work import WORK
 from tests.dynamics.free_flyer_twin import BOX
@@ -152,3 +152,21 @@ def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
     found = recursive.estimate()
     assert found is not None
     assert abs(found.body.mass_kg - body.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
+def test_what_a_window_told_of_a_base_far_from_its_drawing_is_solved_again_once_it_is_freed():
+    """A fifth lighter: taken over linearly, what was known as stated ends in a change of a payload that stays."""
+    rng, drawn = np.random.default_rng(1), free_flyer.BASE
+    base = free_flyer.Body(0.8 * drawn.mass_kg, drawn.centre_of_mass_m, 0.8 * drawn.inertia_kg_m2)
+    motion = free_flyer.JointMotion.draw(rng)
+    flight = free_flyer.fly(free_flyer.world(BOX, base), motion, rng.uniform(-0.05, 0.05, 3), 9.0)
+    signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
+    recursive, ticks = online(signals, imu_prior=PRIOR, links=["base"]), ticks_of(signals)
+    for first in range(0, len(ticks.time_s), 10):
+        recursive.update(ticks.part(slice(first, first + 10)))
+    recursive.finish()
+    assert recursive.changes == []
+    weighed = recursive.rivals.weighed(recursive.state, recursive.covariance)
+    assert weighed.names == ("base",)
+    mean, covariance = weighed.known(weighed.likeliest, PAYLOAD)
+    assert abs(mean[0] - BOX.mass_kg) < 3.0 * np.sqrt(covariance[0, 0]) < 1.0

@@ -33,3 +33,16 @@ def test_steps_linearised_about_different_states_are_solved_again_a_quarter_late
     assert ticks_until_due(held, exiddm, apart=True) == pytest.approx(250, abs=BATCH)
     monkeypatch.setattr(module, "_APART", 2.0 * module._APART)
     assert ticks_until_due(held, exiddm, apart=True) > 300
+
+
+def test_what_is_linearised_well_enough_is_kept_as_long_but_not_solved_again_by_itself(held, exiddm) -> None:
+    every = ticks_of(held)
+    kept = Stepped(every.part(slice(0, 200)), LENGTH_s, held=True, first=True, well=True)
+    assert not kept.first
+    for at in range(200, 390, BATCH):
+        assert not kept.over
+        kept.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, exiddm._initial)
+        assert not kept.due(apart=True)
+    kept.add(every.part(slice(388, 410)), exiddm.predictor, exiddm._initial)
+    assert kept.over
+    assert not kept.due(apart=True)
