@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from drivers.transports.serial_port import open_port
 from drivers.transports.url import parse as parse_bus
 
-FORMS = "udp://HOST:PORT, udp://HOST:PORT?commands=PORT, serial:///dev/ttyS0?baud=19200 or file://PATH"
+FORMS = "udp://HOST:PORT, serial:///dev/ttyS0?baud=19200, file://PATH, or udp://HOST:PORT?commands=PORT"
 _SERIAL = {"serial": ("path", "baud", "parity", "stop_bits")}
 _BITS = 10  # of a byte on a serial line: start, eight, stop
 _SHARE = 0.95  # of what a line carries: its clock is not exact

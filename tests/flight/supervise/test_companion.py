@@ -12,7 +12,8 @@ import pytest
 from onboard.flight.supervise.companion import beside
 from tests.conftest import is_alive
 
-RATES = '{"bytes_s": 0, "status_hz": 1, "answers_hz": 1, "phase_hz": 1, "flight_hz": 1, "reasons_hz": 1, "apids": {}}'
+RATES = """{"bytes_s": 0, "status_hz": 1, "answers_hz": 1, "phase_hz": 1, "flight_hz": 1, "reasons_hz": 1, "apids": {},
+"command_apid": 264, "commands": []}"""
 STARTS = """
 import sys, time
 from onboard.flight.supervise.companion import beside
