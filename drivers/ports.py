@@ -111,6 +111,14 @@ class SerialAdapter(NamedTuple):
     what: str
 
 
+class Station(NamedTuple):
+    """Who answers on a serial line: its number, its name in words, and whether the driver that asked reads it."""
+
+    number: int
+    what: str
+    is_read: bool = True
+
+
 class SerialPort(Protocol):
     """The part of ``serial.Serial`` that the drivers use."""
 

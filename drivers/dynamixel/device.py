@@ -1,13 +1,24 @@
 """The servos of one line as a polled device: one Sync Read is one sample of each."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import tau
 
 from drivers.dynamixel import registers as table
-from drivers.dynamixel.packet import ALERT, ERRORS, Block, Reply, read_request, sync_read_request
+from drivers.dynamixel.packet import (
+    ALERT,
+    ERRORS,
+    PING_BYTES,
+    Block,
+    Reply,
+    ping_request,
+    read_request,
+    statuses,
+    sync_read_request,
+)
 from drivers.dynamixel.registers import DynamixelConfig, DynamixelTiming, Identity, decode_identity, decode_present
 from drivers.errors import ConfigurationError
+from drivers.ports import SerialPort, Station
 from drivers.position import Position
 from drivers.records import SampleStatus, Severity
 from drivers.serial_poll import PolledDevice, Value
@@ -16,6 +27,7 @@ from drivers.serial_stream import MS, Clock, OpenPort
 SILENT_AFTER = 5  # rounds in a row that a servo does not answer while others do
 LOOK_NS = 1_000 * MS  # between two looks at the temperature of a servo, or for one that is silent
 HOT_BELOW_LIMIT = 5  # degrees
+PING_S = 1.0  # each answers 3 ms after the ID before its own: the last of 253 has answered
 LARGEST_STEP = table.COUNTS // 4  # between two samples, counts of the horn
 
 
@@ -278,3 +290,18 @@ class DynamixelBus(PolledDevice):
 
     def _tell(self, host_ns: int, servo: _Servo, severity: Severity, code: str, text: str) -> None:
         self._report.event(host_ns, severity, code, text, servo.config.name)
+
+
+def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
+    """Servos that answer a ping to all of them at the line's speed; nothing is written to a control table.
+
+    Raises:
+        OSError: The line fails.
+    """
+    port.write(ping_request())
+    wait(PING_S)
+    for block in statuses(port.read(port.in_waiting)):
+        if len(block.data) == PING_BYTES:
+            model = int.from_bytes(block.data[:2], "little")
+            known = "" if model in table.MODELS else ", not one that is known"
+            yield Station(block.identifier, f"DYNAMIXEL, model {model}{known}, firmware {block.data[2]}")

@@ -12,7 +12,8 @@ from drivers.errors import ConfigurationError, FrameError
 
 HEADER = b"\xff\xff\xfd"
 BROADCAST, LARGEST_ID = 0xFE, 0xFC
-READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x02, 0x82, 0x8A, 0x55
+PING, READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x01, 0x02, 0x82, 0x8A, 0x55
+PING_BYTES = 3  # of its answer: model number and firmware
 ALERT = 0x80  # of the error byte: Hardware Error Status is not 0
 HEAD = 7  # header, reserved, id, length
 ERRORS = {
@@ -61,6 +62,11 @@ def read_request(identifier: int, address: int, count: int) -> bytes:
     """
     _check([identifier], address, count)
     return _packet(identifier, READ, address.to_bytes(2, "little") + count.to_bytes(2, "little"))
+
+
+def ping_request() -> bytes:
+    """Ask every servo who it is; each answers 3 ms later than the ID before its own."""
+    return _packet(BROADCAST, PING, b"")
 
 
 def sync_read_request(identifiers: Sequence[int], address: int, count: int, *, fast: bool = False) -> bytes:
@@ -188,3 +194,20 @@ class Reply:
         del self._pending[0]
         self._inside = end
         return True
+
+
+def statuses(data: bytes) -> list[Block]:
+    """Status packets with a right CRC, wherever they are in some bytes; all else is passed over."""
+    found = []
+    at = data.find(HEADER)
+    while at >= 0:
+        end = at + HEAD + int.from_bytes(data[at + 5 : at + HEAD], "little")
+        packet = data[at:end]
+        whole = len(data) >= end >= at + HEAD + 4
+        if whole and packet[HEAD] == STATUS and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
+            content = packet[HEAD + 2 : -2].replace(HEADER + b"\xfd", HEADER)
+            found.append(Block(packet[4], packet[HEAD + 1], content))
+        else:
+            end = at + 1
+        at = data.find(HEADER, end)
+    return found

@@ -1,10 +1,17 @@
 """Modbus load cell transmitter as a polled device: one read of 40007 to 40014 is one sample."""
 
+from collections.abc import Callable, Iterator
+
+from drivers.errors import FrameError
 from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, read_request
 from drivers.modbus_load_cell.registers import COUNT, STATUS, ModbusLoadCellConfig, decode_weights
+from drivers.ports import SerialPort, Station
 from drivers.records import Severity
 from drivers.serial_poll import PolledDevice, Value
 from drivers.serial_stream import Clock, OpenPort
+
+ASKED = range(1, 17)  # addresses: a line has few, from 1 on
+ANSWERED_S = 0.06  # the slowest answer, at 9600 bit/s
 
 
 class ModbusLoadCell(PolledDevice):
@@ -68,3 +75,25 @@ class ModbusLoadCell(PolledDevice):
             severity = Severity.INFO if known else Severity.ERROR
             self._report.event(host_ns, severity, "scale" if known else "unit_unknown", text)
             self._said = said
+
+
+def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
+    """Stations of the addresses ``ASKED`` that answer a read of 40007 to 40014, or refuse it, at the line's speed.
+
+    Raises:
+        OSError: The line fails.
+    """
+    for address in ASKED:
+        port.read(port.in_waiting)
+        request = read_request(address, STATUS, COUNT)
+        port.write(request)
+        wait(ANSWERED_S)
+        try:
+            registers = ModbusReply(request).receive(port.read(port.in_waiting))
+        except ModbusException as error:
+            yield Station(address, f"Modbus, refuses 40007 to 40014: {error}", is_read=False)
+        except FrameError:
+            continue
+        else:
+            if registers is not None:
+                yield Station(address, f"Modbus load cell transmitter: address = {address}")

@@ -1,12 +1,24 @@
-"""``heft devices`` lists what is on the buses of this computer, and the vehicle.toml lines that read it."""
+"""``heft devices`` lists what is on the buses of this computer, and tries one of them on the desk (``--test``)."""
 
 import argparse
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import OK, Commands, add_json, busy, console, write_json
+from onboard.cli.common import (
+    NOT_READY,
+    OK,
+    Commands,
+    add_json,
+    busy,
+    console,
+    load_vehicle,
+    show,
+    with_urls,
+    write_json,
+)
 
 if TYPE_CHECKING:
+    from onboard import config
     from onboard.flight.check.scan import Bus
 
 
@@ -15,23 +27,30 @@ def add(commands: Commands) -> None:
     devices = commands.add_parser(
         "devices",
         help="what is on the buses of this computer, and the lines of vehicle.toml that read it",
-        description="Looks at I2C chips and CANopen nodes without setting anything up, and lists serial adapters. "
-        "A CAN interface must be up: ip link set can0 up type can bitrate 500000.",
+        description="Looks at I2C chips and CANopen nodes without setting anything up, and lists serial adapters; asks "
+        "who is on a serial line that --url names (servos, Modbus). A CAN interface must be up: ip link set can0 up "
+        "type can bitrate 500000. With --test it runs one for two minutes at rest: rate, gaps, noise against what is "
+        "stated, clock, self test.",
     )
-    devices.add_argument("--url", action="append", default=[], help="look at this bus alone, repeatable")
+    devices.add_argument(
+        "--url", action="append", default=[], help="look at this bus alone; with --vehicle BUS=URL; repeatable"
+    )
+    devices.add_argument("--test", metavar="WHAT", help="a kind that answers on a bus, or a device of --vehicle")
+    devices.add_argument("--vehicle", help="of --test: its vehicle.toml, or the name of a packaged vehicle")
+    devices.add_argument("--seconds", type=float, metavar="S", help="that --test runs (default 120)")
     add_json(devices)
     devices.set_defaults(command=_devices)
 
 
 def _devices(arguments: argparse.Namespace) -> int:
+    if arguments.test is not None:
+        return _test(arguments)
+    if arguments.vehicle is not None or arguments.seconds is not None:
+        raise ValueError("--vehicle and --seconds are of --test: add it, with a device of the file")
     from drivers.transports import serial_adapters
-    from onboard.flight.check import scan
     from onboard.ground.before.init import seen
 
-    buses: list[Bus] = []
-    for url in arguments.url or scan.urls():
-        with busy(f"looking at {url}"):
-            buses.append(scan.scan(url, time.monotonic_ns, time.sleep))
+    buses = _scanned(arguments.url)
     adapters = [] if arguments.url else serial_adapters()
     out = console()
     for bus in buses:
@@ -51,3 +70,80 @@ def _devices(arguments: argparse.Namespace) -> int:
     as_json = [{**bus._asdict(), "found": [one._asdict() for one in bus.found]} for bus in buses]
     write_json(arguments.json, {"buses": as_json, "serial": adapters, "vehicle_toml": text})
     return OK
+
+
+def _scanned(urls: list[str]) -> "list[Bus]":
+    from onboard.flight.check import scan
+
+    buses: list[Bus] = []
+    for url in urls or scan.urls():
+        with busy(f"looking at {url}"):
+            buses.append(scan.scan(url, time.monotonic_ns, time.sleep))
+    return buses
+
+
+def _test(arguments: argparse.Namespace) -> int:
+    from onboard.flight.check import desk
+    from onboard.flight.supervise import workers
+
+    seconds: float = desk.SECONDS if arguments.seconds is None else arguments.seconds
+    if not 0.0 < seconds <= 3600.0:
+        raise ValueError(f"--seconds {seconds:g}: give the length of the test, up to an hour")
+    vehicle, names = _of_file(arguments) if arguments.vehicle is not None else _on_bus(arguments)
+    with busy(f"{', '.join(names)} at rest for {seconds:g} s: do not touch"):
+        tests = desk.desk_tests(vehicle, names, time.monotonic_ns, time.sleep, workers.run_for, seconds)
+    for test in tests:
+        show(desk.render(test))
+    write_json(arguments.json, {"tests": [_as_json(test) for test in tests]})
+    return NOT_READY if any(test.problems for test in tests) else OK
+
+
+def _as_json(test: Any) -> dict[str, Any]:
+    signals = [one._asdict() for one in test.signals]
+    return {**test.seen._asdict(), **test._asdict(), "seen": None, "signals": signals}
+
+
+def _of_file(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]":
+    """A vehicle's device of that name, or all of that kind, with what is on their buses."""
+    from onboard.devices.base import BusDevice
+    from onboard.flight.check import desk
+
+    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
+    there = {name: one.kind for name, one in vehicle.file.device.items() if isinstance(one, BusDevice)}
+    names = [name for name, kind in there.items() if arguments.test in (name, kind)]
+    if not names:
+        raise ValueError(
+            f"{vehicle.label} has no device or kind {arguments.test!r} on a bus; there are: {', '.join(there)}"
+        )
+    return desk.alone(vehicle, names), names
+
+
+def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]":
+    """All of that kind that answer on the buses, by the tables that ``heft init`` would write."""
+    from drivers.transports.url import parse
+    from onboard import config
+    from onboard.devices.base import BusDevice
+    from onboard.devices.buses import SerialLineDevice
+    from onboard.devices.registry import DEVICES
+    from onboard.ground.before.init import seen
+
+    kind: str = arguments.test
+    section = DEVICES.get(kind)
+    if section is None or not issubclass(section, BusDevice) or not section.new_keys:
+        known = ", ".join(name for name, one in DEVICES.items() if issubclass(one, BusDevice) and one.new_keys)
+        raise ValueError(
+            f"--test {kind}: no kind that can be tried without a vehicle file (--vehicle); there are: {known}"
+        )
+    found: dict[str, list[tuple[str, int]]] = {}
+    if issubclass(section, SerialLineDevice) and not arguments.url:
+        raise ValueError(f"--test {kind}: say on which line, --url 'serial:///dev/ttyUSB0?baud={section.new_baud}'")
+    if issubclass(section, SerialLineDevice) and section.answering is None:
+        found = {url: [(kind, 1)] for url in arguments.url if parse(url, section.urls)}
+    else:
+        for bus in _scanned(arguments.url):
+            there = [(one.kind, one.number) for one in bus.found if one.kind in (kind, "canopen_sync")]
+            found |= {bus.url: there} if any(what == kind for what, _ in there) else {}
+    if not found:
+        raise ValueError(f"no {kind} answers on a bus: check its power and wiring, or give its bus by --url")
+    vehicle = config.devices_alone(seen.tables(found), f"tables of {kind}")
+    return vehicle, [name for name, one in vehicle.file.device.items() if one.kind == kind]

@@ -7,7 +7,7 @@ from onboard.config.bases.prediction import Prediction
 from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
-from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
+from onboard.config.loader import devices_alone, load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
@@ -25,6 +25,7 @@ __all__ = [
     "Recording",
     "Vehicle",
     "Zero",
+    "devices_alone",
     "laid_over",
     "load",
     "named",

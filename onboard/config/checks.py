@@ -31,6 +31,15 @@ def check(vehicle: Vehicle) -> None:
     """Raise ConfigError for the first violation."""
     fail = _fail_of(vehicle)
     _check_names(vehicle, fail)
+    check_devices(vehicle)
+    _check_channels(vehicle, fail)
+    _check_roles(vehicle, fail)
+    _check_rest(vehicle, fail)
+
+
+def check_devices(vehicle: Vehicle) -> None:
+    """Raise ConfigError for the first violation of buses and devices by themselves."""
+    fail = _fail_of(vehicle)
     for name, device in vehicle.file.device.items():
         if isinstance(device, BusDevice):
             _check_device(vehicle, name, device, fail)
@@ -39,9 +48,6 @@ def check(vehicle: Vehicle) -> None:
     for name, device in vehicle.file.device.items():
         for where, why in device.problems(name, vehicle):
             fail(where, why)
-    _check_channels(vehicle, fail)
-    _check_roles(vehicle, fail)
-    _check_rest(vehicle, fail)
 
 
 def with_urls(vehicle: Vehicle, urls: dict[str, str]) -> Vehicle:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from onboard.config.checks import check
+from onboard.config.checks import check, check_devices
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.explain import explained
 from onboard.config.text import read, tree_of
@@ -94,6 +94,24 @@ def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | No
     file = validated(VehicleFile, tree, origin)
     vehicle = Vehicle.model_construct(path=path, origin=origin, tree=tree, file=file, urdf=urdf)
     check(vehicle)
+    return vehicle
+
+
+def devices_alone(text: str, label: str) -> Vehicle:
+    """Buses and devices without a vehicle around them, as they are tried on a desk.
+
+    Args:
+        text: their tables.
+        label: what messages call it.
+
+    Raises:
+        ConfigError: as :func:`load`.
+    """
+    tree = tree_of(text, label) | {"vehicle": {"name": "desk", "urdf": "none", "base": "fixed", "base_link": "desk"}}
+    origin = Origin(label, text)
+    file = validated(VehicleFile, tree, origin)
+    vehicle = Vehicle.model_construct(path=Path(), origin=origin, tree=tree, file=file, urdf=None)
+    check_devices(vehicle)
     return vehicle
 
 

@@ -8,12 +8,12 @@ from pydantic import Field
 
 from drivers import transports
 from drivers.device import Device
-from drivers.dynamixel.device import DynamixelBus
+from drivers.dynamixel.device import DynamixelBus, answering
 from drivers.dynamixel.packet import answer_bytes, sync_read_request
 from drivers.dynamixel.registers import COUNTS, PRESENT, PRESENT_BYTES, DynamixelConfig, DynamixelTiming
 from drivers.records import SCALAR
 from onboard.devices.base import BusDevice, Channels, OpeningBus, Problem, Surroundings
-from onboard.devices.buses import PollPeriod, SamplePeriod, SerialLineDevice
+from onboard.devices.buses import Answering, PollPeriod, SamplePeriod, SerialLineDevice
 from onboard.devices.driven import MotorDevice
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive
@@ -37,6 +37,7 @@ class DynamixelDevice(SerialLineDevice, MotorDevice):
     )
     driver_configs = (DynamixelConfig, DynamixelTiming)
     shares_bus = True
+    answering: ClassVar[Answering | None] = staticmethod(answering)
     new_bus = "tty_servos"
     new_baud = 1_000_000
     new_keys: ClassVar[

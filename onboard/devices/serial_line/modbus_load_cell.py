@@ -1,15 +1,15 @@
 """Load cell transmitter on Modbus-RTU (Laumas map)."""
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from drivers.modbus_load_cell.device import ModbusLoadCell
+from drivers.modbus_load_cell.device import ModbusLoadCell, answering
 from drivers.modbus_load_cell.registers import ModbusLoadCellConfig
 from drivers.records import SCALAR
 from onboard.devices.base import Channels, Clock
-from onboard.devices.buses import OpenSerial, PolledLoadCellDevice, PollPeriod
+from onboard.devices.buses import Answering, OpenSerial, PolledLoadCellDevice, PollPeriod
 from onboard.section import Positive
 
 QUESTION_BYTES, ANSWER_BYTES = 8, 21  # eight registers, 40007 to 40014
@@ -22,7 +22,8 @@ class ModbusLoadCellDevice(PolledLoadCellDevice):
     """
 
     driver_configs = (ModbusLoadCellConfig,)
-    new_keys = 'unit = "N"\nscale = 0.001                  # N in a count\nsample_period_ms = 10\n'
+    answering: ClassVar[Answering | None] = staticmethod(answering)
+    new_keys = 'address = 1\nunit = "N"\nscale = 0.001                  # N in a count\nsample_period_ms = 10\n'
     kind: Literal["modbus_load_cell"]
     address: Annotated[int, Field(ge=1, le=247)] = ModbusLoadCellConfig.address
     values: tuple[Literal["gross", "net"], ...] = ("gross",)

@@ -75,6 +75,14 @@ class Check(NamedTuple):
     warnings: tuple[str, ...]
 
 
+class Looked(NamedTuple):
+    """Devices that ran for some seconds: what was seen of each, problems of buses and lines, rows by channel."""
+
+    checks: tuple[Check, ...]
+    problems: tuple[str, ...]
+    rows: dict[str, Rows]
+
+
 class Preflight(NamedTuple):
     """The vehicle as it was found.
 
@@ -127,6 +135,21 @@ def preflight(
     require_devices(vehicle)
     slowest_hz = min(vehicle.rate_hz(name) for name, _ in _on_buses(vehicle))
     run_s = seconds or min(max(SECONDS, FEWEST_ROWS / slowest_hz), LONGEST_SECONDS)
+    checks, problems, _ = look_at_devices(vehicle, clock, wait, run, run_s, told)
+    computer = look_over(vehicle, estimator, flight_s, clock, wall_s, unsynchronised())
+    warnings = [*computer.warnings, *_without_pulses(vehicle, checks)]
+    return Preflight(checks, (*problems, *computer.problems), tuple(warnings), computer)
+
+
+def look_at_devices(
+    vehicle: config.Vehicle,
+    clock: Clock,
+    wait: Wait,
+    run: RunDevices | None,
+    run_s: float,
+    told: Callable[[str], object] = lambda text: None,
+) -> Looked:
+    """Run all devices of a vehicle for ``run_s``, behind their self tests; the others as of :func:`preflight`."""
     told("self tests")
     self_tests = _self_tests(vehicle, clock, wait)
     told(f"the devices run for {run_s:.2g} s")
@@ -144,12 +167,10 @@ def preflight(
         _check(vehicle, name, device, rows, said, self_tests.get(name, ("", "")), device.bus in opened.by_bus, end_ns)
         for name, device in _on_buses(vehicle)
     )
-    checks = tuple(check._replace(time_sigma_us=known.get(check.device)) for check in checks)
     others = ~np.isin(said["source"], [name.encode() for name in vehicle.file.device])
     problems = [f"{e['source'].decode()}: {_text(e)}" for e in said[others & (said["severity"] >= Severity.ERROR)]]
-    computer = look_over(vehicle, estimator, flight_s, clock, wall_s, unsynchronised())
-    warnings = [*computer.warnings, *_without_pulses(vehicle, checks)]
-    return Preflight(checks, (*dict.fromkeys(problems), *computer.problems), tuple(warnings), computer)
+    timed = tuple(check._replace(time_sigma_us=known.get(check.device)) for check in checks)
+    return Looked(timed, tuple(dict.fromkeys(problems)), rows)
 
 
 def require_devices(vehicle: config.Vehicle) -> None:

@@ -1,7 +1,8 @@
 """What is on the buses of this computer: I2C chips by their identity, CANopen nodes, serial adapters, GPIO chips.
 
 Nothing is set up and no state of a device is changed: chips are read at addresses of known kinds, and of every CANopen
-node the objects 1000h and 1018h. Serial ports are listed and not opened: opening one resets many boards.
+node the objects 1000h and 1018h. Serial ports are listed and not opened: opening one resets many boards. One that is
+named is asked: servos by a ping, Modbus stations by a read.
 """
 
 import errno
@@ -16,9 +17,9 @@ from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.sdo import SdoClient, Setup, read_unsigned
 from drivers.errors import SdoAbortError
 from drivers.i2c.bus import NOT_ACKNOWLEDGED, explain
-from drivers.ports import CanPort, I2cPort
+from drivers.ports import CanPort, I2cPort, SerialPort
 from drivers.transports.url import parse
-from onboard.devices.buses import I2cDevice
+from onboard.devices.buses import I2cDevice, SerialLineDevice
 from onboard.devices.registry import DEVICES
 
 HEARD_S = 2.5  # heartbeats come every second, or two
@@ -76,7 +77,7 @@ def _text(path: Path) -> str:
 
 
 def scan(url: str, clock: Clock, wait: Wait) -> Bus:
-    """Look at an I2C or a CAN bus.
+    """Look at an I2C or a CAN bus, or ask who is on a serial line.
 
     Args:
         url: of the bus.
@@ -84,10 +85,16 @@ def scan(url: str, clock: Clock, wait: Wait) -> Bus:
         wait: sleeps for so many seconds.
 
     Raises:
-        DriverError: the URL is of neither.
+        DriverError: the URL is of none.
     """
-    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS)
+    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS | transports.SERIAL_URLS)
     try:
+        if bus.kind in transports.SERIAL_URLS:
+            line = transports.open_serial(url)
+            try:
+                return Bus(url, tuple(on_serial(line, wait)))
+            finally:
+                line.close()
         if bus.kind in transports.I2C_URLS:
             i2c = transports.open_i2c(url, clock)
             try:
@@ -132,6 +139,18 @@ def on_i2c(port: I2cPort) -> Iterable[Found]:
         else:
             if others:
                 yield Found(at, others)
+
+
+def on_serial(port: SerialPort, wait: Wait) -> Iterable[Found]:
+    """Stations that answer the question of a known kind, at the speed of the line.
+
+    Raises:
+        OSError: the line fails.
+    """
+    for kind, section in DEVICES.items():
+        if issubclass(section, SerialLineDevice) and section.answering is not None:
+            for one in section.answering(port, wait):
+                yield Found(f"ID {one.number}", one.what, kind if one.is_read else "", one.number)
 
 
 def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[Found]:

@@ -6,7 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from drivers.dynamixel.packet import ping_request
 from drivers.errors import DriverError
 from drivers.ports import I2cReply
 from hil_sim.faults import parse
@@ -127,3 +130,81 @@ def test_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert '"vehicle_toml": ""' in (tmp_path / "seen.json").read_text(encoding="utf-8")
     assert main(["devices", "--url", "modbus:[bold]"]) == BAD_INPUT
     assert "modbus:[bold]" in capsys.readouterr().err
+
+
+def on_line(scenario: str, bus: str, *faults: str) -> scan.Bus:
+    """What answers on a serial line 0.6 s after power-up: servos need 0.4 s."""
+    mission, urls = open_in_process(scenario, 1, [parse(text) for text in faults])
+    with mission:
+        mission.advance(mission.start_ns + 600_000_000)
+
+        def wait(seconds: float) -> None:
+            mission.advance(mission.now_ns + round(1e9 * seconds))
+
+        return scan.scan(urls[bus], lambda: mission.now_ns, wait)
+
+
+def test_servos_on_a_line_are_named_and_made_joints_of() -> None:
+    line = on_line("student_arm", "tty_servos", "off:joint_3:0:5")
+    assert [(one.where, one.what, one.kind) for one in line.found] == [
+        (f"ID {n}", "DYNAMIXEL, model 1020, firmware 45", "dynamixel") for n in (1, 2, 4)
+    ]
+    tables = tomllib.loads(seen.tables({line.url: [(one.kind, one.number) for one in line.found]}))
+    assert [table["id"] for table in tables["device"].values()] == [1, 2, 4]
+    assert {table["bus"] for table in tables["device"].values()} == set(tables["bus"])
+
+
+def test_a_modbus_station_is_named_with_its_address() -> None:
+    line = on_line("rocksat_serial", "cell_port")
+    assert [(one.where, one.what, one.kind) for one in line.found] == [
+        ("ID 1", "Modbus load cell transmitter: address = 1", "modbus_load_cell")
+    ]
+    [table] = tomllib.loads(seen.tables({line.url: [("modbus_load_cell", 7)]}))["device"].values()
+    assert table["address"] == 7
+
+
+def test_a_line_on_which_nothing_of_these_answers() -> None:
+    line = on_line("rocksat_serial", "joint_port")  # a QSB, which answers in its own words
+    assert (line.found, line.problem) == ((), "")
+
+
+class Line:
+    """A serial port that answers what it is made with to the first request."""
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self.answer)
+
+    def read(self, size: int = 1) -> bytes:
+        got, self.answer = self.answer[:size], self.answer[size:]
+        return got
+
+    def write(self, data: bytes, /) -> int:
+        return len(data)
+
+    def close(self) -> None:
+        pass
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=200))
+def test_whatever_a_line_says_is_no_crash(noise: bytes) -> None:
+    for one in scan.on_serial(Line(noise), lambda seconds: None):
+        assert one.number <= 0xFF
+
+
+def test_answers_to_a_ping_are_found_in_any_company() -> None:
+    """Examples of ROBOTIS' e-manual, "DYNAMIXEL Protocol 2.0", 3.1: ID 1, XM430-W210, firmware 38, and ID 2."""
+    one = bytes.fromhex("FFFFFD00010700550006042665 5D".replace(" ", ""))
+    two = bytes.fromhex("FFFFFD000207005500060426 6F6D".replace(" ", ""))
+    for line in (one + two, b"\xff\x00junk" + one + b"\xff\xff\xfd\x00" + two + b"\xff"):
+        found = list(scan.on_serial(Line(line), lambda seconds: None))
+        assert [(each.number, each.what) for each in found] == [
+            (n, "DYNAMIXEL, model 1030, firmware 38") for n in (1, 2)
+        ]
+    assert ping_request() == bytes.fromhex("FFFFFD00FE03000131 42".replace(" ", ""))
+    broken = one[:-1] + bytes([one[-1] ^ 1])
+    assert list(scan.on_serial(Line(broken), lambda seconds: None)) == []

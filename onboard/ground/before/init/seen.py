@@ -48,7 +48,8 @@ def _table(kind: str, place: int, role: type, count: int) -> devices.NewDevice:
 
 def _on(bus: str, address: int, made: devices.NewDevice) -> str:
     text = made.text.replace(f'bus = "{made.bus}"', f'bus = "{bus}"')
-    return re.sub(r"(?m)^address = 0x[0-9a-f]+", f"address = 0x{address:02x}", text)
+    text = re.sub(r"(?m)^address = 0x[0-9a-f]+", f"address = 0x{address:02x}", text)
+    return re.sub(r"(?m)^address = \d+$", f"address = {address}", text)
 
 
 def _name_of(url: str, number: int) -> str:

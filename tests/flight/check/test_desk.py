@@ -1,0 +1,169 @@
+"""``heft devices --test``: devices at rest on a desk, against emulators in virtual time, and served on real ones."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from onboard.cli import BAD_INPUT, OK, main
+from onboard.cli.common import NOT_READY
+from onboard.flight.check.desk import DeskTest, alone, desk_tests, render
+from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.hil_sim.devices.twin_bench import MS
+
+ROOT = Path(__file__).resolve().parents[3]
+NAMES = ("imu_base", "bridge", "tip", "wrist", "shoulder", "servo_6")
+LINES, COLUMNS = 24, 80  # of a terminal
+
+
+def tried(directory: Path, names: tuple[str, ...], text: str = DEVICES, seconds: float = 15.0) -> dict[str, DeskTest]:
+    """Devices of the vehicle with every kind, by name."""
+    with MixedWorld(directory) as world:
+
+        def wait(waited_s: float) -> None:
+            for _ in range(max(1, round(waited_s * 1e3))):
+                world.advance(MS)
+
+        whole = vehicle(directory, world.urls, text)
+        return {
+            one.seen.device: one for one in desk_tests(alone(whole, names), names, world.clock, wait, None, seconds)
+        }
+
+
+def shown(test: DeskTest) -> list[str]:
+    """The lines of its screen."""
+    console = Console(width=COLUMNS)
+    with console.capture() as text:
+        console.print(render(test))
+    return text.get().rstrip("\n").split("\n")
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, DeskTest]:
+    return tried(tmp_path_factory.mktemp("desk"), NAMES)
+
+
+def test_rate_and_clock_are_those_of_the_emulators(found: dict[str, DeskTest]) -> None:
+    assert tuple(found) == tuple(name for name in found if name in NAMES)
+    assert set(found) == set(NAMES)
+    for name, test in found.items():
+        assert test.problems == (), name
+        assert test.seen.rate_hz == pytest.approx(test.seen.nominal_hz, rel=0.02), name
+        assert (test.lost, test.longest_gap_s) == (0, 0.0), name
+    fast = {"imu_base": 4000.0, "bridge": 7000.0, "wrist": -1000.0}  # ppm, as the world is made
+    assert {name for name, test in found.items() if test.clock_ppm is not None} == set(fast)
+    for name, ppm in fast.items():
+        test = found[name]
+        assert test.clock_ppm is not None
+        assert test.clock_sigma_ppm is not None
+        assert abs(test.clock_ppm - ppm) < 4.0 * test.clock_sigma_ppm < 400.0, name
+    assert found["tip"].clock == "the computer's, between request and answer"
+    assert found["shoulder"].clock == "that of can_sync"
+
+
+def test_what_a_device_measures_is_there_with_what_is_stated(found: dict[str, DeskTest]) -> None:
+    axes = [f"{what} {axis}" for what in ("gyro", "accel") for axis in "xyz"]
+    assert [one.name for one in found["imu_base"].signals] == axes
+    [force] = found["bridge"].signals
+    assert (force.unit, force.stated) == ("N", 0.0025)
+    assert force.mean == pytest.approx(12.7, abs=0.2)
+    assert force.drift == pytest.approx(0.02 * 15.0, rel=0.1)  # it rises by 20 mN/s, which is no noise
+    assert force.noise is not None
+    assert force.noise < 0.0025
+    assert found["imu_base"].seen.self_test.startswith("passed")
+    assert found["bridge"].seen.self_test == ""
+
+
+def test_a_screen_of_80_columns_says_it(found: dict[str, DeskTest]) -> None:
+    for test in found.values():
+        lines = shown(test)
+        assert len(lines) < LINES
+        assert max(map(len, lines)) <= COLUMNS
+        assert test.seen.device in lines[0]
+    said = "\n".join(shown(found["bridge"]))
+    assert "clock      its own, 7000 ± " in said.replace("6999", "7000").replace("7001", "7000")
+    assert "self test  it has none" in said
+    loud = [
+        text for text in found["imu_base"].warnings if "noise" in text
+    ]  # it turns by a stair, faster than is stated
+    assert [text.split(":")[0] for text in loud] == ["gyro x, gyro y, gyro z"]
+
+
+def test_more_noise_than_is_stated_is_said_with_the_remedy(tmp_path: Path) -> None:
+    """An angle that moves has noise beside its line; the same one is quiet where a radian is stated."""
+    for stated, loud in (("1e-9", True), ("1.0", False)):
+        text = DEVICES.replace("noise_rad = 9e-4", f"noise_rad = {stated}")
+        assert text != DEVICES
+        where = tmp_path / stated
+        where.mkdir()
+        test = tried(where, ("tip",), text)["tip"]
+        assert [one.too_loud for one in test.signals] == [loud]
+        assert any("state it, or look for what shakes it" in said for said in test.warnings) == loud
+        assert shown(test)[-1].strip() == ("look" if loud else "good")
+
+
+def test_a_device_that_is_not_there(tmp_path: Path) -> None:
+    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\naddress = 0x69\n', 1)
+    test = tried(tmp_path, ("imu_base",), text, 1.0)["imu_base"]
+    assert any("0x69 does not answer" in said for said in test.problems)
+    assert test.signals == ()
+    assert shown(test)[-1].strip() == "not ready"
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[dict[str, Any]]:
+    """The student's arm in a process of its own: I2C on a socket, servos on a pseudo-terminal."""
+    command = [sys.executable, "-m", "hil_sim.serve", "student_arm", "--seed", "7", "--directory", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield json.loads(process.stdout.readline())
+        process.terminate()
+
+
+@pytest.mark.realtime
+def test_from_the_command_by_kind_and_by_the_vehicle_file(served: dict[str, Any], tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    while time.monotonic_ns() < served["start_ns"] + 500 * MS:
+        time.sleep(0.05)
+    short = ["--seconds", "2", "--json", str(report)]
+    assert main(["devices", "--test", "nau7802", "--url", served["i2c_1"], *short]) == OK
+    [cell] = json.loads(report.read_text())["tests"]
+    assert (cell["kind"], cell["signals"][0]["unit"]) == ("nau7802", "N")
+    assert cell["rows"] > 20
+    servos = ["--vehicle", "student_arm", "--url", f"tty_servos={served['tty_servos']}"]
+    main(["devices", "--test", "dynamixel", *servos, *short])
+    tests = json.loads(report.read_text())["tests"]
+    assert [one["device"] for one in tests] == [f"joint_{k}" for k in range(1, 5)]
+    assert all(one["rows"] > 20 for one in tests)
+    assert [one["name"] for one in tests[0]["signals"]] == ["joint_1", "joint_1_torque"]
+    assert main(["devices", "--test", "as5600", "--url", served["i2c_1"]]) == BAD_INPUT
+
+
+def test_a_bus_that_cannot_be_opened_is_not_ready(capsys: pytest.CaptureFixture[str]) -> None:
+    there = ["--vehicle", "student_arm", "--url", "tty_servos=serial:///dev/no-such-tty?baud=1000000"]
+    assert main(["devices", "--test", "joint_2", *there, "--seconds", "0.3"]) == NOT_READY
+    assert "No such file" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--test", "hx711"], "no kind that can be tried without a vehicle file"),
+        (["--test", "qsb"], "--url 'serial:///dev/ttyUSB0?baud=230400'"),
+        (["--test", "elbow", "--vehicle", "student_arm"], "no device or kind 'elbow' on a bus; there are: imu_base"),
+        (["--test", "nau7802", "--seconds", "0"], "give the length of the test"),
+        (["--seconds", "5"], "--vehicle and --seconds are of --test"),
+        (["--test", "nau7802", "--url", "serial:///dev/ttyUSB0?baud=9600"], "no nau7802 answers on a bus"),
+    ],
+)
+def test_what_cannot_be_tried_is_a_sentence(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["devices", *arguments]) == BAD_INPUT
+    assert said in " ".join(capsys.readouterr().err.split())
