@@ -4,6 +4,7 @@ It shares nothing with the estimator: bodies are MuJoCo's, valves are switched o
 """
 
 from dataclasses import dataclass, field
+from math import cos, sin
 from pathlib import Path
 from typing import NamedTuple
 
@@ -164,22 +165,20 @@ def _integrate(
     data.qpos[2] = rng.uniform(-3.0, 3.0)
     data.qvel[:] = rng.normal(0.0, 0.01, 3)
     found = np.empty((len(acting), 3))
-    ux, uy = np.cos(angle), np.sin(angle)
-    for i, on in enumerate(acting):
+    ux, uy, each = np.cos(angle), np.sin(angle), acting * force
+    lever = (place[:, 0] - centre[0]) * uy - (place[:, 1] - centre[1]) * ux
+    pushes = np.stack([(each * ux).sum(axis=1), (each * uy).sum(axis=1), (each * lever).sum(axis=1)], axis=1).tolist()
+    (x, y), (tilt_x, tilt_y) = centre.tolist(), tilt.tolist()
+    for i, (along, across, moment) in enumerate(pushes):
         if i % 5000 == 0:
-            uneven, turning = rng.normal(0.0, 3e-4, 2), rng.normal(0.0, 5e-4)
+            (uneven_x, uneven_y), turning = rng.normal(0.0, 3e-4, 2).tolist(), rng.normal(0.0, 5e-4)
         found[i] = data.qpos
-        f = force * on
-        body = np.array([(f * ux).sum(), (f * uy).sum()])
-        moment = (f * ((place[:, 0] - centre[0]) * uy - (place[:, 1] - centre[1]) * ux)).sum()
-        c, s = np.cos(data.qpos[2]), np.sin(data.qpos[2])
-        arm = np.array([c * centre[0] - s * centre[1], s * centre[0] + c * centre[1]])
-        speed = data.qvel[:2] + data.qvel[2] * np.array([-arm[1], arm[0]])
-        pushed = np.array([c * body[0] - s * body[1], s * body[0] + c * body[1]]) + mass * (
-            tilt + uneven - drag * speed
-        )
-        data.xfrc_applied[1, :2] = pushed
-        data.xfrc_applied[1, 5] = moment + inertia * (turning - spin * data.qvel[2])
+        (vx, vy, w), yaw = data.qvel.tolist(), float(data.qpos[2])
+        c, s = cos(yaw), sin(yaw)
+        vx, vy = vx - w * (s * x + c * y), vy + w * (c * x - s * y)  # of the centre of mass
+        data.xfrc_applied[1, 0] = c * along - s * across + mass * (tilt_x + uneven_x - drag * vx)
+        data.xfrc_applied[1, 1] = s * along + c * across + mass * (tilt_y + uneven_y - drag * vy)
+        data.xfrc_applied[1, 5] = moment + inertia * (turning - spin * w)
         mujoco.mj_step(model, data)
     return found
 

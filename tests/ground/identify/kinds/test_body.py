@@ -57,17 +57,17 @@ def turned(bed):
 
 SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
 WRONG = {
-    "sign": (fly(71, 30.0, wrong=Wrong(force=SIGN)), "scale_t3"),
-    "stuck": (fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
-    "place": (fly(73, 30.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
-    "turned": (turned(fly(74, 30.0)), "against its thrusters|axes"),
+    "sign": (lambda: fly(71, 30.0, wrong=Wrong(force=SIGN)), "scale_t3"),
+    "stuck": (lambda: fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
+    "place": (lambda: fly(73, 30.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
+    "turned": (lambda: turned(fly(74, 30.0)), "against its thrusters|axes"),
 }
 
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_named(tmp_path, what):
-    bed, named = WRONG[what]
-    told = identified(tmp_path, bed)
+    flown, named = WRONG[what]
+    told = identified(tmp_path, flown())
     assert told["verdict"]["level"] == "do not use"
     assert re.search(named, told["verdict"]["text"]), told["verdict"]["text"]
 
