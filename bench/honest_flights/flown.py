@@ -14,6 +14,7 @@ from onboard.flight import hil
 from onboard.ground.campaign import instants
 from onboard.ground.campaign.results import FlightResult, of_mission
 from onboard.ground.identify.mission import mission_table
+from onboard.recording.reader import LogReader
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
@@ -35,9 +36,9 @@ def _simulated(drawn: Drawn, without: str) -> FlightResult:
         world, urls = open_in_process(scenario, drawn.seed)
         with world:
             flown = hil.fly_simulated(vehicle, world, urls, Path(directory) / "flight.mcap")
-        return of_mission(mission_table.result(flown)).with_instants(
-            instants.of_flight(flown.log, vehicle, flown.truth)
-        )
+        log = LogReader(flown.log, kept=True)
+        found = of_mission(mission_table.result(flown, log=log))
+        return found.with_instants(instants.of_flight(log, vehicle, flown.truth))
 
 
 def _without(vehicle: config.Vehicle, device: str) -> config.Vehicle:

@@ -1,6 +1,7 @@
 """Missions flown in virtual time for tests: a scenario, perhaps changed, and what came of it."""
 
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,7 +40,7 @@ class Result(NamedTuple):
 
     @property
     def log(self) -> LogReader:
-        return LogReader(self.path)
+        return _read(self.path, self.path.stat().st_mtime_ns)
 
     def mass(self, quantity: str) -> dict[str, Any]:
         return next(row for row in self.table["masses"] if row["quantity"] == quantity)
@@ -47,6 +48,12 @@ class Result(NamedTuple):
     def events(self, code: str) -> list[str]:
         rows = [row for _, rows in self.log.batches() if "severity" in (rows.dtype.names or ()) for row in rows]
         return [f"{r['source'].decode()}: {r['text'].decode()}" for r in rows if r["code"].decode() == code]
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, changed_ns: int) -> LogReader:
+    """One reader of a log as it stands, for all tests: it is decoded once."""
+    return LogReader(path, kept=True)
 
 
 def fly(

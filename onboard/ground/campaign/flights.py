@@ -81,7 +81,9 @@ def _result(item: Item, log: Path, make_world: MakeWorld) -> FlightResult:
     with world:
         flown = hil.fly_simulated(vehicle, world, urls, log)
     truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
-    return results.of_mission(mission_table.result(flown)).with_instants(instants.of_flight(log, vehicle, flown.truth))
+    read = LogReader(flown.log, kept=True)
+    result = results.of_mission(mission_table.result(flown, log=read))
+    return result.with_instants(instants.of_flight(read, vehicle, flown.truth))
 
 
 def check(items: Iterable[Item], make_world: MakeWorld) -> None:

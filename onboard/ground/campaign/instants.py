@@ -6,7 +6,6 @@ and no estimate counts. Quantities of rows are each of one phase of the motion, 
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +50,7 @@ class Instants(NamedTuple):
         )
 
 
-def of_flight(log: Path, vehicle: config.Vehicle, truth: Truth) -> dict[str, Instants]:
+def of_flight(log: LogReader, vehicle: config.Vehicle, truth: Truth) -> dict[str, Instants]:
     """The instants of each quantity whose truth is known.
 
     Args:
@@ -59,12 +58,12 @@ def of_flight(log: Path, vehicle: config.Vehicle, truth: Truth) -> dict[str, Ins
         vehicle: that flew.
         truth: of the world.
     """
-    reader, found = LogReader(log), dict[str, Instants]()
-    if "quantity" not in reader.channels:
+    found = dict[str, Instants]()
+    if "quantity" not in log.channels:
         return found
     true = {name: value for name, value in own_mission.true_values(vehicle, truth).items() if math.isfinite(value)}
     held = _held(truth) if vehicle.file.estimation.method == "exiddm" else None
-    for _, rows in reader.batches(["quantity"]):
+    for _, rows in log.batches(["quantity"]):
         shown = rows[(rows["supported"] > 0) & np.isfinite(rows["value"])]
         for raw in np.unique(shown["name"]):
             name = printable(raw)

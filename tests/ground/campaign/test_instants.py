@@ -8,6 +8,7 @@ import pytest
 
 from onboard import channels, config
 from onboard.ground.campaign.instants import CHANGING_S, of_flight
+from onboard.recording.reader import LogReader
 from tests.recording.logs import make_log
 
 START_NS = 7_000_000_000
@@ -22,7 +23,7 @@ def truth(**more: float | None) -> dict[str, Any]:
     return {**world, **none, **more}
 
 
-def told(path: Path, *estimates: tuple[str, float, float, float], level: int = 0, supported: int = 1) -> Path:
+def told(path: Path, *estimates: tuple[str, float, float, float], level: int = 0, supported: int = 1) -> LogReader:
     """A log of estimates: name, mission time s, value, half width of 95 %."""
     rows = np.zeros(len(estimates), channels.QUANTITY)
     for row, (name, at_s, value, half) in zip(rows, estimates, strict=True):
@@ -30,7 +31,7 @@ def told(path: Path, *estimates: tuple[str, float, float, float], level: int = 0
         row["value"], row["low"], row["high"] = value, value - half, value + half
         row["level"], row["supported"] = level, supported
     rows["sequence"] = np.arange(len(rows))
-    return make_log(path, {"quantity": rows})
+    return LogReader(make_log(path, {"quantity": rows}))
 
 
 def test_an_estimate_that_was_wrong_for_a_while_counts(tmp_path: Path) -> None:

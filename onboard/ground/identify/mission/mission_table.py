@@ -44,17 +44,18 @@ def _note_answers(last: dict[bytes, np.void], rows: records.Rows) -> None:
     last |= zip(newest["name"].tolist(), newest, strict=True)
 
 
-def result(flown: Flown, flew: config.Vehicle | None = None) -> Result:
+def result(flown: Flown, flew: config.Vehicle | None = None, log: LogReader | None = None) -> Result:
     """Everything the table shows, as plain JSON values.
 
     Args:
         flown: the flight.
         flew: the vehicle, for a log that has lost its head.
+        log: the flight's, where more of it is read afterwards.
 
     Raises:
         LogFormatError: the log does not say what flew, and it is not given.
     """
-    log = LogReader(flown.log)
+    log = LogReader(flown.log) if log is None else log
     seen = accounts.Seen(flown.produced, int(flown.truth["start_ns"]))
     last, events = dict[bytes, np.void](), list[np.void]()
     for batch in log.batches():  # all that is wanted of it in one pass
