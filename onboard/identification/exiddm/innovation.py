@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, refused_from
 from onboard.identification.evidence.bank import Known
@@ -70,15 +70,11 @@ class Innovations:
         predictor: of its instruments.
         fusion: which of them it uses.
         rivals: what may not be as stated; its constants are not held against what is stated one by one.
-
-    Attributes:
-        may_be_wrong: places in the state of constants that the filter takes for far less certain than stated.
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
         self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
         self._steps = rivals.steps
-        self.may_be_wrong: IndexArray = np.zeros(0, np.intp)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self._alone = [
@@ -194,7 +190,7 @@ class Innovations:
         """
         stated = stated_after(self._predictor, self._fusion.running_s)
         known = np.isfinite(stated) & (stated > 0.0)
-        known[self.may_be_wrong] = False
+        known[self._rivals.freed_at] = False  # taken for far less certain than stated
         for k in self._fusion.left_out:
             known[self._predictor.of_each[k]] = False
         return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())

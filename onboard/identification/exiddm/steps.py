@@ -51,6 +51,14 @@ class Inside(NamedTuple):
         return np.asarray((np.arange(size)[:, None] == self.at) * self.size, np.float64)
 
 
+class Adds(NamedTuple):
+    """What a step adds to a state that is estimated as if there were none."""
+
+    at: int  # place of what stepped
+    shift: FloatArray  # (p,)
+    root: FloatArray  # (p,): its product with itself is what is added to the covariance
+
+
 _NONE: IndexArray = np.zeros(0, np.intp)
 NO_STEPS = Inside(_NONE, _NONE, np.zeros(0), _NONE)
 

@@ -28,7 +28,7 @@ from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect, 
 from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.steps import Steps
+from onboard.identification.exiddm.steps import Adds, Steps
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
@@ -74,6 +74,26 @@ class Rivals:
         number = next(k for k, one in enumerate(steps) if one is weighed.likeliest)
         M = 1.0 + max(float(J[number]), 0.0)
         return Believed(number, float(d[number]) / M, 1.0 / M)
+
+    def adds(self, state: FloatArray, covariance: FloatArray) -> Adds | None:
+        """What that step adds to the filter's state and covariance."""
+        if (step := self.step(state, covariance)) is None:
+            return None
+        D = self.steps.changed.D[:, step.number]
+        return Adds(int(self.steps.suspects[step.number].at[0]), D * step.size, D * step.variance**0.5)
+
+    def adopting(self, known: Known, step: Adds | None, initial: Known) -> tuple[Known, Known]:
+        """What is known of all that comes after a step, and before the first tick.
+
+        What stepped is from now on a constant, of which nothing better is known before than of one that is wrong.
+        """
+        if step is None:
+            return known, initial
+        before, (state, covariance) = self.freed, known
+        alike = (k for k, one in enumerate(self._bank.suspects) if one.at.tolist() == [step.at])
+        self.freed, self._of = tuple(sorted({*before, *alike})), None
+        known = state + step.shift, covariance + np.outer(step.root, step.root)
+        return known, initial if self.freed == before else self._free(initial, before, self.freed)
 
     @property
     def at(self) -> IndexArray:

@@ -6,6 +6,7 @@ import pytest
 from onboard import config
 from onboard.dynamics.model.payload import body_of
 from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.suspects import ALL_MASSES, Rivals, suspects_of
 
@@ -152,6 +153,32 @@ def test_what_counts_is_freed_once_and_taken_back_where_it_is_weighed(predictor:
     assert set(rivals.freed_at) == {*at, zero}
     assert rivals.weighed(*free((mean, covariance))).names[0] in ("base and zero_joint_1", "zero_joint_1 and base")
     np.testing.assert_allclose(rivals.weighed(*free((mean, covariance))).stated[1][at, at], P[at, at], atol=1e-9)
+
+
+def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predictor: ImuPredictor) -> None:
+    """By 2 %, told to 0.1 %; the filter, which does not follow it, still has what is stated."""
+    rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    assert rivals.adds(x, P) is None
+    D, (d, J) = np.zeros((len(x), 2)), np.zeros((2, 2))
+    D[scale, 0], d[0], J[0] = 0.1, 2e3, 1e4 - 1.0
+    rivals.steps.changed = Changed(D, d, J)
+    step = rivals.adds(x, P)
+    assert step is not None
+    assert step.at == scale
+    assert (step.shift[scale], step.root[scale]) == (pytest.approx(0.02), pytest.approx(1e-3))
+    initial = x.copy(), P
+    (mean, covariance), before = rivals.adopting((x, P), step, initial)
+    rivals.steps.forget()
+    assert rivals.freed_at.tolist() == [scale]
+    assert before[1][scale, scale] == pytest.approx(P[scale, scale] + 0.1**2)  # as of a scale that is wrong
+    weighed = rivals.weighed(mean, covariance)
+    assert "load_cell" in weighed.names
+    (alone,) = (one for one in weighed.every if one.numbers == rivals.freed)
+    found = weighed.known(alone)
+    np.testing.assert_allclose(found[0], x + step.shift, atol=1e-9)
+    assert found[1][scale, scale] == pytest.approx(P[scale, scale] + 1e-6, rel=1e-6)
+    assert rivals.adopting((mean, covariance), None, before) == ((mean, covariance), before)
 
 
 def test_a_base_s_centre_of_mass_is_off_by_a_tenth_of_the_rms_distance_of_its_mass(predictor: ImuPredictor) -> None:

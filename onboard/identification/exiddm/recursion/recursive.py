@@ -150,7 +150,7 @@ class RecursiveExiddm(Holding):
         if batches_back is None:
             now = self._initial
         elif len(self._snapshots):
-            now = self._snapshots.back(batches_back)
+            now, self._initial = self.rivals.adopting(*self._snapshots.back(batches_back), self._initial)
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, now)
 
@@ -338,7 +338,8 @@ class RecursiveExiddm(Holding):
                 self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
                 return
             self._stepped = None if self._stepped.over else self._stepped
-        self._snapshots.append(self.state, self.covariance)
+        adds = self.rivals.adds(self.state, self.covariance) if self.held else None
+        self._snapshots.append(self.state, self.covariance, adds)
         self._snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare()
@@ -351,7 +352,6 @@ class RecursiveExiddm(Holding):
         self.state, self.covariance = free((self.state, self.covariance))
         self._snapshots.become(free)
         self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
-        self._innovations.may_be_wrong = self.rivals.freed_at
         self._linearised.begin_anew()
 
     def _compare(self) -> None:

@@ -20,6 +20,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RAT
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis
+from onboard.identification.exiddm.steps import Adds
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
 TIERS = ((8, 1), (28, 4), (80, 16))  # (n, k): every k-th of the n newest batches is kept
@@ -90,6 +91,7 @@ class _Kept(NamedTuple):
     number: int  # of the batch
     state: FloatArray  # (p,)
     triangle: FloatArray  # (p (p + 1) / 2,)
+    step: Adds | None = None  # one that was believed
 
 
 class Snapshots:
@@ -132,12 +134,18 @@ class Snapshots:
             return batches, None
         ticks = None if self._moved is None else self._moved.part(slice(None, -(batches + 1) * BATCH_TICKS))
         known = ticks is not None and len(ticks.time_s) >= self._fewest
-        return self._moving + 1, Before(ticks, self.back(batches + 1)) if known and ticks is not None else None
+        return self._moving + 1, Before(ticks, self.back(batches + 1)[0]) if known and ticks is not None else None
 
-    def append(self, state: FloatArray, covariance: FloatArray) -> None:
-        """Keep a state, (p,), and its covariance, (p, p)."""
+    def append(self, state: FloatArray, covariance: FloatArray, step: Adds | None = None) -> None:
+        """Keep a state, (p,), and its covariance, (p, p).
+
+        Args:
+            state: as if there were no step in flight.
+            covariance: of that.
+            step: that is believed; forgotten where all that is kept becomes something else.
+        """
         self._newest += 1
-        self._kept.append(_Kept(self._newest, state, covariance.ravel()[_upper(len(state))]))
+        self._kept.append(_Kept(self._newest, state, covariance.ravel()[_upper(len(state))], step))
         oldest = [one for one in self._kept if self._newest - one.number >= self._tiers[-1][0] - 1][-1:]
         self._kept = oldest + [one for one in self._kept if self._stays(self._newest - one.number, one.number)]
 
@@ -152,10 +160,14 @@ class Snapshots:
             kept.append(_Kept(one.number, state, covariance.ravel()[_upper(len(state))]))
         self._kept = kept
 
-    def back(self, batches: int) -> tuple[FloatArray, FloatArray]:
-        """State and covariance so many before the newest, or of the next older one; the oldest where there is none."""
+    def back(self, batches: int) -> tuple[Known, Adds | None]:
+        """State and covariance so many before the newest, or of the next older one; the oldest where there is none.
+
+        And the step that was believed then.
+        """
         wanted = self._newest - batches
-        return _unpacked(next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0]))
+        found = next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0])
+        return _unpacked(found), found.step
 
 
 def _unpacked(kept: _Kept) -> Known:
