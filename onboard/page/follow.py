@@ -19,7 +19,7 @@ from onboard.ring import RingReader
 
 _MOST_ROWS = 4096  # per ring and look
 _SAMPLES = 1024  # of a device, or rows of the regression, in a look
-_READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST)
+_READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST, channels.INNOVATION)
 
 
 class Followed:
@@ -79,6 +79,11 @@ class Followed:
     def about(self) -> dict[str, Any]:
         """What the page needs once: see :func:`about`."""
         return about(self.state, steps=None)
+
+    @property
+    def directory(self) -> Path | None:
+        """Of its rings; None before it has begun."""
+        return self._directory
 
     def _find(self) -> None:
         found = None

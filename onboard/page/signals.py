@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import IMU, POSE, SCALAR, Rows, SampleStatus
+from onboard.channels import INNOVATION
 from onboard.estimation.gates import GateReason
 from onboard.recording.format.texts import printable
 
@@ -23,6 +24,7 @@ _KINDS: dict[np.dtype[np.void], tuple[_Kind, ...]] = {
     IMU: (("specific force", "m/s^2", ("x", "y", "z")), ("rate", "rad/s", ("x", "y", "z"))),
     POSE: (("position", "m", ("x", "y", "z")), ("attitude", "1", ("w", "x", "y", "z"))),
 }
+_ERRORS: tuple[_Kind, ...] = (("rate", "sigma", ("x", "y", "z")), ("specific force", "sigma", ("x", "y", "z")))
 _ROWS: tuple[_Kind, ...] = (("rows", "%", ("used", "contradicting")),)
 
 
@@ -65,11 +67,15 @@ class Signals:
         self._channels: dict[str, _Channel] = {}
 
     def add(self, name: str, rows: Rows) -> None:
-        """Take in rows of a device's channel or of the regression; those of a kind that is not known are left out."""
+        """Take in rows of a device, of the regression, of prediction errors; those of a kind not known are left out."""
         if "gate" in (rows.dtype.names or ()):
             gate = rows["gate"].reshape(len(rows), -1)  # (n, lines of the regression)
             against = gate & (GateReason.RESIDUAL | GateReason.LEFT_OUT) != 0
             self._add(name, _ROWS, rows, 100.0 * np.stack([(gate == 0).mean(axis=1), against.mean(axis=1)], axis=1))
+            return
+        if rows.dtype == INNOVATION:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                self._add("innovation", _ERRORS, rows, rows["error"] / rows["sigma"])
             return
         if "status" not in (rows.dtype.names or ()):
             return
@@ -98,7 +104,9 @@ class Signals:
     def names(self) -> list[str]:
         """Of all signals so far; those without a unit of physics, such as phases, are last."""
         found = [
-            (unit in ("1", "%"), _name(its, kind)) for its, one in self._channels.items() for kind, unit, _ in one.kinds
+            (unit in ("1", "%", "sigma"), _name(its, kind))
+            for its, one in self._channels.items()
+            for kind, unit, _ in one.kinds
         ]
         return [name for _, name in sorted(found)]
 

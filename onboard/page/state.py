@@ -141,6 +141,8 @@ class State:
             self.signals.add("estimator", rows)
         elif {"act", "ratio", "segment"} <= fields:
             self._request = rows[-1]
+        elif rows.dtype == channels.INNOVATION:
+            self.signals.add(name, rows)
         elif is_device(rows.dtype):
             stream = self._streams.setdefault(name, _Stream())
             stream.saw(stream.rows + len(rows), int(rows["host_ns"].max()))

@@ -77,3 +77,15 @@ def test_a_clock_that_steps_back_keeps_the_order() -> None:
     rows["host_ns"], rows["value_raw"], rows["scale"] = [START + SECOND, START, START + 2 * SECOND], [1, 5, 2], 1.0
     found.add("joint_1", rows)
     assert found.of("joint_1", START)["points"] == [[1.0, 1.0, 5.0], [2.0, 2.0, 2.0]]
+
+
+def test_prediction_errors_are_shown_in_their_sigmas() -> None:
+    found, rows = Signals(), np.zeros(4, channels.INNOVATION)
+    rows["host_ns"], rows["sigma"] = START, [[0.5] * 3 + [2.0] * 3] * 3 + [[np.nan] * 6]
+    rows["error"][:3] = [[0.1, 0, 0, 0, 0, -3.0], [-2.0, 0, 0, 0, 0, 1.0], [0.1, 0, 0, 0, 0, 0]]
+    found.add("innovation", rows)
+    assert found.names() == ["innovation rate", "innovation specific force"]
+    told = found.of("innovation rate", START)
+    assert (told["unit"], told["components"]) == ("sigma", ("x", "y", "z"))
+    assert told["points"][0][1:3] == pytest.approx([-4.0, 0.2])
+    assert found.of("innovation specific force", START)["points"][0][5:] == pytest.approx([-1.5, 0.5])

@@ -5,7 +5,7 @@ was supported at any time is now *do not use*; ``answers_again``: it is supporte
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,9 +15,20 @@ from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
+from onboard.identification.exiddm.innovation import Told
 from onboard.identification.quantities import Estimate, Findings
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
+
+
+def innovation_rows(now_ns: int, told: Sequence[Told]) -> Rows:
+    """INNOVATION rows (n,) of batches whose errors were noted."""
+    rows = np.zeros(sum(len(one.time_s) for one in told), channels.INNOVATION)
+    rows["host_ns"] = now_ns
+    rows["vehicle_ns"] = np.round(np.concatenate([one.time_s for one in told]) * 1e9)
+    for field in ("error", "sigma", "used"):
+        rows[field] = np.concatenate([getattr(one, field) for one in told])
+    return rows
 
 
 def useful_of(vehicle: config.Vehicle) -> Useful:

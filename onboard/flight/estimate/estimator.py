@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
-from onboard.flight.estimate.answers import Answers, change_event, useful_of
+from onboard.flight.estimate.answers import Answers, change_event, innovation_rows, useful_of
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.problem.identification import METHODS, build_online, channels_of, with_hypotheses
@@ -119,6 +119,8 @@ class Estimator:
             "quantity": channels.QUANTITY,
         }
         self._asking = None if vehicle.segments is None else Asking(vehicle, vehicle.segments, self.online, self.model)
+        if isinstance(self.online, ExiddmIdentifier):
+            self.outputs["innovation"] = channels.INNOVATION
         if self._asking is not None:
             self.outputs["request"] = channels.REQUEST
         self._answers = Answers(self.outputs["estimate"], settings.nuisance, useful_of(vehicle))
@@ -149,7 +151,7 @@ class Estimator:
 
     def go_on_from(self, sequences: Mapping[str, int]) -> None:
         """Number the rows of each output from here on: another estimator's came before."""
-        self._sequence = dict(sequences)
+        self._sequence |= sequences
 
     def process(
         self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None, skipped_ns: int = 0
@@ -228,6 +230,8 @@ class Estimator:
         if final:
             self.online.finish()
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
+        if isinstance(self.online, ExiddmIdentifier) and (errors := self.online.prediction_errors()):
+            made.append(self._numbered("innovation", innovation_rows(now_ns, errors)))
         for change in self.online.news():
             if change.kind == "release_contradicted":
                 self._phases.reject_release()

@@ -1,5 +1,6 @@
 """Whitened innovations of a batch of ticks: ``S = H P H' + 1 = L L'``, lines by instrument (see ``fusion``)."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,15 +20,26 @@ from onboard.identification.exiddm.prediction.ticks import Prediction
 from onboard.identification.exiddm.suspects import Believed, Rivals
 
 _LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
+_MOST_TOLD = 256  # batches whose errors wait to be taken out
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
 class Batch(NamedTuple):
-    """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines)."""
+    """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines); their times."""
 
     predicted: Prediction
     measured: FloatArray
     sigma: FloatArray
+    time_s: FloatArray  # (b,)
+
+
+class Told(NamedTuple):
+    """Prediction errors of the reference IMU, (b, 6): gyro, accelerometer."""
+
+    time_s: FloatArray  # (b,)
+    error: FloatArray  # measured less predicted
+    sigma: FloatArray  # of the error; NaN where it was not measured
+    used: BoolArray  # (b,)
 
 
 class Innovation(NamedTuple):
@@ -70,11 +82,15 @@ class Innovations:
         predictor: of its instruments.
         fusion: which of them it uses.
         rivals: what may not be as stated; its constants are not held against what is stated one by one.
+
+    Attributes:
+        told: errors of the batches since they were last taken out.
     """
 
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
         self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
         self._steps = rivals.steps
+        self.told: deque[Told] = deque(maxlen=_MOST_TOLD)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self._alone = [
@@ -203,12 +219,24 @@ class Innovations:
             covariance[at, at] += (_FREE * self._predictor.sigma[at]) ** 2
         return mean, covariance
 
+    def of_batch(self, batch: Batch, there: BoolArray, covariance: FloatArray) -> Innovation:
+        """The first of a batch, which is told: nothing is left out of it yet; see :meth:`of`."""
+        innovation = self.of(batch, there, self._fusion.order, covariance)
+        own, lines = self._lines[self._fusion.reference], 6 * innovation.ticks
+        L, sigma = innovation.L[:lines, :lines], batch.sigma[:, own]
+        wide = np.where(there[:, own], np.sqrt(np.einsum("ij,ij->i", L, L)).reshape(-1, 6) * sigma, np.nan)
+        error = (batch.measured - batch.predicted.values)[:, own]
+        self.told.append(Told(batch.time_s, error, wide, there[:, own.start].copy()))
+        return innovation
+
     def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> FloatArray:
         """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit.
 
         Returns:
             The reference's whitened innovation at the ticks that were used, gyro then accelerometer, (6 u,).
         """
+        if self.told:
+            self.told[-1].used[:] = there[:, self._lines[self._fusion.reference].start]
         lines = 6 * innovation.ticks
         rows = np.arange(lines).reshape(-1, 6)[there[:, self._lines[self._fusion.reference].start]]
         e = innovation.e[rows.ravel()]

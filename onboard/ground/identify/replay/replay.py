@@ -186,7 +186,8 @@ def _published_before(log: LogReader, restarts_ns: Sequence[int], outputs: Itera
 def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int], tell: Callable[[], None]) -> Replay:
     require_kinds(log, vehicle)
     estimator = Estimator(vehicle)
-    outputs = estimator.outputs
+    made_since = {"innovation"} - log.channels.keys()  # a log of a heft before it
+    outputs = {name: dtype for name, dtype in estimator.outputs.items() if name not in made_since}
     rows = Pass(log, [*estimator.inputs, "tick", *outputs])
     channels = {name: Comparison(dtype) for name, dtype in outputs.items()}
     short = ""

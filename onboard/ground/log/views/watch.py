@@ -18,6 +18,7 @@ from rich.text import Text
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard import channels
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.flight.health.status import standing
 from onboard.ground.log.views.health import PROCESSES, is_health
 from onboard.ground.log.views.standing import is_withdrawn, standing_of
@@ -107,6 +108,7 @@ class Board:
         self._clocks: dict[str, np.void] = {}
         self.answers: dict[str, _Answer] = {}
         self._gates: deque[tuple[int, np.ndarray]] = deque()
+        self._errors: deque[tuple[int, np.ndarray]] = deque()  # (n, 6) in their sigmas
         self._used = self._total = 0
         self._events: deque[tuple[int, int, str]] = deque(maxlen=_EVENTS)
         self._mode = self._phase = ""
@@ -139,6 +141,8 @@ class Board:
             self._gates.append((newest, rows["gate"].copy()))
             self._total += rows["gate"].size
             self._used += int(np.count_nonzero(rows["gate"] == 0))
+        elif rows.dtype == channels.INNOVATION:
+            self._errors.append((newest, rows["error"] / rows["sigma"]))
 
     def _say(self, rows: Rows) -> None:
         for row in rows:
@@ -152,7 +156,7 @@ class Board:
 
     def render(self) -> RenderableType:
         """The board as a renderable."""
-        clocks = Group(self._clock_table(), Text(), self._gate_lines(), Text())
+        clocks = Group(self._clock_table(), Text(), self._gate_lines(), *self._error_lines(), Text())
         tables = [Group(self.channel_table(), Text()), clocks]
         side = Columns(tables, padding=(0, 3))  # one below the other where the terminal is too narrow
         parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
@@ -220,6 +224,22 @@ class Board:
             if count:
                 lines.append(f"\n  {100 * count / recent.size:3.0f} % {(reason.name or '').lower().replace('_', ' ')}")
         return lines
+
+    def _error_lines(self) -> list[Text]:
+        """Prediction errors of the base IMU in their sigmas, of the last two seconds: 1 where all is as stated."""
+        while self._errors and self._errors[0][0] < self.now_ns - _RATE_NS:
+            self._errors.popleft()
+        known = [one[np.isfinite(one).all(axis=1)] for _, one in self._errors]
+        if not any(map(len, known)):
+            return []
+        rms = np.sqrt(np.mean(np.concatenate(known) ** 2, axis=0))
+        shown = [" ".join(f"{one:.2f}" for one in rms[part]) for part in (slice(3), slice(3, 6))]
+        return [
+            Text(
+                f"innovations over sigma: rate {shown[0]}, specific force {shown[1]}",
+                "yellow" if rms.max() ** 2 > MISFIT_DOUBTED else "",
+            )
+        ]
 
     def _answer_table(self) -> Table:
         table = _table("estimate", "value", "95 % ±", "", "", "so far")

@@ -69,6 +69,7 @@ class RecursiveExiddm(Holding):
         unexplained: windows that no hypothesis explains.
         undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
         lines: coherent lines in the reference IMU's innovations.
+        innovations: of its batches; takes note of the reference IMU's.
         fusion: the instruments, and which of them are left out.
         rivals: what may not be as stated.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
@@ -96,7 +97,7 @@ class RecursiveExiddm(Holding):
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
         self.rivals, self._initial = Rivals(predictor), initially(predictor, known)
-        self._innovations = Innovations(predictor, self.fusion, self.rivals)
+        self.innovations = Innovations(predictor, self.fusion, self.rivals)
         self._open(at_first(held, known is not None), self._initial)
 
     def settled(self) -> bool:
@@ -115,7 +116,7 @@ class RecursiveExiddm(Holding):
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
         imu = next(k for k in self.fusion.imus if k not in trial.without)
-        prior, start = self._innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
+        prior, start = self.innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
         steps = self.rivals.steps.inside(len(seen.time_s) - 2)
@@ -230,7 +231,7 @@ class RecursiveExiddm(Holding):
         old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
         self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
         self._explained(choice.found, instrument=True)
-        if anew or (old and (not self.held or self._innovations.misled(choice.found.state))):
+        if anew or (old and (not self.held or self.innovations.misled(choice.found.state))):
             window, self._asked = self._window, None
             self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
             self._pending, self._solves = window, length
@@ -298,11 +299,11 @@ class RecursiveExiddm(Holding):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
         self.covariance = self._linearised.known(self.covariance)
-        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
+        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
         state, covariance, suspect, used = self.state, self.covariance, False, 0
         there = self.fusion.whole(batch.measured)
         try:
-            innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+            innovation = self.innovations.of_batch(batch, there, covariance)
         except SingularError:
             self.glitches += BATCH_TICKS
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
@@ -318,11 +319,11 @@ class RecursiveExiddm(Holding):
             if verdict.glitches.any() and not suspect:
                 self.glitches += int(verdict.glitches.sum())
                 there[base[verdict.glitches], own] = False
-                innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
-            judged = self._innovations.judge(innovation.judged(step), there, self.misfit)
+                innovation = self.innovations.of(batch, there, self.fusion.order, covariance)
+            judged = self.innovations.judge(innovation.judged(step), there, self.misfit)
             self.lines.add(judged, there[:, own.start])
         if not suspect:
-            innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit, step)
+            innovation, used = self.innovations.agreeing(batch, there, covariance, innovation, self.misfit, step)
             state, covariance = innovation.corrected(used, state, covariance)
             self.ticks_used += int(there[:, own.start].sum())
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
@@ -361,7 +362,7 @@ class RecursiveExiddm(Holding):
         if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
             self._free(free)
             return
-        accused = self.fusion.standing(self._innovations.contradicting(self.state, self.covariance))
+        accused = self.fusion.standing(self.innovations.contradicting(self.state, self.covariance))
         if accused is not None:
             self._before = bool(self.held)
             kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW

@@ -212,3 +212,21 @@ def test_nothing_to_watch(arguments, said, capsys, monkeypatch):
     monkeypatch.setattr(manifest, "running", list)
     assert cli.main(arguments) == cli.BAD_INPUT
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("factor", "is_marked"), [(1.0, False), (1.3, True)])
+def test_prediction_errors_of_the_last_two_seconds_stand_in_their_sigmas(factor, is_marked):
+    rows = np.zeros(400, channels.INNOVATION)
+    rows["sequence"], rows["host_ns"] = np.arange(400), SECOND + np.arange(400) * 10 * MS
+    rows["sigma"] = 0.5
+    rows["error"] = np.where(np.arange(400)[:, None] < 190, 50.0, 0.5 * np.where(np.arange(400) % 2, 1, -1)[:, None])
+    rows["error"][:, 4] *= factor
+    rows["sigma"][350] = np.nan
+    board = Board("x")
+    for at in range(0, 400, 10):
+        board.add(Batch("innovation", rows[at : at + 10]))
+    text = shown(board, 160)
+    assert f"innovations over sigma: rate 1.00 1.00 1.00, specific force 1.00 {factor:.2f} 1.00" in text
+    [told] = board._error_lines()
+    assert (told.style == "yellow") == is_marked
+    assert "innovations" not in shown(Board("x"), 160)
