@@ -219,7 +219,7 @@ def say_page(url: str, *, json_lines: bool = False) -> None:
 
 
 @contextmanager
-def serve_page(arguments: Any, log: Path) -> Iterator[None]:
+def serve_page(arguments: Any, log: Path, vehicle: "config.Vehicle") -> Iterator[None]:
     """The page process of ``--page`` while a flight to ``log`` lasts; none without the option.
 
     Raises:
@@ -231,7 +231,7 @@ def serve_page(arguments: Any, log: Path) -> Iterator[None]:
         return
     from onboard.page.process import serving
 
-    with serving(log, address, arguments.page_plan) as url:
+    with serving(log, address, arguments.page_plan, vehicle.file.telemetry.commands, vehicle.urdf_path) as url:
         say_page(url, json_lines=getattr(arguments, "json_lines", False))
         yield
 

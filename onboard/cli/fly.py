@@ -89,7 +89,7 @@ def _fly(arguments: argparse.Namespace) -> int:
             runner.Servers(vehicle, shared=True) as servers,  # before there are threads
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
             serve_live(arguments.live, log),
-            serve_page(arguments, log),
+            serve_page(arguments, log, vehicle),
             send_telemetry(arguments.telemetry, log, vehicle),
         ):
             flight = runner.fly(

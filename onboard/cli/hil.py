@@ -114,7 +114,7 @@ def _hil(arguments: argparse.Namespace) -> int:
             try:
                 with (
                     serve_live(arguments.live, log),
-                    serve_page(arguments, log),
+                    serve_page(arguments, log, vehicle),
                     send_telemetry(arguments.telemetry, log, vehicle),
                 ):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))

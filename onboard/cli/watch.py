@@ -41,6 +41,12 @@ def add(commands: Commands) -> None:
         "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as possible)"
     )
     add_page(watch, "it")
+    watch.add_argument(
+        "--page-meshes",
+        type=Path,
+        metavar="URDF",
+        help="draw on it the meshes that lie beside this file of the vehicle",
+    )
     watch.set_defaults(command=_watch)
 
 
@@ -49,6 +55,8 @@ def _watch(arguments: argparse.Namespace) -> int:
         raise ValueError("watch what? Give a log to play, or --live for the flight that is running")
     if arguments.speed < 0:
         raise ValueError(f"--speed {arguments.speed:g}: give 0 or more")
+    if arguments.page_meshes is not None and not arguments.page_meshes.is_file():
+        raise ValueError(f"--page-meshes {arguments.page_meshes}: there is no such file; give the vehicle's URDF")
     if (address := page_address(arguments)) is not None:
         return _page(arguments, address)
     return _live() if arguments.live else _play(arguments.log, arguments.speed)
@@ -64,7 +72,9 @@ def _page(arguments: argparse.Namespace, address: str) -> int:
     log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
     try:
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(serve(source, addresses.parse(address), say_page, arguments.page_plan))
+            asyncio.run(
+                serve(source, addresses.parse(address), say_page, arguments.page_plan, urdf=arguments.page_meshes)
+            )
     except OSError as error:
         place = address or addresses.DEFAULT_HOST
         raise ValueError(f"--page-address {place}: {error.strerror or error}; give another address") from error

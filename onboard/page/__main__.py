@@ -1,4 +1,4 @@
-"""``python -m onboard.page LOG ADDRESS``, as ``heft fly --page`` starts it."""
+"""``python -m onboard.page LOG ADDRESS [SETTINGS]``, as ``heft fly --page`` starts it."""
 
 import sys
 

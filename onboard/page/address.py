@@ -1,7 +1,7 @@
 """Where the page is served, and who may ask for it.
 
 On the loopback interface anybody of this computer may. On another, of which the team says that it owns it, the paths
-begin with a token that only the printed address has.
+begin with a token that only the printed address has; so they do where something can be done through the page.
 """
 
 import contextlib
@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8787
 LONGEST_REQUEST = 8192  # bytes
+ACT, LONGEST_ACT = "act", 512  # path and bytes of what is asked of the flight
 LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
@@ -46,9 +47,9 @@ def parse(text: str) -> Address:
     return Address(found[1].strip("[]") or DEFAULT_HOST, port, fixed=found[2] is not None)
 
 
-def token_for(address: Address) -> str:
-    """A new token of 128 bits; empty where only this computer reaches the page."""
-    return "" if address.is_local else secrets.token_urlsafe(16)
+def token_for(address: Address, *, acts: bool = False) -> str:
+    """A new token of 128 bits; empty where only this computer reaches the page, and it can do nothing."""
+    return "" if address.is_local and not acts else secrets.token_urlsafe(16)
 
 
 def url(address: Address, port: int, token: str) -> str:
@@ -70,23 +71,29 @@ def _outward(version: int) -> str:
 
 
 class Request(NamedTuple):
-    """Path and query of a request that may be answered; or the status that refuses it."""
+    """Path and query of a request that may be answered; or the status that refuses it.
+
+    ``body``: bytes of a POST's body; None of a GET.
+    """
 
     path: str
     query: str = ""
     refused: str = ""
+    body: int | None = None
 
 
-def judge(head: bytes, address: Address, token: str) -> Request:
+def judge(head: bytes, address: Address, token: str, *, acts: bool = False) -> Request:
     """Read the head of a request and say whether it may be answered.
 
-    Refused are, by HTTP status: what is no GET (405); without a token a Host that is a foreign name (403), which
+    Refused are, by HTTP status: what is no GET (405), but a POST of ``act`` where the page has acts, which must be of
+    the page itself (403), JSON (415) and short (413); without a token a Host that is a foreign name (403), which
     DNS can have point here; a page of another origin (403), by Origin or Sec-Fetch-Site; no token in the path (404).
 
     Args:
         head: of the request, to the empty line.
         address: that is served.
         token: that paths begin with, or empty.
+        acts: whether something can be done through the page; only with a token.
     """
     first, *lines = head.decode("latin-1").split("\r\n")
     asked = re.fullmatch(r"([A-Z]+) (/[!-~]*) HTTP/1\.[01]", first)
@@ -96,22 +103,25 @@ def judge(head: bytes, address: Address, token: str) -> Request:
         headers.setdefault(name.strip().lower(), []).append(value.strip())
     if asked is None or len(headers.get("host", [])) != 1 or len(headers.get("origin", [])) > 1:
         return Request("", refused="400 Bad Request")
-    if refused := _refusal(asked[1], headers, None if token else address):
+    if refused := _refusal(asked[1], headers, None if token else address, acts=acts and bool(token)):
         return Request("", refused=refused)
+    body = int(headers["content-length"][0]) if asked[1] == "POST" else None
     path, _, query = asked[2].partition("?")
     if not token:
-        return Request(path, query)
+        return Request(path, query, "", body)
     given, separator, rest = path.removeprefix("/").partition("/")
     if not separator or not hmac.compare_digest(given.encode("latin-1"), token.encode()):
         return Request("", refused="404 Not Found")
-    return Request(f"/{rest}", query)
+    if body is not None and rest != ACT:
+        return Request("", refused="405 Method Not Allowed")
+    return Request(f"/{rest}", query, "", body)
 
 
-def _refusal(method: str, headers: dict[str, list[str]], address: Address | None) -> str:
+def _refusal(method: str, headers: dict[str, list[str]], address: Address | None, *, acts: bool) -> str:
     """The status, or nothing. Without an address any name will do: a page that has DNS point here has no token."""
     [named] = headers["host"]
     host = _host(f"//{named}")
-    if method != "GET":
+    if method != "GET" and not (acts and method == "POST"):
         return "405 Method Not Allowed"
     if host is None or not (address is None or _may_be_called(host, address)):
         return "403 Forbidden Host"
@@ -119,7 +129,19 @@ def _refusal(method: str, headers: dict[str, list[str]], address: Address | None
     navigates = headers.get("sec-fetch-mode", [""])[0] == "navigate"  # a link elsewhere may lead here
     if any(one != f"http://{named}" for one in headers.get("origin", [])) or (foreign and not navigates):
         return "403 Forbidden Origin"
-    return ""
+    return _refusal_of_act(headers) if method == "POST" else ""
+
+
+def _refusal_of_act(headers: dict[str, list[str]]) -> str:
+    """A form of another page can send neither this type nor, in a browser, no Origin."""
+    if not headers.get("origin") or headers.get("sec-fetch-site", ["same-origin"]) != ["same-origin"]:
+        return "403 Forbidden Origin"
+    if [one.partition(";")[0].strip().lower() for one in headers.get("content-type", [])] != ["application/json"]:
+        return "415 Unsupported Media Type"
+    length = headers.get("content-length", [])
+    if len(length) != 1 or not re.fullmatch(r"[0-9]{1,9}", length[0]) or "transfer-encoding" in headers:
+        return "411 Length Required"
+    return "413 Content Too Large" if int(length[0]) > LONGEST_ACT else ""
 
 
 def _may_be_called(host: str, address: Address) -> bool:

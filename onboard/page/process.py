@@ -2,13 +2,16 @@
 
 import asyncio
 import contextlib
+import json
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.page import address as addresses
+from onboard.page.acts import ACTS, Acts
 from onboard.page.follow import Followed, packed
 from onboard.page.plan import read
 from onboard.page.web import Source, Web
@@ -17,9 +20,26 @@ FRAME_S = 0.25
 _CHECK_EVERY = 4  # frames
 
 
+class _Given(NamedTuple):
+    """What the process is started with besides."""
+
+    acts: list[str]
+    plan: str | None
+    urdf: str | None
+
+
 @contextlib.contextmanager
-def serving(log: Path, address: str, plan: Path | None = None) -> Iterator[str]:
+def serving(
+    log: Path, address: str, plan: Path | None = None, acts: Sequence[str] = (), urdf: Path | None = None
+) -> Iterator[str]:
     """Run a page process for the flight recorded to ``log`` while the context lasts.
+
+    Args:
+        log: of the flight.
+        address: to bind to.
+        plan: whose expected intervals are shown.
+        acts: orders that its vehicle file arms; they can be given on the loopback interface alone.
+        urdf: of the vehicle, beside which its meshes lie.
 
     Yields:
         The page's address, with the token where it needs one.
@@ -29,17 +49,21 @@ def serving(log: Path, address: str, plan: Path | None = None) -> Iterator[str]:
     """
     addresses.parse(address)
     read(plan)
-    with beside("onboard.page", [str(log), address, *([] if plan is None else [str(plan)])], "--page") as url:
+    given = _Given(list(acts), *(None if one is None else str(one.absolute()) for one in (plan, urdf)))
+    with beside("onboard.page", [str(log), address, json.dumps(given)], "--page") as url:
         yield url
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Body of the process; ``arguments`` are the log's path, the checked address, and a plan's path if there is one."""
+    """Body of the process; ``arguments``: the log's path, the checked address, and :class:`_Given` as JSON, or not."""
     log, address = Path(arguments[0]).absolute(), addresses.parse(arguments[1])
     followed = Followed(log, settle())
-    plan = Path(arguments[2]) if len(arguments) > 2 else None
+    given = _Given(*json.loads(arguments[2])) if len(arguments) > 2 else _Given([], None, None)
+    armed = [one for one in given.acts if one in ACTS]
+    acts = Acts(followed, armed) if armed and address.is_local else None
+    plan, urdf = (None if one is None else Path(one) for one in (given.plan, given.urdf))
     try:
-        asyncio.run(serve(followed, address, ready, plan))
+        asyncio.run(serve(followed, address, ready, plan, acts, urdf))
     except OSError as error:
         sys.stdout.write(f"{arguments[1] or addresses.DEFAULT_HOST}: {error.strerror or error}; give another address\n")
         return 2
@@ -49,7 +73,12 @@ def main(arguments: Sequence[str]) -> int:
 
 
 async def serve(
-    source: Source, address: addresses.Address, tell: Callable[[str], None], plan: Path | None = None
+    source: Source,
+    address: addresses.Address,
+    tell: Callable[[str], None],
+    plan: Path | None = None,
+    acts: Acts | None = None,
+    urdf: Path | None = None,
 ) -> None:
     """Serve ``source`` until SIGTERM, or until the flight that it follows has ended.
 
@@ -58,6 +87,8 @@ async def serve(
         address: to bind to.
         tell: is told the page's address.
         plan: whose expected intervals are shown.
+        acts: what can be done through the page.
+        urdf: beside which meshes lie.
 
     Raises:
         OSError: the address is not available.
@@ -68,8 +99,8 @@ async def serve(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, *(() if source.live else (signal.SIGINT,))):
         loop.add_signal_handler(number, over.set)
-    token = addresses.token_for(address)
-    web = Web(source, address, token, planned)
+    token = addresses.token_for(address, acts=acts is not None)
+    web = Web(source, address, token, planned, acts, urdf)
     await web.start()
     tell(addresses.url(address, web.port, token))
     try:

@@ -9,12 +9,15 @@ import contextlib
 import socket
 from collections.abc import Mapping
 from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 from urllib.parse import parse_qs
 
-from onboard.page.address import LONGEST_REQUEST, Address, Request, judge
+from onboard.page.acts import Acts
+from onboard.page.address import ACT, LONGEST_REQUEST, Address, Request, judge
 from onboard.page.follow import packed
+from onboard.page.meshes import meshes_of
 from onboard.page.state import State
 
 MOST_VIEWERS = 40  # of a flight's frames at once
@@ -84,12 +87,21 @@ class Web:
         address: to bind to.
         token: that paths begin with; empty: none.
         plan: expected intervals by quantity, see :func:`onboard.page.plan.read`.
+        acts: what can be done through the page; None: nothing.
+        urdf: file beside whose meshes lie; None: none are shown.
     """
 
     def __init__(
-        self, source: Source, address: Address, token: str, plan: Mapping[str, dict[str, Any]] = MappingProxyType({})
+        self,
+        source: Source,
+        address: Address,
+        token: str,
+        plan: Mapping[str, dict[str, Any]] = MappingProxyType({}),
+        acts: Acts | None = None,
+        urdf: Path | None = None,
     ) -> None:
-        self.source, self._plan = source, plan
+        self.source, self._plan, self._acts, self._urdf = source, plan, acts, urdf
+        self._meshes: asyncio.Task[bytes] | None = None
         self.port = 0
         self._address, self._token = address, token
         self._viewers: set[_Viewer] = set()
@@ -153,7 +165,7 @@ class Web:
             request = await self._request(reader)
             if request is not None:
                 await self._answer(request, reader, writer)
-        except (OSError, asyncio.CancelledError):
+        except (OSError, asyncio.CancelledError, asyncio.IncompleteReadError):
             pass  # it went, or takes nothing, or the server closes
         finally:
             self._tasks.discard(task)
@@ -168,7 +180,7 @@ class Web:
             return None
         except asyncio.LimitOverrunError:
             return Request("", refused="431 Request Header Fields Too Large")
-        return judge(head.removesuffix(b"\r\n\r\n"), self._address, self._token)
+        return judge(head.removesuffix(b"\r\n\r\n"), self._address, self._token, acts=self._acts is not None)
 
     async def _answer(self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         name = request.path.removeprefix("/") or "index.html"
@@ -177,9 +189,17 @@ class Web:
         elif name in self._files:
             await _reply(writer, "200 OK", _TYPES[name.rpartition(".")[2]], self._files[name])
         elif name == "flight":
-            await _reply(
-                writer, "200 OK", "application/json", packed(self.source.about() | {"plan": dict(self._plan)}).encode()
-            )
+            acts = [] if self._acts is None else self._acts.armed
+            more = {"plan": dict(self._plan), "acts": acts, "meshes": self._urdf is not None}
+            await _reply(writer, "200 OK", "application/json", packed(self.source.about() | more).encode())
+        elif name == ACT and self._acts is not None and request.body is not None:
+            body = await asyncio.wait_for(reader.readexactly(request.body), REQUEST_S)
+            status, said = await self._acts.do(body)
+            await _reply(writer, status, "application/json", packed({"said": said}).encode())
+        elif name == "meshes" and self._urdf is not None:
+            if self._meshes is None:  # read once, in a thread: the others do not wait
+                self._meshes = asyncio.create_task(asyncio.to_thread(_meshes, self._urdf))
+            await _reply(writer, "200 OK", "application/json", await asyncio.shield(self._meshes))
         elif name == "signals":
             await _reply(writer, "200 OK", "application/json", self._signals(request.query))
         elif name == "live" and self.source.live:
@@ -223,6 +243,13 @@ class Web:
             await reader.read(1)  # until it goes; a viewer has nothing to say
         finally:
             self._viewers.discard(viewer)
+
+
+def _meshes(urdf: Path) -> bytes:
+    try:
+        return packed(meshes_of(urdf.read_bytes(), urdf.parent)).encode()
+    except OSError:
+        return b"{}"  # the joints' lines are drawn
 
 
 def _static() -> dict[str, bytes]:

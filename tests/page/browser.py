@@ -117,8 +117,8 @@ def browser(profile: Path) -> Iterator[Tab]:
 
 
 @contextmanager
-def opened(tab: Tab, source: Source, plan: Any = None) -> Iterator[None]:
+def opened(tab: Tab, source: Source, plan: Any = None, urdf: Path | None = None) -> Iterator[None]:
     """The page of a source, open in the tab."""
-    with served(source, plan=plan) as one:
+    with served(source, plan=plan, urdf=urdf) as one:
         tab.open(f"http://127.0.0.1:{one.port}/")
         yield

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from onboard.page import address as addresses
@@ -37,12 +38,12 @@ class Served:
 
 @contextlib.contextmanager
 def served(
-    source: Source, address: str = "127.0.0.1:0", token: str | None = None, plan: Any = None
+    source: Source, address: str = "127.0.0.1:0", token: str | None = None, plan: Any = None, urdf: Path | None = None
 ) -> Iterator[Served]:
     """The server while the context lasts."""
     loop, place = asyncio.new_event_loop(), addresses.parse(address)
     given = addresses.token_for(place) if token is None else token
-    web = Web(source, place, given, plan or {})
+    web = Web(source, place, given, plan or {}, urdf=urdf)
     loop.run_until_complete(web.start())
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()

@@ -1,6 +1,7 @@
 """What the page draws, in Chromium: the arm, what it holds, and the devices' signals."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -221,3 +222,32 @@ def test_signals_of_a_flight_pause_and_go_on(tab: Tab, rings: Rings) -> None:
         path = tab.run("document.querySelector('.bands path').getAttribute('d')")
     assert path.count("M") == 1
     assert path.count("L") == 2 * 160 - 1  # a step of 50 ms each, none twice
+
+
+def test_whole_times_stand_under_the_plot(tab: Tab, made_log: Path, tmp_path: Path) -> None:
+    cases = [[0.0, 10.0, 5], [3.31, 3.62, 4], [55.0, 190.0, 6], [0.0, 7200.0, 8], [5.0, 5.0, 4], [0.0, 200000.0, 3]]
+    with opened(tab, Recorded(LogReader(made_log))):
+        found = tab.run(f"import('./format.js').then(({{ticks}}) => {json.dumps(cases)}.map(one => ticks(...one)))")
+        times = [[round(t, 6) for t, _ in one] for one in found]
+        words = [[text for _, text in one] for one in found]
+        assert times[0] == [0, 2, 4, 6, 8, 10]
+        assert words[0] == ["0 s", "2 s", "4 s", "6 s", "8 s", "10 s"]
+        assert words[1] == ["3.4 s", "3.5 s", "3.6 s"]
+        assert words[2] == ["1:00", "1:30", "2:00", "2:30", "3:00"]
+        assert times[3] == [900 * k for k in range(9)]
+        assert words[3][-1] == "2:00:00"
+        assert times[4] in ([], [5])
+        assert all(len(one) <= case[2] + 1 for one, case in zip(found, cases, strict=True))
+        for width in (1280, 390):
+            tab.screen(width, 800)
+            tab.run("document.getElementById('signals').scrollIntoView()")
+            count = "document.querySelectorAll('#signal-times span').length"
+            tab.wait(f"{count} > 2 && {count} * 64 < innerWidth")
+            shown = tab.run("""[...document.querySelectorAll('#signal-times span')].map(one => {
+                const at = one.getBoundingClientRect();
+                const box = document.querySelector('#signals svg').getBoundingClientRect();
+                const share = (at.left + at.width / 2 - box.left) / box.width;
+                return [parseFloat(one.textContent), share, at.left, at.right]; })""")
+            assert all(abs(share - seconds / 10.0) < 0.01 for seconds, share, *_ in shown), shown
+            assert all(b[2] - a[3] > 4 for a, b in pairwise(shown))  # none over another
+            tab.shot(tmp_path / f"ticks_{width}.png")

@@ -7,17 +7,20 @@ vehicle file arms no command.
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from onboard import config
 from onboard.channels import ORDER, ORDER_REPLY, Order, Refusal
 from onboard.ring import RingReader, RingWriter
+
+if TYPE_CHECKING:  # a process that gives orders stays small
+    from onboard import config
 
 UPLINK, PAGE, REPLY = "order_uplink", "order_page", "order_reply"
 
 
-def order_channels(vehicle: config.Vehicle) -> dict[str, np.dtype[np.void]]:
+def order_channels(vehicle: "config.Vehicle") -> dict[str, np.dtype[np.void]]:
     """Records by channel; none where no command is armed."""
     armed = vehicle.file.telemetry.commands
     return dict.fromkeys((UPLINK, PAGE), ORDER) | {REPLY: ORDER_REPLY} if armed else {}

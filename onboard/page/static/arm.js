@@ -1,5 +1,8 @@
-// The arm as measured: the URDF's joints as lines, what is held as the ellipsoid of its inertia. Drag to turn it.
-const SETTLE_MS = 250, TURNS = 24;
+// The arm as measured: the URDF's joints as lines, its meshes where there are files, what is held as the ellipsoid of its
+// inertia. Drag to turn it.
+import {fetched, paint, shades} from "./meshes.js";
+
+const SETTLE_MS = 250, TURNS = 24, SLOW_MS = 12;
 
 // Frames are {R: rows of the rotation to base axes, p: origin in base axes}.
 const rotate = (R, v) => R.map(row => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
@@ -64,7 +67,7 @@ export class Arm {
   constructor(box) {
     this.box = box;
     this.canvas = box.querySelector("canvas");
-    this.tree = null; this.q = null; this.from = null; this.since = 0; this.held = []; this.waiting = false;
+    this.tree = null; this.q = null; this.from = null; this.since = 0; this.held = []; this.waiting = false; this.meshes = []; this.cost = 0;
     this.turn = 0.7; this.tilt = 0.45; this.middle = null;
     this.canvas.onpointerdown = event => this.canvas.setPointerCapture(event.pointerId);
     this.canvas.onpointermove = event => {
@@ -81,10 +84,11 @@ export class Arm {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.later());
   }
 
-  begin(tree) {
+  begin(tree, meshes) {
     this.tree = tree; this.q = this.from = this.middle = null; this.held = [];
     this.box.hidden = true;
-    this.reach = 0;
+    this.reach = 0; this.meshes = []; this.cost = 0;
+    if (tree && meshes) fetched().then(meshes => { if (this.tree === tree) { this.meshes = meshes; this.later(); } });
     if (tree) for (const joint of tree.joints) this.reach += Math.hypot(...joint.xyz) * (joint.moves ? 1 : 0.3);
   }
 
@@ -108,7 +112,10 @@ export class Arm {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
+      const began = performance.now();
       this.draw();
+      this.cost = performance.now() - began;
+      if (this.cost > SLOW_MS) this.from = null;  // a frame at a time: the page has other things to do
       if (this.from && performance.now() - this.since < SETTLE_MS) this.later();
     });
   }
@@ -120,7 +127,8 @@ export class Arm {
     this.canvas.width = width * sharp; this.canvas.height = height * sharp;
     const pen = this.canvas.getContext("2d"), at = links(this.tree, this.now());
     pen.scale(sharp, sharp);
-    const points = Object.values(at).map(one => one.p), low = [0, 1, 2].map(i => Math.min(...points.map(p => p[i]))), high = [0, 1, 2].map(i => Math.max(...points.map(p => p[i])));
+    const boxes = this.meshes.filter(one => at[one.link]).flatMap(one => one.box.map(v => plus(at[one.link].p, rotate(at[one.link].R, v))));
+    const points = [...Object.values(at).map(one => one.p), ...boxes], low = [0, 1, 2].map(i => Math.min(...points.map(p => p[i]))), high = [0, 1, 2].map(i => Math.max(...points.map(p => p[i])));
     const centre = low.map((v, i) => (v + high[i]) / 2), reach = this.reach = Math.max(1e-3, this.reach, Math.hypot(...low.map((v, i) => high[i] - v)));
     const c = Math.cos(this.turn), s = Math.sin(this.turn), ct = Math.cos(this.tilt), st = Math.sin(this.tilt), scale = 0.9 * Math.min(width, height) / reach;
     if (!this.middle || Math.hypot(...centre.map((v, i) => v - this.middle[i])) > 0.2 * reach) this.middle = centre;  // else it stands still
@@ -129,6 +137,8 @@ export class Arm {
       const [x, y, z] = p.map((v, i) => v - middle[i]);
       return [width / 2 + scale * (c * x - s * y), height / 2 - scale * (ct * z + st * (s * x + c * y))];
     };
+    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    this.box.dataset.triangles = paint(pen, this.meshes, at, place, [-s * ct, -c * ct, st], shades(dark));
     const line = (one, two, ink, thick) => { pen.strokeStyle = ink; pen.lineWidth = thick; pen.lineCap = "round"; pen.beginPath(); pen.moveTo(...place(one)); pen.lineTo(...place(two)); pen.stroke(); };
     ["b", "c", "a"].forEach((ink, i) => {
       const end = [0, 0, 0]; end[i] = reach / 8;

@@ -36,3 +36,13 @@ export function clockText(seconds) {
 }
 
 export const count = number => number.toLocaleString("en-US");
+
+// Times between two ends, in seconds, at whole steps of the clock, as many as `most`; and what stands beside them.
+const STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18000, 36000];
+export function ticks(from, to, most) {
+  const least = (to - from) / Math.max(1, most), whole = 10 ** Math.floor(Math.log10(least));
+  const step = least < 1 ? [1, 2, 5, 10].map(one => one * whole).find(one => one >= least) : STEPS.find(one => one >= least) ?? 36000 * Math.ceil(least / 36000);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), first = Math.ceil(from / step - 1e-9), found = [];
+  for (let i = first; i * step <= to + 1e-9 * step; i++) found.push([i * step, to < 60 || step < 1 ? `${(i * step).toFixed(digits)} s` : clockText(i * step).replace(/\.\d$/, "")]);
+  return found;
+}

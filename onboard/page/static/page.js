@@ -3,10 +3,11 @@ import {age, clockText, count, rate, unitText, withInterval} from "./format.js";
 import {Course, draw, drawing} from "./course.js";
 import {Arm} from "./arm.js";
 import {Signals} from "./signals.js";
+import {Acts} from "./acts.js";
 
 const LATE_MS = 4000, AGAIN_MS = 1500, MOST_EVENTS = 2000, SHOWN_EVENTS = 200, REASONS = 4;
 const at = id => document.getElementById(id);
-const arm = new Arm(at("arm")), signals = new Signals(), cards = new Map(), courses = new Map();
+const arm = new Arm(at("arm")), signals = new Signals(), acts = new Acts(), cards = new Map(), courses = new Map();
 let flight = null, frame = null, events = [], stream = null, lastMs = 0, again = null;
 
 const put = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -196,8 +197,9 @@ async function begin() {
   for (const [name, points] of Object.entries(flight.history)) courses.set(name, new Course(points));
   for (const card of cards.values()) card.box.remove();
   cards.clear();
-  arm.begin(flight.arm);
+  arm.begin(flight.arm, flight.meshes);
   signals.begin(flight);
+  acts.begin(flight.acts);
   put(at("title"), broken(flight.title));
   at("player").hidden = flight.live;
   if (flight.live) follow(); else played();
@@ -216,7 +218,7 @@ function follow() {
     list();
     const slow = next.skipped ? `; ${count(next.skipped)} frames left out: this connection is slow` : "";
     const lost = next.lost ? `; ${count(next.lost)} rows came too fast for the page (the log has them)` : "";
-    if (next.ended) { link("the flight has ended", "over"); ended(mine); }
+    if (next.ended) { link("the flight has ended", "over"); acts.end(); ended(mine); }
     else if (!next.devices.length && !next.event_count) link("waiting for the flight to begin", "slow");
     else link(`live${slow}${lost}`, slow || lost ? "slow" : "ok");
   };

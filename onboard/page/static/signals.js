@@ -1,7 +1,7 @@
 // Samples of a device over time: the band from the lowest to the highest of every step. Zoom by buttons, keys, or a drag.
-import {age, atScale, unitText} from "./format.js";
+import {age, atScale, ticks, unitText} from "./format.js";
 
-const SVG = "http://www.w3.org/2000/svg", WIDE = 1000, HIGH = 200, EACH_MS = 1000, LEAST_S = 0.2, MOST_POINTS = 4800, GAP = 5;
+const SVG = "http://www.w3.org/2000/svg", WIDE = 1000, HIGH = 200, EACH_MS = 1000, LEAST_S = 0.2, MOST_POINTS = 4800, GAP = 5, EACH_PX = 64, EDGE_PX = 24;
 const INKS = ["a", "b", "c", "d"];
 const at = id => document.getElementById(id);
 const put = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -22,6 +22,7 @@ export class Signals {
       acts[act](); this.draw();
     };
     this.drags();
+    new ResizeObserver(() => this.draw()).observe(this.svg);
     new IntersectionObserver(found => { this.seen = found.at(-1).isIntersecting; this.look(); this.draw(); }).observe(this.box);
   }
 
@@ -129,9 +130,22 @@ export class Signals {
       bands.children[i].setAttribute("class", INKS[i]);
       bands.children[i].setAttribute("d", parts.map(part => `M${trace(part, 1)}L${trace([...part].reverse(), 0)}Z`).join(""));
     });
+    this.time(from, to, x);
     const cursor = this.svg.querySelector(".cursor"), past = this.flight.live ? -10 : x(this.now);
     cursor.setAttribute("x1", past); cursor.setAttribute("x2", past);
     this.tell(from, to, low, high, components, unit, every_s, shown.at(-1));
+  }
+
+  // Lines at whole times, and the times under them, but at the edges, where they would be cut.
+  time(from, to, x) {
+    const wide = this.svg.clientWidth, found = ticks(from, to, wide / EACH_PX), times = at("signal-times");
+    const lines = this.svg.querySelector(".ticks");
+    if (!lines.firstChild) lines.append(document.createElementNS(SVG, "path"));
+    lines.firstChild.setAttribute("d", found.map(([t]) => `M${x(t)},0V${HIGH}`).join(""));
+    const told = found.filter(([t]) => { const px = wide * x(t) / WIDE; return px > EDGE_PX && px < wide - EDGE_PX; });
+    while (times.children.length > told.length) times.lastChild.remove();
+    while (times.children.length < told.length) times.append(document.createElement("span"));
+    told.forEach(([t, text], i) => { put(times.children[i], text); times.children[i].style.left = `${x(t) / WIDE * 100}%`; });
   }
 
   tell(from, to, low, high, components, unit, every_s, last) {

@@ -1,0 +1,153 @@
+"""Triangles of the URDF's visual meshes, as few as a browser draws with ease on a plain canvas.
+
+Files are read where the URDF lies and nowhere else, STL (binary or text) and OBJ, no larger than :data:`MOST_BYTES`.
+What cannot be read is left out: the joints' lines are drawn all the same. Corners that lie in one cell of a grid are
+joined, the grid as coarse as it takes (vertex clustering: Rossignac and Borrel, 1993).
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_BYTES = 16 << 20  # of a file
+MOST_TRIANGLES, MOST_MESHES = 3000, 60  # of a vehicle
+_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+_CORNER = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_FINEST, _COARSEST = 64, 2  # cells along the longest side
+Triangles = NDArray[np.float64]  # (n, 3, 3): corners, m
+
+
+def meshes_of(urdf: bytes, directory: Path) -> dict[str, list[float]]:
+    """Corners of triangles by link, nine numbers each, in the link's frame, m.
+
+    Args:
+        urdf: of the vehicle.
+        directory: where it lies.
+    """
+    try:
+        links = ET.fromstring(urdf).findall("link")
+    except ET.ParseError:
+        return {}
+    found = [(link.attrib.get("name", ""), visual) for link in links for visual in link.findall("visual")]
+    of_link: dict[str, list[Triangles]] = {}
+    for name, visual in found[:MOST_MESHES]:
+        try:
+            of_link.setdefault(name, []).extend(_placed(visual, directory))
+        except (OSError, ValueError, KeyError):
+            continue  # not there, or not to be read
+    whole = {name: np.concatenate(parts) for name, parts in of_link.items() if parts}
+    total = sum(map(len, whole.values()))
+    kept = {name: _fewer(one, max(12, MOST_TRIANGLES * len(one) // total)) for name, one in whole.items()}
+    return {name: _short(one) for name, one in kept.items()}
+
+
+def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
+    mesh = visual.find("geometry/mesh")
+    if mesh is None:
+        return
+    scale = [float(word) for word in mesh.attrib.get("scale", "1 1 1").split()]
+    origin = visual.find("origin")
+    given = {} if origin is None else origin.attrib
+    xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
+    triangles = read(_path(mesh.attrib["filename"], directory)) * scale
+    triangles = triangles @ _rotation(rpy).T + xyz
+    if not np.isfinite(triangles).all():
+        raise ValueError("its corners are no numbers")
+    yield triangles
+
+
+def _path(name: str, directory: Path) -> Path:
+    """Beside the URDF; of ``package://NAME/...`` what follows the package, tried from there.
+
+    Raises:
+        ValueError: it lies elsewhere.
+    """
+    package, _, rest = name.removeprefix("package://").partition("/")
+    tried = [directory / rest, directory / package / rest] if name.startswith("package://") else []
+    tried = tried or [directory / name.removeprefix("file://")]
+    path = next((one for one in tried if one.is_file()), tried[0]).resolve()
+    if not path.is_relative_to(directory.resolve()):
+        raise ValueError(f"{name} does not lie beside the URDF")
+    return path
+
+
+def read(path: Path) -> Triangles:
+    """Triangles of a file.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is too large, or neither STL nor OBJ.
+    """
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path.name} has more than {MOST_BYTES >> 20} MiB")
+    data, kind = path.read_bytes(), path.suffix.lower()
+    if kind == ".obj":
+        return _obj(data)
+    if kind != ".stl":
+        raise ValueError(f"{path.name} is neither STL nor OBJ")
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + count * _STL.itemsize and count:
+        return np.frombuffer(data, _STL, count, 84)["corners"].astype(np.float64)
+    corners = np.array(_CORNER.findall(data), np.float64)
+    if not len(corners) or len(corners) % 3:
+        raise ValueError(f"{path.name} is no STL")
+    return corners.reshape(-1, 3, 3)
+
+
+def _obj(data: bytes) -> Triangles:
+    """Faces with more corners are fans of triangles; indices count from 1, or back from the last corner so far."""
+    points: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for line in data.split(b"\n"):
+        word, *rest = line.split() or [b""]
+        if word == b"v":
+            points.append([float(one) for one in rest[:3]])
+        elif word == b"f":
+            at = [int(one.partition(b"/")[0]) for one in rest]
+            at = [one - 1 if one > 0 else len(points) + one for one in at]
+            if not all(0 <= one < len(points) for one in at):
+                raise ValueError("a face has a corner that is not there")
+            faces += [(at[0], at[k], at[k + 1]) for k in range(1, len(at) - 1)]
+    if not faces:
+        raise ValueError("it has no face")
+    found: Triangles = np.array(points)[np.array(faces)]
+    return found
+
+
+def _rotation(rpy: list[float]) -> NDArray[np.float64]:
+    """Fixed axes: roll, pitch, yaw, as the URDF has them."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(one), np.sin(one)) for one in rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _fewer(triangles: Triangles, most: int) -> Triangles:
+    """No more than ``most``, with corners that are means of those that they stand for."""
+    points = triangles.reshape(-1, 3)
+    low = points.min(axis=0)
+    side, cells = float((points.max(axis=0) - low).max()) or 1.0, _FINEST
+    while len(triangles) > most and cells >= _COARSEST:
+        cell = np.floor((points - low) / side * cells).astype(np.int64)
+        _, of, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+        means = np.stack([np.bincount(of.ravel(), points[:, k]) for k in range(3)], axis=1) / count[:, None]
+        corners = np.sort(of.reshape(-1, 3), axis=1)
+        whole = (np.diff(corners, axis=1) > 0).all(axis=1)
+        _, first = np.unique(corners[whole], axis=0, return_index=True)
+        triangles = means[of.reshape(-1, 3)[whole][first]]
+        cells = cells * 3 // 4
+    return triangles[:most]
+
+
+def _short(triangles: Triangles) -> list[float]:
+    """Rounded to a ten-thousandth of their reach: a third of the bytes."""
+    reach = float(np.abs(triangles).max(initial=1e-9))
+    return [float(one) for one in np.round(triangles.ravel(), 4 - int(np.floor(np.log10(reach))))]
