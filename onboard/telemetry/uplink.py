@@ -24,6 +24,7 @@ SERVICE = 128
 LAYOUTS = {Order.MARK: struct.Struct(">HH"), Order.STOP: struct.Struct(">H"), Order.SPAN: struct.Struct(">HII")}
 LONGEST_SPAN_S = 600
 _HEAD_BYTES, _LONGEST = 6, 64  # of a command
+MOST_AT_ONCE = 32  # commands of one call: each is a row and an event of the log
 _SECOND_NS = 1_000_000_000
 WHY = {
     Refusal.NOT_ARMED: "arm it: [telemetry] commands of the vehicle file",
@@ -83,6 +84,7 @@ class Uplink:
 
     Attributes:
         skipped: bytes that belong to no whole command.
+        left_out: commands beyond :data:`MOST_AT_ONCE`, neither judged nor reported on.
     """
 
     def __init__(self, apid: int, session: int, armed: Collection[str], flight: Flight) -> None:
@@ -91,11 +93,12 @@ class Uplink:
         self._session, self._armed, self._flight = session, armed, flight
         self._seen: set[tuple[int, int]] = set()
         self._waiting = b""
-        self.skipped = 0
+        self.skipped = self.left_out = 0
 
     def feed(self, data: bytes, now_ns: int) -> list[Command]:
         """Commands that are whole with ``data``, at ``now_ns``, CLOCK_MONOTONIC."""
-        data, at, found = self._waiting + data, 0, []
+        found: list[Command] = []
+        data, at = self._waiting + data, 0
         while (match := self._head.search(data, at)) is not None:
             self.skipped += match.start() - at
             at = match.start()
@@ -110,8 +113,11 @@ class Uplink:
                 self.skipped += 1
                 at += 1
             else:
-                found.append(self._judged(packet, now_ns))
                 at += length
+                if len(found) < MOST_AT_ONCE:
+                    found.append(self._judged(packet, now_ns))
+                else:
+                    self.left_out += 1
         else:
             kept = min(_HEAD_BYTES - 1, len(data) - at)
             self.skipped += len(data) - at - kept

@@ -19,7 +19,7 @@ from onboard.telemetry import xtce
 from onboard.telemetry.board import Board
 from onboard.telemetry.packets import KINDS, SECONDARY
 from onboard.telemetry.stream import Series, Stream
-from onboard.telemetry.uplink import LAYOUTS, Command, Uplink, telecommand
+from onboard.telemetry.uplink import LAYOUTS, MOST_AT_ONCE, Command, Uplink, telecommand
 from tests.telemetry.rows import FLIGHT, SECOND_NS, START_NS, downlink, sent
 
 APID, SESSION = 264, 7
@@ -121,6 +121,14 @@ def test_bits_that_were_turned_never_make_a_command(first: int, second: int) -> 
     link = uplink()
     assert link.feed(bytes(data), NOW_NS) == []
     assert [command.order for command in link.feed(bytes(64) + told(Order.STOP), NOW_NS)] == [Order.STOP]
+
+
+def test_a_flood_is_left_out() -> None:
+    link = uplink()
+    flood = b"".join(told(Order.MARK, 1, count=count) for count in range(3000))
+    assert len(link.feed(flood, NOW_NS)) == MOST_AT_ONCE
+    assert (link.left_out, link.skipped) == (3000 - MOST_AT_ONCE, 0)
+    assert [command.refused for command in link.feed(told(Order.STOP, count=4000), NOW_NS)] == [Refusal.NONE]
 
 
 @given(st.binary(max_size=400))

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.records import PULSE
 from onboard import config
-from onboard.channels import HEALTH, HEALTH_STREAM
+from onboard.channels import HEALTH, HEALTH_STREAM, ORDER, ORDER_REPLY
 from onboard.devices.roles import Roles, SmoothedChannel
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.vehicle_time import clocked
@@ -15,9 +15,11 @@ from onboard.recording.reader import LogReader
 _NO_CLOCK = "not known without the vehicle file, which names its clock"
 
 
-_OF_HEALTH = {
+_OF_RECORD = {
     HEALTH: "how streams, workers and the flight computer stood, once a second",
     HEALTH_STREAM: "each device channel in the second before a record of health",
+    ORDER: "what an operator asked of the flight, refused or not",
+    ORDER_REPLY: "what became of it",
 }
 
 
@@ -89,7 +91,7 @@ def _of_rows(dtype: np.dtype[np.void]) -> Meaning:
         return Meaning("what each step of the estimator consumed", scratch=frozenset(fields))
     if "tick" in fields:
         return Meaning()
-    return Meaning(_OF_HEALTH.get(dtype, ""), time="when it was reported")
+    return Meaning(_OF_RECORD.get(dtype, ""), time="when it was reported")
 
 
 def _measures(roles: Roles) -> dict[str, str]:
