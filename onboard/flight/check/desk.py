@@ -149,7 +149,7 @@ def _tested(
     return DeskTest(
         *(check, vehicle.url(device.bus), seconds, int(missing.sum()), longest_s, unusable),
         *_clock_of(vehicle, device, check, first),
-        *(signals, (*check.problems, *of_bus), (*check.warnings, *said)),
+        *(signals, tuple(dict.fromkeys((*check.problems, *of_bus))), (*check.warnings, *said)),
     )
 
 
@@ -236,7 +236,8 @@ def render(test: DeskTest) -> RenderableType:
     lines += [Text(f"  {seen.identity}")] if seen.identity else []
     rate = "on change" if seen.nominal_hz is None else f"{seen.rate_hz or 0.0:.5g} Hz of {seen.nominal_hz:.5g}"
     lost = f"{test.lost} lost" + (f", at most {1e3 * test.longest_gap_s:.3g} ms in a row" if test.lost else "")
-    lines.append(Text(f"  samples    {seen.rows} in {test.seconds:g} s, {rate}; {lost}; {test.not_usable} not usable"))
+    lines.append(Text(f"  samples    {seen.rows} in {test.seconds:g} s, {rate}"))
+    lines.append(Text(f"  gaps       {lost}; {test.not_usable} samples are not usable"))
     clock = test.clock
     if test.clock_ppm is not None and test.clock_sigma_ppm is not None:
         clock += f", {abs(test.clock_ppm):.0f} ± {2.0 * test.clock_sigma_ppm:.0f} ppm "
