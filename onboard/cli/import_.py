@@ -82,10 +82,11 @@ def _names(vehicle: str) -> "Names":
     from onboard.flight.estimate.readings.roles import roles_of
     from onboard.ground.log.bring_in.guess.body import BodyChannels
     from onboard.ground.log.bring_in.guess.propose import Names
+    from onboard.ground.log.bring_in.guess.wheels import WheelChannels
 
     loaded = load_vehicle(vehicle)
     roles, devices = roles_of(loaded), loaded.file.device
-    thrusters = thrusters_among(devices)
+    thrusters, phases = thrusters_among(devices), loaded.file.estimation.phases
     torques = [(cell.channel, cell.keys) for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
     return Names(
         tuple(imu.channels[0] for imu in roles.imus),
@@ -96,5 +97,8 @@ def _names(vehicle: str) -> "Names":
             tuple(thrusters),
             any(one.reads == "on_time" for one in thrusters.values()),
             next((name for name, one in devices.items() if isinstance(one, PoseKeys)), ""),
+        ),
+        WheelChannels(
+            tuple(joint.channel for joint in roles.joints if joint.is_rate), phases.channel if phases else ""
         ),
     )

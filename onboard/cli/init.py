@@ -19,6 +19,8 @@ _QUESTIONS = (
     ("load_cell", "Load cell?", "none"),
 )
 
+_NO_PROOF = "no proof mass is set on: all answers lean on the wheels' inertia, and are weak; --payload-link names it"
+
 
 def add(commands: Commands) -> None:
     """Make the command known."""
@@ -30,7 +32,7 @@ def add(commands: Commands) -> None:
     init.add_argument("directory", type=Path, help="where the files go; made if need be")
     init.add_argument("--from", dest="packaged", metavar="NAME", help="copy a packaged vehicle: rocksat, dymaflex, ...")
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
-    init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar"))
+    init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar", "pivot"))
     init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
     imu = "of --urdf, whose axes are the IMU's (default: the only one of the base's that is called so, or a new one)"
     init.add_argument("--imu-frame", metavar="LINK", help=imu)
@@ -72,6 +74,8 @@ def _init(arguments: argparse.Namespace) -> int:
             _ask(arguments)
         if arguments.thrusters is not None:
             return _body(arguments)
+        if arguments.base == "pivot":
+            return _bed(arguments)
         wanted = _wanted(arguments)
         files = vehicle.make(wanted, arguments.directory)
         notes = wanted.drawn.notes if wanted.drawn else ()
@@ -96,6 +100,28 @@ def _body(arguments: argparse.Namespace) -> int:
     if arguments.marker and (drawn is None or marker not in drawn.frames):
         raise ValueError(f"the URDF has no link {marker!r}" if drawn else f"{marker!r}: give the --urdf that has it")
     return _written(body.write(wanted, arguments.directory), drawn.notes if drawn else ())
+
+
+def _bed(arguments: argparse.Namespace) -> int:
+    """A body on a spherical air bearing."""
+    from onboard.ground.before.init import bed, drawing
+
+    if given := [one for one in ("load_cell", "gains") if getattr(arguments, one)]:
+        raise ValueError(f"--{given[0].replace('_', '-')}: a body on a pivot has no arm; leave it out")
+    if not arguments.urdf:
+        raise ValueError("--base pivot: give the --urdf of the body, base link at the pivot, a joint for each wheel")
+    if {one for one in (arguments.imu, arguments.encoder) if one} - {"recorded"}:
+        raise ValueError("--base pivot is of recordings: --imu recorded; of devices start by --from spherical_bearing")
+    wheels = arguments.joints.split(",") if arguments.joints else ()
+    drawn = drawing.read(arguments.urdf, arguments.base, wheels, recorded=True)
+    for link in (arguments.imu_frame, arguments.payload_link):
+        if link and link not in drawn.frames:
+            raise ValueError(f"the URDF has no link {link!r}")
+    imu = arguments.imu_frame or (drawn.imus[0] if len(drawn.imus) == 1 else "imu_base")
+    name = arguments.name or arguments.directory.resolve().name
+    files = bed.write(bed.Bed(name, drawn, imu, arguments.payload_link or ""), arguments.directory)
+    proof = () if arguments.payload_link else (_NO_PROOF,)
+    return _written(files, (*drawn.notes, *_of_imu(drawn, imu), *proof))
 
 
 def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:

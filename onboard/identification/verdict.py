@@ -70,7 +70,7 @@ class Evidence(NamedTuple):
 
 def verdict(evidence: Evidence) -> Verdict:
     """The rules at the head of this file."""
-    if not evidence.rows_used:
+    if not evidence.rows_used and not evidence.failure:
         why = ", ".join(f"{count} {reason}" for reason, count in evidence.refused.items())
         return Verdict(Level.DO_NOT_USE, (f"no row could be used ({why or 'there was none'})",), tuple(evidence.asked))
     if evidence.failure:

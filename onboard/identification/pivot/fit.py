@@ -26,6 +26,7 @@ from onboard.estimation.recursive.consistency import NoiseScale
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, Layout
 from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
@@ -128,7 +129,7 @@ class PivotModel:
         Args:
             ticks: in the order of their times.
             held: whether the proof mass is attached, (n,).
-            start: unknowns but the windows', where an earlier fit was near; the drawing, where not given.
+            start: unknowns but the windows', where an earlier fit was near; where not given, the body by its momentum.
 
         Raises:
             EstimationError: too few ticks, or no minimum.
@@ -136,10 +137,15 @@ class PivotModel:
         windows = windows_of(ticks, held, self._period_s, self._R_BS)
         p, k = len(self.names), len(windows.time_s)
         x = np.zeros(p + _STATE * k)
-        x[:p] = 0.0 if start is None else start
+        x[:p] = self._begun(windows) if start is None else start
         x[p:].reshape(k, _STATE)[:, :3] = windows.rate
         prior = np.diag(np.concatenate([self.sigma**-2, np.zeros(_STATE * k)]))
-        found = fit_normal(lambda at: self._total(at, windows), x, np.zeros_like(x), prior, tolerance=_TOLERANCE)
+        asked = (lambda at: self._total(at, windows)), x, np.zeros_like(x), prior
+        try:
+            found = fit_normal(*asked, tolerance=_TOLERANCE)
+        except ConvergenceError:  # of an IMU that is not as stated, say: the drawing may be nearer, and tells what is
+            x[:p] = 0.0
+            found = fit_normal(*asked, tolerance=_TOLERANCE)
         return judged(found, self._residuals(found.x, windows), p, 2)
 
     def bound(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> WindowedFit:
@@ -168,6 +174,24 @@ class PivotModel:
         return WindowedFit(
             Fit(x, covariance, 0.0, 0), p, (1.0, 1.0), NoiseScale(1.0, np.inf), 3 * int(windows.use.sum())
         )
+
+    def _begun(self, windows: Windows) -> FloatArray:
+        """Unknowns but the windows', where nothing is known: the body by its momentum in each second, nothing wrong."""
+        n = SHORTEST_TICKS + 1
+        spans = range(0, windows.time_s.shape[1] - n + 1, n - 1)
+        rate, felt = (windows.measured[..., axes] @ self._R_BS.T for axes in (slice(3), slice(3, 6)))
+        parts = rate, felt, windows.speed @ self.stored
+        motion = tuple(np.concatenate([part[:, first : first + n] for first in spans]) for part in parts)
+        whole = np.concatenate([windows.use[:, first : first + n].all(axis=(1, 2)) for first in spans])
+        proof = np.tile(windows.held[:, None] * self.proof, (len(spans), 1))
+        beforehand = np.append(np.zeros(3), self._drawn[3:]), self.sigma[:BODY]
+        noise = float(windows.sigma[..., :3].mean() * self._drawn[[3, 5, 8]].sum())
+        x = np.zeros(len(self.names))
+        x[:BODY] = by_momentum(
+            (motion[0], motion[1], motion[2]), whole, proof, beforehand, noise, self._g, self._period_s
+        )
+        x[:BODY] -= self._drawn
+        return x
 
     def residuals(self, ticks: Ticks, held: BoolArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Times of the ticks in windows, (n,), and predicted less measured in sigmas, (n, 6); NaN: not used."""

@@ -87,13 +87,17 @@ class PivotRun(TableRun):
         """All ticks so far, and whether something was held at each."""
         return Ticks.joined(self._ticks), np.concatenate(self._held)
 
+    def wait(self) -> None:
+        """No fit before the last one."""
+        self._next = _MOST_TICKS + 1
+
     def finish(self) -> None:
         """The fit of all ticks."""
         if self._count:
             self._fit()
 
     def _fit(self) -> None:
-        self._next = round(_MORE * self._count)
+        self._next = max(self._next, round(_MORE * self._count))
         ticks, held = self.taken
         self._ticks, self._held = [ticks], [held]
         start = None if self.found is None else self.found.fit.x[: self.found.globals]

@@ -211,6 +211,8 @@ unit = "%s"
 """
 _CHANNELS = {
     "recorded_angle": _VALUE % ("1e-8", "rad"),
+    "recorded_rate": _VALUE % ("1e-3", "rad/s"),
+    "recorded_value": _VALUE % ("1", "1"),
     "recorded_torque": _VALUE % ("1e-6", "N m"),
     "recorded_load_cell": _VALUE % ("1e-6", "N"),
     "recorded_imu": """

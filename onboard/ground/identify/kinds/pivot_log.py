@@ -19,10 +19,11 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ChannelError: a log of another vehicle.
     """
     estimator = Estimator(vehicle, at_the_end=True)
-    for _ in feed(estimator, log):
-        pass
     run = estimator.online
     assert isinstance(run, PivotRun)
+    run.wait()
+    for _ in feed(estimator, log):
+        pass
     told, bounds = run.estimate().quantities, run.bounds()
     answers = tuple(
         Answer(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)

@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 from onboard import config
 from onboard.config.estimation import Phases
 from onboard.devices.base import ImuDevice
-from onboard.devices.recorded import RecordedDevice
+from onboard.devices.recorded import RecordedDevice, RecordedRate
 from onboard.devices.registry import DEVICES
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.stuck import StuckReadings
 from onboard.ground.identify.replay.feed import FARTHEST_TIMES
-from onboard.ground.identify.replay.smoothing_choice import chosen
+from onboard.ground.identify.replay.smoothing_choice import FEWEST_SAMPLES, chosen
 from onboard.recording.reader import LogReader
 
 IN_TURN = "recording"  # channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of
 _OTHER_PERIOD = 0.1  # relative: file and log differ
+_OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
 _FEWEST_STEPS = 32  # between readings, to tell how they are rounded
 _WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
 _OF_A_DIGIT, _MOST_OF_A_QUANTUM = 1.5, 0.25  # that two roundings change a step by; beyond which they hide the quantum
@@ -39,7 +40,7 @@ class Recorded(NamedTuple):
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
-    """The vehicle whose devices are all recorded ones, an arm's or one that floats; any other as it is.
+    """The vehicle whose devices are all recorded ones, an arm's or one that floats or turns; any other as it is.
 
     Args:
         vehicle: its file.
@@ -47,7 +48,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     """
     devices, settings = dict(vehicle.file.device), vehicle.file.estimation
     carried = vehicle.file.vehicle.base in ("fixed", "prescribed") and settings.method == "rows"
-    free = vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
+    turns = vehicle.prediction is config.Prediction.PIVOT
+    free = turns or vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
     if not (carried or free) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
         return Recorded(vehicle, ())
     found = dict[str, list[str]]()  # devices, by what the log says of them
@@ -57,10 +59,16 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
             for one in more:
                 found.setdefault(one, []).append(name)
     said = [f"{text} ({', '.join(f'device.{name}' for name in names)})" for text, names in found.items()]
-    held = _held(vehicle, log) if carried else None
-    if free and (slower := _ticks(devices, settings.row_rate_hz)) < settings.row_rate_hz:
+    held = _held(vehicle, log) if carried or turns else None
+    if free and (slower := _ticks(devices, settings.row_rate_hz, whole=turns)) < settings.row_rate_hz:
         settings = settings.model_copy(update={"row_rate_hz": slower})
-        said.append(f"estimation.row_rate_hz: {slower:g}, two samples of the slowest IMU to a row")
+        samples = "a whole number of samples of the" if turns else "two samples of the slowest"
+        said.append(f"estimation.row_rate_hz: {slower:.6g}, {samples} IMU to a row")
+    wheels = [one.period_ms for one in devices.values() if isinstance(one, RecordedRate)]
+    width_ms = FEWEST_SAMPLES * max(wheels, default=0.0)
+    if turns and width_ms > settings.smoothing_ms:
+        settings = settings.model_copy(update={"smoothing_ms": width_ms})
+        said.append(f"estimation.smoothing_ms: {width_ms:g}, {FEWEST_SAMPLES} samples of the slowest wheel")
     if held is not None:
         devices[IN_TURN] = DEVICES["recorded_value"].model_validate({"kind": "recorded_value", "period_ms": 100.0})
         settings = settings.model_copy(update={"phases": held})
@@ -72,13 +80,19 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     return Recorded(choice.vehicle, (*said, choice.said))
 
 
-def _ticks(devices: Mapping[str, object], rate_Hz: float) -> float:
-    """Rate of the rows, or the highest with two samples of every IMU to a row, where that is lower [Hz]."""
+def _ticks(devices: Mapping[str, object], rate_Hz: float, *, whole: bool) -> float:
+    """Rate of the rows, or the highest with two samples of every IMU to a row, where that is lower [Hz].
+
+    ``whole``: with a whole number of samples, as means of two and of three in turn are late by turns.
+    """
     slowest_ms = max(
         (one.period_ms for one in devices.values() if isinstance(one, RecordedDevice) and isinstance(one, ImuDevice)),
         default=0.0,
     )
-    return min(rate_Hz, 500.0 / slowest_ms) if slowest_ms else rate_Hz
+    if not slowest_ms:
+        return rate_Hz
+    least = 1e3 / (slowest_ms * rate_Hz)  # samples to a row
+    return min(rate_Hz, 1e3 / (slowest_ms * max(2.0, np.ceil(least - _OF_A_SAMPLE) if whole else least)))
 
 
 def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[RecordedDevice, list[str]]:

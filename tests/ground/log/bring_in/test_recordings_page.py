@@ -13,6 +13,7 @@ from onboard.cli import OK, main
 from tests.dynamics.mujoco_twin import to_urdf
 from tests.flight.test_recorded_arm import LOAD_kg, laboratory
 from tests.ground.calibrate.weigh.wrist_bench import record, write
+from tests.ground.log.bring_in import spherical_bench
 
 PAGE = (Path(__file__).parents[4] / "docs" / "recordings.md").read_text(encoding="utf-8")
 GAINS = np.array([12.5, 11.0, 9.5])  # N m/A, as on the page
@@ -33,8 +34,9 @@ def test_every_recipe_is_tested():
         "An arm by its currents",
         "A thrown body",
         "A floating body by its thrusters",
+        "A body on a spherical air bearing",
     ]
-    assert PAGE.count("```sh") == 4
+    assert PAGE.count("```sh") == 5
 
 
 def test_a_tool(tmp_path, monkeypatch):
@@ -122,3 +124,23 @@ def test_a_floating_body(tmp_path, monkeypatch):
     assert found["I_zz"]["sigma"] < 0.03 * bed.inertia_kg_m2
     assert told["verdict"]["level"] == "weak"
     assert "weigh the body" in told["verdict"]["text"]
+
+
+def test_a_body_on_a_spherical_bearing(tmp_path, monkeypatch):
+    """Its drawing leaves out what balances it; its wheels are numbered."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(1)
+    (tmp_path / "body.urdf").write_text(spherical_bench.urdf())
+    for name, proof in (("without", False), ("with", True)):
+        spherical_bench.write(f"{name}.csv", spherical_bench.run(rng, proof), "wheel1_rpm,wheel2_rpm,wheel3_rpm")
+    assert followed("A body on a spherical air bearing") == 6
+    assert "# doubtful" not in (tmp_path / "body.toml").read_text()
+    told = json.loads((tmp_path / "body.json").read_text())["logs"][0]
+    assert told["verdict"]["level"] == "good", told["verdict"]["text"]
+    found = {one["name"]: one for one in told["quantities"]}
+    true = dict(zip(("com_x", "com_y", "com_z"), spherical_bench.COM_m, strict=True))
+    true |= dict(zip(("I_xx", "I_yy", "I_zz"), np.diag(spherical_bench.INERTIA), strict=True))
+    for name, value in true.items():
+        assert found[name]["low"] <= value <= found[name]["high"], name
+    assert found["I_zz"]["sigma"] < 0.01 * true["I_zz"]
+    assert found["com_x"]["sigma"] < 1e-5

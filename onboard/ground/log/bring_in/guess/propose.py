@@ -15,6 +15,7 @@ from onboard.ground.log.bring_in.guess.clock import Clock, said
 from onboard.ground.log.bring_in.guess.groups import Group, Table, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 from onboard.ground.log.bring_in.guess.names import MEASURED
+from onboard.ground.log.bring_in.guess.wheels import WheelChannels, of_wheels
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.messages import read_messages
 from onboard.ground.log.bring_in.text_rows import Recording
@@ -42,6 +43,7 @@ class Names(NamedTuple):
     torques: tuple[str, ...] = ()
     by_current: bool = False  # the torques are read as currents
     body: BodyChannels = BodyChannels()
+    wheels: WheelChannels = WheelChannels()
 
 
 class Proposal(NamedTuple):
@@ -179,7 +181,11 @@ class _Maker:
         if one is not main and one.clock is None:
             self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
             return
-        for name, column, part in of_a_body(one.columns, self._vehicle.body, time):
+        of_vehicle = (
+            *of_a_body(one.columns, self._vehicle.body, time),
+            *of_wheels(one.columns, self._vehicle.wheels, time),
+        )
+        for name, column, part in of_vehicle:
             self.names.append(name)
             self.parts.append(part)
             one = one.without(column.name)

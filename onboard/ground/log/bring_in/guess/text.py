@@ -9,7 +9,7 @@ import numpy as np
 from onboard.ground.log.bring_in.guess.magnitudes import FloatArray, Unit, count_of
 from onboard.ground.log.bring_in.mapping import Csv
 
-_INT16 = 32000.0
+_INT16 = 8000.0  # a quarter: other recordings by the same mapping may go further
 _MOST_NAMED = 80
 
 
