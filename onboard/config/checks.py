@@ -185,6 +185,10 @@ def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
         fail(
             ["vehicle", "base_link"], f"base_link {told.base_link!r}: the root of the URDF is {drawing.root!r}; name it"
         )
+    moves = any(joint.moves for joint in drawing.joints.values())
+    if told.base == "free" and not (moves or vehicle.file.free_body or vehicle.file.parabola):
+        what = "no joint of the URDF moves, and a body that tumbles shows only the ratios of its moments of inertia"
+        fail(["vehicle", "urdf"], f"{what}; docs/free_body.md says what else shows their scale, or its mass")
     named = [(["vehicle", "payload_link"], told.payload_link)] if told.payload_link is not None else []
     for where, name in (*named, *_frames(vehicle.tree.get("device"), ["device"])):
         if name not in drawing.links and name not in drawing.joints:

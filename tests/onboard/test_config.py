@@ -316,3 +316,13 @@ def test_tables_laid_over_a_file_are_its_text_too():
     again = config.parse(other.text, vehicle.path)
     assert again.tree == tree
     assert again.file.estimation.step_ms == 40
+
+
+def test_a_free_body_without_moving_joints_is_refused_with_what_it_shows(tmp_path: Path) -> None:
+    inertial = '<inertial><mass value="5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in ("base", "payload"))
+    fixed = '<joint name="held" type="fixed"><parent link="base"/><child link="payload"/></joint>'
+    (tmp_path / "body.urdf").write_text(f'<robot name="body">{links}{fixed}</robot>')
+    text = config.packaged("dymaflex").read_text().replace("dymaflex.urdf", "body.urdf")
+    with pytest.raises(config.ConfigError, match=r"vehicle.toml:7: no joint of the URDF moves, .*free_body.md"):
+        config.parse(text, tmp_path / "vehicle.toml")
