@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from onboard import config
 from onboard.config.estimation import Phases
 from onboard.devices.base import ImuDevice
-from onboard.devices.recorded import RecordedDevice, RecordedRate
+from onboard.devices.recorded import RecordedDevice
 from onboard.devices.registry import DEVICES
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.stuck import StuckReadings
@@ -64,7 +64,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
         settings = settings.model_copy(update={"row_rate_hz": slower})
         samples = "a whole number of samples of the" if turns else "two samples of the slowest"
         said.append(f"estimation.row_rate_hz: {slower:.6g}, {samples} IMU to a row")
-    wheels = [one.period_ms for one in devices.values() if isinstance(one, RecordedRate)]
+    recorded = {name: device for name, device in devices.items() if isinstance(device, RecordedDevice)}
+    wheels = [one.period_ms for name, one in recorded.items() if any(it.is_rate for it in one.roles(name, 1.0).joints)]
     width_ms = FEWEST_SAMPLES * max(wheels, default=0.0)
     if turns and width_ms > settings.smoothing_ms:
         settings = settings.model_copy(update={"smoothing_ms": width_ms})

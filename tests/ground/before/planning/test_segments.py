@@ -53,12 +53,12 @@ def library(flyer):
 
 @pytest.fixture(scope="module")
 def flown(flyer, library):
-    """A flight until the mass is known to 6 %, the moments of inertia to 12 %; its log."""
+    """A flight until the mass is known to 6 %, the moments of inertia to 16 %; its log."""
     log = flyer / "asked.mcap"
     (flyer / "heavy.toml").write_text(f"payload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\n{SCENARIO}")
     asked = ["hil", str(flyer / "mine" / "vehicle.toml"), "--scenario", str(flyer / "heavy.toml"), "--most", "60"]
     asked += ["--hand-over", str(flyer / "payload.urdf")]
-    main([*asked, "--until", "mass 6 %, inertia 12 %", "--segments", str(library), "--log", str(log)])
+    main([*asked, "--until", "mass 6 %, inertia 16 %", "--segments", str(library), "--log", str(log)])
     return log
 
 
