@@ -54,8 +54,16 @@ heft_key() {
         cd "$root/deploy" || exit
         pwd
         printf '%s\n' "$heft_tag"
-        cat ../pyproject.toml env.sh requirements.lock requirements-test.lock
+        cat ../pyproject.toml env.sh backend.py requirements*.lock ../onboard/native/*.py ../onboard/native/src/*
     ) | sha256sum | cut -d ' ' -f 1
+}
+
+# Whether a C compiler with the C library's headers is there: onboard/native is compiled with it, else with ziglang's.
+heft_compiler() {
+    for heft_cc in cc gcc clang; do
+        ! echo '#include <stdlib.h>' | "$heft_cc" -fsyntax-only -x c - 2>/dev/null || return 0
+    done
+    return 1
 }
 
 heft_pip() {
@@ -83,6 +91,8 @@ heft_env() {
     printf 'heft: installing into %s, once (%s)\n' "$heft_venv" "$heft_size" >&2
     rm -f "$heft_venv/heft-hil" "$heft_venv/heft-test"
     heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
+    heft_compiler ||
+        heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/requirements-compiler.lock"
     heft_pip --quiet --no-deps --no-index --no-build-isolation --editable "$root"
     for heft_grant in $heft_grants; do
         heft_key >"$heft_venv/heft-$heft_grant"

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Writes deploy/requirements.lock and deploy/requirements-test.lock from pyproject.toml: every package at one version, for
-# Python 3.11 and newer, with the hashes of all its files. Pins stay where they still fit; arguments go to `uv pip compile`:
+# Python 3.11 and newer, with the hashes of all its files; and deploy/requirements-compiler.lock, the C compiler for a
+# system without one, from onboard/native/build.py. Pins stay where they still fit; arguments go to `uv pip compile`:
 #   sh deploy/lock.sh                             after a change of dependencies in pyproject.toml
 #   sh deploy/lock.sh --upgrade                   everything to its newest version
 #   sh deploy/lock.sh --upgrade-package numpy     one package
@@ -31,3 +32,6 @@ with open("pyproject.toml", "rb") as file:
 
 compile hil deploy/requirements.lock "$@"
 compile test deploy/requirements-test.lock --constraint deploy/requirements.lock "$@"
+sed -n 's/^ZIG = "\(.*\)".*/\1/p' onboard/native/build.py | "$tools/bin/uv" pip compile - --output-file deploy/requirements-compiler.lock \
+    --universal --python-version 3.11 --generate-hashes --only-binary :all: --no-config --no-annotate \
+    --custom-compile-command 'sh deploy/lock.sh' --quiet

@@ -128,7 +128,7 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
 
 LAYERS = {  # of a package: each room may import those before it, and itself; every room is here
     "onboard": (
-        *("estimation", "dynamics", "regressor", "identification", "control"),
+        *("estimation", "native", "dynamics", "regressor", "identification", "control"),
         *("section", "npz", "ring", "channels", "recording", "timebase", "devices", "config"),
         *("flight", "ground", "live", "telemetry", "page", "cli"),
     ),
@@ -146,7 +146,14 @@ LAYERS = {  # of a package: each room may import those before it, and itself; ev
 KEYS = re.compile(r"\[(estimation|vehicle|device)\b|\b(device|(imu_)?prior)\.[a-z]|^device\.$")
 MOST_MODULES = 15  # in a folder
 COMMANDS = "onboard/cli"  # a module a command: as many as there are
-MATHEMATICS = ("estimation", "dynamics", "regressor", "identification", "control")  # import nothing else of onboard
+MATHEMATICS = (
+    "estimation",
+    "native",
+    "dynamics",
+    "regressor",
+    "identification",
+    "control",
+)  # import nothing else of onboard
 
 
 def rooms_stand_on_those_before_them(path: str, source: str) -> list[str]:

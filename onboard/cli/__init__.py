@@ -4,7 +4,8 @@ Each command is a module of this package, named like it, with ``add(commands)``;
 
 Exit codes: 0 done; 1 it ran and failed (nothing identified, replay differs, a worker died, nothing recoverable); 2 the
 input cannot be used (arguments, vehicle file, mapping, missing file); 3 the log is truncated or damaged, the readable
-part was processed; 4 preflight found the vehicle not ready.
+part was processed; 4 preflight found the vehicle not ready; 69 there is no compiled core
+and no compiler to make it.
 """
 
 import argparse
@@ -18,12 +19,13 @@ import pkgutil
 import sys
 from collections.abc import Callable, Sequence
 
-from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, complain
+from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, UNAVAILABLE, complain
+from onboard.native.errors import NativeError
 
 _SHARED = "__main__", "common", "controller", "lines", "messages"  # modules that are no commands
 _COLLECTED_EVERY = 20_000  # objects made more than given back
 
-__all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main", "parser"]
+__all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "UNAVAILABLE", "main", "parser"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,6 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return command(arguments)
     except KeyboardInterrupt:
         return 130
+    except NativeError as error:
+        complain(str(error))
+        return UNAVAILABLE
     except (OSError, ValueError) as error:
         # errors of bad input have one of these as second parent; any other exception is a bug
         if isinstance(error, BrokenPipeError):
@@ -83,7 +88,8 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="heft",
         description="Identify the payload of a free-flying servicer's arm: acquisition, log, inertial estimation.",
-        epilog="exit codes: 0 done, 1 ran and failed, 2 bad input, 3 log damaged but read, 4 not ready to fly",
+        epilog="exit codes: 0 done, 1 ran and failed, 2 bad input, 3 log damaged but read, 4 not ready to fly, "
+        "69 no compiled core",
     )
     made.add_argument("--version", action="version", version=f"heft {_version()}")
     commands = made.add_subparsers(required=True, metavar="COMMAND")

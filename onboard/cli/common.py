@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Commands = Any  # argparse keeps the type of what add_subparsers returns to itself
 
 OK, FAILED, BAD_INPUT, DAMAGED, NOT_READY = 0, 1, 2, 3, 4
+UNAVAILABLE = 69  # sysexits.h, EX_UNAVAILABLE
 
 
 _MOST_SAID = 10_000  # characters

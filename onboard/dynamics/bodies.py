@@ -2,19 +2,20 @@
 
 With V the twist of a link, I its spatial inertia and L = I V its momentum, all about the base's origin in base axes
 (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 2), ``dI/dt = crf(V) I - I crm(V)``, and the wrench that
-its motion asks for is ``F = I A + crf(V) L``, A the rate of change of V.
+its motion asks for is ``F = I A + crf(V) L``, A the rate of change of V. Computed in ``onboard/native/src/bodies.c``.
 """
 
+import ctypes
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import Frames, cross, spatial_inertias
-from onboard.dynamics.spatial import coad, crm, force_transforms, hat, times
+from onboard.dynamics.kinematics import Frames
+from onboard.dynamics.spatial import force_transforms
 from onboard.estimation.arrays import FloatArray
+from onboard.native import library, structures
 
-_PARTS = 84  # of a body: I, dI, L, F
-_I, _DI, _L, _F = slice(0, 36), slice(36, 72), slice(72, 78), slice(78, 84)
+PARTS = 31  # of a link or a sum: ten numbers of its inertia, nine of their change, momentum, wrench
 
 
 class Sums(NamedTuple):
@@ -25,82 +26,93 @@ class Sums(NamedTuple):
     momentum: FloatArray  # (n, groups, 6)
     wrench: FloatArray  # (n, groups, 6)
 
-    def slope(self, twist: FloatArray) -> FloatArray:
-        """Derivative of the wrenches by the base's rate, (n, groups, 6, 3).
 
-        ``dF/dw = [dI/dt + K(L)] + 2 I_l hat(v) + I_a hat(w)`` (derived here), the angular columns of what is in
-        brackets, I_l and I_a the linear and angular columns of I, v and w of the base, K of
-        :func:`onboard.dynamics.spatial.coad`; specific force and angular acceleration of the base are held.
-
-        Args:
-            twist: of the base, (n, 6).
-        """
-        V = np.concatenate([2.0 * hat(twist[:, :3]), hat(twist[:, 3:])], axis=1)[:, None]
-        return np.asarray(self.change[..., 3:] + coad(self.momentum)[..., 3:] + self.inertia @ V, np.float64)
-
-
-class Bodies:
-    """The links of a vehicle; first as they move relative to the base.
+def moving_frames(frames: Frames, chi: FloatArray) -> structures.MovingFrames:
+    """Links for the compiled core.
 
     Args:
         frames: their motion relative to the base.
         chi: standard parameters of all links, (10 x links,).
 
+    Raises:
+        ArrayError: shapes that do not fit.
+    """
+    n, links = frames.p.shape[:2]
+    parts = zip(frames, ((3, 3), (3,), (6,), (6,)), strict=True)
+    arrays = (library.given(part, n, links, *shape) for part, shape in parts)
+    return structures.MovingFrames(n, links, *arrays, library.given(chi, 10 * links))
+
+
+def motion_size(n: int, links: int) -> int:
+    """Length of the array that :class:`Bodies` are made of."""
+    return n * (links * (PARTS + 12) + 117)
+
+
+class Bodies:
+    """The links of a vehicle as they move.
+
+    Args:
+        frames: their motion relative to the base.
+        motion: of them and the base, as the compiled core makes it.
+
     Attributes:
         frames: as given.
-        X: :func:`onboard.dynamics.spatial.force_transforms` of the links, (n, links, 6, 6).
+        parts: inertia, its change, momentum and wrench of each link, (n, links, PARTS).
         composite: spatial inertia of all, (n, 6, 6).
         relative_momentum: momentum of all with the base at rest, (n, 6).
         twist: of the base, (n, 6).
         rate: rate of change of that, (n, 6).
         V: twists of the links, (n, links, 6).
         A: rates of change of these.
+        inverse: of the composite inertia, (n, 6, 6), where the motion was predicted; NaN of a body without mass.
+        momentum: of all, angular, about the centre of mass, (n, 3), where the motion was predicted.
+        slope: derivative of the wrench on all links by the base's rate, (n, 6, 3); specific force and angular
+            acceleration of the base are held.
+        thrust: specific force and angular acceleration of the base, (n, 6).
     """
 
-    def __init__(self, frames: Frames, chi: FloatArray) -> None:
+    def __init__(self, frames: Frames, motion: FloatArray) -> None:
         self.frames = frames
-        self.X = force_transforms(frames.R, frames.p)
-        n, links = frames.p.shape[:2]
-        self._parts = np.zeros((n, links, _PARTS))
-        self._inertias = spatial_inertias(self.X, chi)
-        self._parts[..., _I] = self._inertias.reshape(n, links, 36)
-        self._parts[..., _L] = times(self._inertias, frames.V)
-        self._every = np.ones((1, links))
-        of_all = self._every @ self._parts  # faster than NumPy's sum
-        self.composite: FloatArray = of_all[:, 0, _I].reshape(n, 6, 6)
-        self.relative_momentum: FloatArray = of_all[:, 0, _L]
-        self.twist = self.rate = np.zeros((n, 6))
-        self.V, self.A = frames.V, frames.A
+        n, k = frames.p.shape[:2]
+        shapes = (n, k, PARTS), (n, 6, 6), (n, 6), (n, 6), (n, 6), (n, k, 6), (n, k, 6)
+        parts = library.carved(motion, [*shapes, (n, 6, 6), (n, 3), (n, 6, 3), (n, 6)])
+        self.parts, self.composite, self.relative_momentum, self.twist, self.rate, self.V, self.A = parts[:7]
+        self.inverse, self.momentum, self.slope, self.thrust = parts[7:]
 
-    def moved(self, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Let the base move with a twist, (n, 6), without specific force and angular acceleration at its origin.
+    @staticmethod
+    def of(
+        frames: Frames, chi: FloatArray, twist: FloatArray | None = None, thrust: FloatArray | None = None
+    ) -> "Bodies":
+        """The links where the base has a twist, specific force and angular acceleration; None: it is at rest.
 
-        Returns:
-            The wrench on all links, (n, 6), and its derivative with respect to the rate of the base, (n, 6, 3).
+        Args:
+            frames: their motion relative to the base.
+            chi: standard parameters of all links, (10 x links,).
+            twist: of the base, (n, 6).
+            thrust: specific force and angular acceleration of the base, (n, 6).
+
+        Raises:
+            ArrayError: shapes that do not fit.
         """
-        frames, I, parts = self.frames, self._inertias, self._parts  # noqa: E741
         n, links = frames.p.shape[:2]
-        self.twist, self.rate = twist, np.zeros_like(twist)
-        self.rate[:, :3] = cross(twist[:, :3], twist[:, 3:])  # less w x v
-        self.V = frames.V + twist[:, None]
-        self.A = frames.A + self.rate[:, None] + frames.V @ crm(twist).swapaxes(1, 2)
-        X = crm(self.V)
-        half = I @ X
-        parts[..., _DI] = -(half + half.swapaxes(-1, -2)).reshape(n, links, 36)
-        parts[..., _L] = L = times(I, self.V)
-        parts[..., _F] = times(I, self.A) - times(X.swapaxes(-1, -2), L)
-        every = self.sums(self._every)
-        return every.wrench[:, 0], every.slope(twist)[:, 0]
+        moving = moving_frames(frames, chi)
+        given = [library.given(np.zeros((n, 6)) if part is None else part, n, 6) for part in (twist, thrust)]
+        pointers = [None if twist is None else library.address(part) for part in given]
+        out = np.empty(motion_size(n, links))
+        return Bodies(frames, library.call("heft_bodies", ctypes.byref(moving), *pointers, out=out))
 
-    def pushed(self, thrust: FloatArray) -> None:
-        """Let the base have this specific force and angular acceleration as well, (n, 6)."""
-        self.rate = self.rate + thrust
-        self.A = self.A + thrust[:, None]
-        self._parts[..., _F] += times(self._inertias, thrust[:, None])
+    @property
+    def X(self) -> FloatArray:  # noqa: N802
+        """:func:`onboard.dynamics.spatial.force_transforms` of the links, (n, links, 6, 6)."""
+        return force_transforms(self.frames.R, self.frames.p)
 
     def sums(self, groups: FloatArray) -> Sums:
-        """Sums over groups: one where a link is in one, (groups, links)."""
-        n, k = len(self._parts), len(groups)
-        each = groups @ self._parts
-        I, dI = (each[..., part].reshape(n, k, 6, 6) for part in (_I, _DI))  # noqa: E741
-        return Sums(I, dI, each[..., _L], each[..., _F])
+        """Sums over groups: one where a link is in one, (groups, links).
+
+        Raises:
+            ArrayError: groups of another number of links.
+        """
+        (n, links), k = self.frames.p.shape[:2], len(groups)
+        weights, out = library.given(groups, k, links), np.empty(84 * n * k)
+        library.call("heft_sums", n, links, k, library.address(self.parts), library.address(weights), out=out)
+        return Sums(*library.carved(out, [(n, k, 6, 6), (n, k, 6, 6), (n, k, 6), (n, k, 6)]))

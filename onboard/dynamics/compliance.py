@@ -142,7 +142,7 @@ class Compliance:
         """
         still = np.zeros((len(_POSTURES_rad), len(self._vehicle.joints)))
         chain = chain_motion(self._vehicle, still + _POSTURES_rad[:, None], still, still)
-        each = np.diagonal(self.inertia(Bodies(chain.links, chi), chain.screws), axis1=1, axis2=2)
+        each = np.diagonal(self.inertia(Bodies.of(chain.links, chi), chain.screws), axis1=1, axis2=2)
         return np.asarray(each.max(axis=0), np.float64)
 
     def follow(

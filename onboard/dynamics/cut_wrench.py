@@ -3,10 +3,12 @@
 The near side exerts on all that lies beyond the cut the wrench that its motion asks for (Newton-Euler; Limparis
 2.132), linear in the standard parameters. With the base's motion of :mod:`onboard.dynamics.free_flight`, specific force
 f, rate w and its derivative dw, its derivative by any unknown is ``C [df; ddw] + slope dw + W + Y``: C composite
-inertia of what lies beyond, slope that of :class:`onboard.dynamics.bodies.Sums`, W the columns of the standard
+inertia of what lies beyond, slope its derivative by the rate at fixed f and dw, W the columns of the standard
 parameters and Y those of the joints' errors (:mod:`onboard.dynamics.joint_errors`).
+Computed in ``onboard/native/src/cut.c``.
 """
 
+import ctypes
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,6 +22,7 @@ from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import hat, times
 from onboard.estimation.arrays import FloatArray
+from onboard.native import library, structures
 
 
 class CutReading(NamedTuple):
@@ -60,8 +63,10 @@ class CutWrench:
         self._is_beyond = np.repeat([float(link in self._beyond) for link in free], 10)
         cut, carrier = (vehicle.model.frames[vehicle.frame_id(name)] for name in (frame, self._carrier(vehicle, frame)))
         place = carrier.placement.actInv(cut.placement)
-        self._R, self._p = np.array(place.rotation), np.array(place.translation)
+        self._R, self._p = (np.array(part, np.float64, order="C") for part in (place.rotation, place.translation))
         self._errors = JointErrors(vehicle, cyclic, frame)
+        weights = self._group, self._is_beyond, self._R, self._p, library.given(projection, 6)
+        self._compiled = structures.Cut(self._carried_by, self._is_beyond.size, *weights)
 
     def _carrier(self, vehicle: VehicleModel, frame: str) -> str:
         """A link that moves with the frame."""
@@ -75,17 +80,30 @@ class CutWrench:
     def predict(self, base: BasePrediction) -> CutReading:
         """The component and its derivatives, where the vehicle's base moves as predicted from its links."""
         bodies = _moving(base)
-        own, u = bodies.sums(self._group), self._weights(bodies.frames)[:, None]  # (n, 1, 6)
-        pull = u @ own.inertia[:, 0]
-        gain = np.concatenate([u @ own.slope(bodies.twist)[:, 0] + pull @ base.by_rate, pull @ base.by_wrench], axis=2)
-        d_values = (gain @ base.along)[:, 0]
-        c = 3 + self._is_beyond.size
-        d_values[:, 3:c] += (u @ base.along[:, 3:, 3:c])[:, 0] * self._is_beyond
+        n, total, errors = len(base.rate), base.along.shape[2], None
+        screws = functions = None
         if base.displaced is not None:
-            Y = np.empty((len(u), 6, self._errors.columns))
-            self._errors.into(base.displaced, bodies, None, Y)
-            d_values[:, c : c + self._errors.columns] += (u @ Y)[:, 0]
-        return CutReading((u @ own.wrench[:, 0, :, None])[:, 0, 0], d_values)
+            errors, (screws, functions) = self._errors.compiled, base.displaced
+        self._require(base)
+        frames, own = bodies.frames, (bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench)
+        R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
+        moving = structures.Moving(n, frames.p.shape[1], total, R, p, *own, screws, functions)
+        work, out = np.empty(6 * self._errors.columns), np.empty(n * (1 + total))
+        given = ctypes.byref(moving), ctypes.byref(self._compiled), None if errors is None else ctypes.byref(errors)
+        library.call("heft_cut_wrench", *given, library.address(work), out=out)
+        return CutReading(out[:n], out[n:].reshape(n, total))
+
+    def _require(self, base: BasePrediction) -> None:
+        """Refuse the motion of another vehicle, or columns that are not those of these errors."""
+        n, links, columns = len(base.rate), self._group.shape[1], 3 + self._is_beyond.size
+        if base.displaced is not None:
+            columns += self._errors.columns
+            joints, functions = self._errors.compiled.joints, self._errors.compiled.functions
+            library.given(base.displaced.screws, n, joints, 6, 12)
+            library.given(base.displaced.functions, n, 3, functions)
+        shapes = (n, links, 3), (n, 9, max(columns, base.along.shape[2])), (n, 6, 3), (n, 6, 6)
+        for part, shape in zip((_moving(base).frames.p, base.along, base.by_rate, base.by_wrench), shapes, strict=True):
+            library.given(part, *shape)
 
     def of_joint_accelerations(self, bodies: Bodies, screws: FloatArray, twist: FloatArray) -> FloatArray:
         """The component that an acceleration of one of each joint makes, (n, joints), squares of rates neglected.

@@ -11,20 +11,25 @@ needed. Unlike regression rows, the prediction contains no measured base motion,
 
 A known wrench (F; T) on the base, about its origin, as of thrusters, adds ``C^-1 [F; T]`` to specific force and angular
 acceleration, and ``T - r x F`` to ``d eta / dt``, r the centre of mass of the whole vehicle.
+
+Derivatives of momentum (by fourth-order Runge-Kutta, with values half-way between ticks by cubics) and its
+sensitivity (``dS/dt = A S + forcing``, A = eta x J - w x) are computed in ``onboard/native/src``: ``base.c``,
+``momentum.c``.
 """
 
+import ctypes
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies
-from onboard.dynamics.centre import centre_by_chi, centre_of
+from onboard.dynamics.bodies import Bodies, motion_size, moving_frames
 from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.spatial import Columns, hat, times
+from onboard.dynamics.spatial import Columns, hat
 from onboard.estimation.arrays import FloatArray
+from onboard.native import library, structures
 
 
 class Push(NamedTuple):
@@ -73,8 +78,21 @@ class BasePrediction(NamedTuple):
             period_s: between ticks.
         """
         forcing = hat(self.momentum) @ (self.along[:, :3, self.local] @ by_local)
-        start, J = np.zeros((3, 3 + forcing.shape[2])), -self.by_wrench[:, 3:, 3:]
-        return _integrate_sensitivity(self.rate, self.momentum, J, forcing, start, period_s)[:, :, 3:]
+        start, twist = np.zeros((3, 3 + forcing.shape[2])), np.zeros((len(self.rate), 6))
+        twist[:, 3:] = self.rate
+        return _sensitivity(-self.by_wrench, self.momentum, twist, forcing, start, period_s)[:, :, 3:]
+
+    def compiled(self) -> structures.Base:
+        """The motion for the compiled core.
+
+        Raises:
+            ArrayError: shapes that do not fit.
+        """
+        n, total = len(self.rate), self.along.shape[2]
+        fields = self.rate, self.acceleration, self.specific_force, self.by_rate, self.by_wrench, self.along
+        shapes = (n, 3), (n, 3), (n, 3), (n, 6, 3), (n, 6, 6), (n, 9, total)
+        given = (library.given(part, *shape) for part, shape in zip(fields, shapes, strict=True))
+        return structures.Base(n, total, *given)
 
     @property
     def d_rate(self) -> FloatArray:
@@ -132,56 +150,29 @@ def bodies_from_rate(
     links: Frames | Sequence[LinkMotion], period_s: float, chi: FloatArray, rate: FloatArray, push: Push | None = None
 ) -> Bodies:
     """The links as they move in :func:`predict_base_from_rate`, which has the arguments, without derivatives."""
-    return _move(links, period_s, chi, rate, push, by_rate=True).bodies
+    frames = _checked(links)
+    n, count = frames.p.shape[:2]
+    moving, pushed, start = moving_frames(frames, chi), _pushed(push, n), library.given(rate, 3)
+    arguments = ctypes.byref(moving), _by(pushed), period_s, library.address(start), 1
+    return Bodies(frames, library.call("heft_move", *arguments, out=np.empty(motion_size(n, count))))
 
 
-class _Motion(NamedTuple):
-    """Of base and links, without derivatives."""
-
-    bodies: Bodies
-    inverse: FloatArray  # (n, 6, 6) of the composite inertia
-    momentum: FloatArray  # (n, 3)
-    slope: FloatArray  # (n, 6, 3) derivative of the wrench on all links by the rate of the base
-    thrust: FloatArray  # (n, 6) specific force and angular acceleration
-    pushed: "_Pushed | None"
-
-
-def _inverse(composite: FloatArray) -> FloatArray:
-    """Of inertias (n, 6, 6); NaN of a body that no twist tells from none: a solver's step there is refused."""
-    try:
-        return np.asarray(np.linalg.inv(composite), np.float64)
-    except np.linalg.LinAlgError:
-        return np.full_like(composite, np.nan)
-
-
-def _move(
-    links: Frames | Sequence[LinkMotion],
-    period_s: float,
-    chi: FloatArray,
-    start: FloatArray,
-    push: Push | None,
-    *,
-    by_rate: bool,
-) -> _Motion:
+def _checked(links: Frames | Sequence[LinkMotion]) -> Frames:
     frames = links if isinstance(links, Frames) else frames_of(links)
-    n = len(frames.p)
-    if n < 4:
-        raise SignalError(f"{n} ticks; predict four or more")
-    bodies = Bodies(frames, chi)
-    inverse = _inverse(bodies.composite)
-    mu = bodies.relative_momentum
-    from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
-    still = times(inverse[:, 3:], mu)  # less the rate without a momentum
-    momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
-    pushed = None if push is None else _Pushed(push, bodies.composite)
-    torque = pushed.torque if pushed is not None and pushed.acts else None
-    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, torque)
-    bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
-    if pushed is not None and pushed.acts:
-        bias = bias - pushed.wrench
-    thrust = -times(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
-    bodies.pushed(thrust)
-    return _Motion(bodies, inverse, eta, slope, thrust, pushed)
+    if len(frames.p) < 4:
+        raise SignalError(f"{len(frames.p)} ticks; predict four or more")
+    return frames
+
+
+def _pushed(push: Push | None, ticks: int) -> structures.Pushed | None:
+    if push is None:
+        return None
+    count = len(push.gain)
+    return structures.Pushed(count, library.given(push.of_each, ticks, 6, count), library.given(push.gain, count))
+
+
+def _by(structure: ctypes.Structure | None) -> Any:
+    return None if structure is None else ctypes.byref(structure)
 
 
 def _predict(
@@ -195,43 +186,40 @@ def _predict(
     *,
     by_rate: bool,
 ) -> BasePrediction:
-    n = len(links.p if isinstance(links, Frames) else links[0].p)
-    bodies, inverse, eta, slope, thrust, pushed = _move(links, period_s, chi, start, push, by_rate=by_rate)
-    from_eta, w = inverse[:, :, 3:], bodies.twist[:, 3:]
-    c = 10 * len(free.links)
-    own = c + (0 if errors is None else errors.columns)
-    along = np.zeros((n, 9, 3 + own + (0 if push is None else len(push.gain))))
-    H = np.zeros((n, 6, along.shape[2] - 3))
-    free.into(H[:, :, :c], bodies.X, bodies.V)
-    free.into(along[:, 3:, 3 : 3 + c], bodies.X, bodies.V, bodies.A)
-    displaced = None
+    frames = _checked(links)
+    n, count = frames.p.shape[:2]
+    moving, pushed, start = moving_frames(frames, chi), _pushed(push, n), library.given(start, 3)
+    own, joints, local, seats, functions = 10 * len(free.links), 0, 0, None, None
     if errors is not None:
-        displaced = errors.displaced(bodies)
-        errors.into(displaced, bodies, H[:, :, c:own], along[:, 3:, 3 + c : 3 + own])
-    at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
-    d_start: FloatArray = np.eye(3, along.shape[2])
-    if by_rate:
-        d_start[:, 3:] = -at_fixed_eta[0]
-        d_start = np.asarray(np.linalg.solve(from_eta[0, 3:], d_start), np.float64)
-    forcing = hat(eta) @ at_fixed_eta
-    if pushed is not None:
-        along[:, 3:, 3 + own :] = -pushed.of_each
-        forcing[:, :, own:] += pushed.torque_of_each
-        if pushed.acts:
-            forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
-    local = slice(3 + own - (0 if errors is None else errors.local), 3 + own)
-    forcing[:, :, local.start - 3 : local.stop - 3] = 0.0
-    d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
-    np.matmul(from_eta[:, 3:], d_eta, out=along[:, :3])
-    if local.start < local.stop:
-        more = np.zeros((n, 9, local.stop - local.start + 3))
-        more[:, :3, :-3], more[:, :3, -3:] = along[:, :3, local], from_eta[:, 3:]
-        along[:, :3, local] = 0.0
-        along = np.concatenate([along, more], axis=2)
-    along[:, :3, 3 : 3 + at_fixed_eta.shape[2]] += at_fixed_eta
-    force, spin = thrust[:, :3], thrust[:, 3:]
-    by_rate_of_base = -(inverse @ slope)
-    return BasePrediction(w, spin, force, along, by_rate_of_base, -inverse, eta, d_eta, bodies, displaced, local)
+        seats, joints, local = _seats(errors, n, count), errors.errors.compiled.joints, errors.local
+        functions = library.given(errors.functions, n, 3, errors.errors.compiled.functions)
+        own += errors.errors.columns
+    width = 3 + own + (0 if push is None else len(push.gain))
+    total = width + (local + 3 if local else 0)
+    size = motion_size(n, count)
+    out = np.empty(size + n * (9 * total + 54 + 3 * width + 72 * joints))
+    pointers = None if seats is None else (ctypes.c_void_p * 4)(*(library.address(part) for part in seats))
+    compiled = ctypes.byref(moving), ctypes.byref(free.compiled(count)), _by(errors and errors.errors.compiled)
+    arguments = pointers, library.address(functions), local, _by(pushed), period_s, library.address(start), by_rate
+    library.call("heft_predict_base", *compiled, *arguments, out=out)
+    bodies = Bodies(frames, out[:size])
+    shapes = (n, 9, total), (n, 6, 3), (n, 6, 6), (n, 3, width), (n, joints, 6, 12)
+    along, by_base, by_wrench, d_momentum, screws = library.carved(out[size:], shapes)
+    displaced = None if functions is None else Displaced(screws, functions)
+    w, force, spin = (
+        np.ascontiguousarray(x) for x in (bodies.twist[:, 3:], bodies.thrust[:, :3], bodies.thrust[:, 3:])
+    )
+    of_local = slice(3 + own - local, 3 + own)
+    moved = bodies.momentum, d_momentum, bodies, displaced, of_local
+    return BasePrediction(w, spin, force, along, by_base, by_wrench, *moved)
+
+
+def _seats(errors: ErrorsAlong, ticks: int, links: int) -> list[FloatArray]:
+    """Axes, twists and their change of the joints' seats, and screws; of a vehicle with so many links."""
+    chain, joints = errors.chain, errors.errors.compiled.joints
+    library.given(errors.errors.beyond_links, joints, links)
+    parts = (chain.seats.R, (3, 3)), (chain.seats.V, (6,)), (chain.seats.A, (6,)), (chain.screws, (6,))
+    return [library.given(part, ticks, joints, *shape) for part, shape in parts]
 
 
 def rate_of_momentum(
@@ -248,34 +236,32 @@ def rate_of_momentum(
     Returns:
         The rate (n, 3), rad/s, and its derivative by the momentum (n, 3, 3).
     """
-    eta = _integrate_momentum(inverse, still, momentum, period_s)
+    n = len(still)
+    whole, still, momentum = np.zeros((n, 6, 6)), library.given(still, n, 3), library.given(momentum, 3)
+    whole[:, 3:, 3:] = inverse
+    pointers = (library.address(part) for part in (whole, still, momentum))
+    eta = library.call("heft_momentum", n, *pointers, period_s, out=np.empty(3 * n)).reshape(n, 3)
     rate = turned(inverse, eta) - still
-    nothing = np.zeros((len(still), 3, 0))
-    return rate, inverse @ _integrate_sensitivity(rate, eta, inverse, nothing, np.eye(3), period_s)
+    turning = np.concatenate([np.zeros((n, 3)), rate], axis=1)
+    return rate, inverse @ _sensitivity(whole, eta, turning, np.zeros((n, 3, 0)), np.eye(3), period_s)
 
 
-class _Pushed:
-    """A wrench on the base, and its moment about the centre of mass of the whole vehicle.
-
-    Args:
-        push: the wrench.
-        composite: spatial inertia of the vehicle, (n, 6, 6).
-
-    Attributes:
-        acts: it is not zero: only what it would do is asked for then.
-    """
-
-    def __init__(self, push: Push, composite: FloatArray) -> None:
-        self.of_each, self.acts = push.of_each, bool(push.gain.any())
-        self.wrench: FloatArray = push.of_each @ push.gain  # (n, 6)
-        self._mass_kg, self._centre_m = centre_of(composite)
-        self.torque_of_each = self.of_each[:, 3:] - hat(self._centre_m) @ self.of_each[:, :3]  # (n, 3, k)
-        self.torque: FloatArray = self.torque_of_each @ push.gain  # (n, 3)
-
-    def by_centre(self, free: Columns, X: FloatArray) -> FloatArray:
-        """Derivative of the torque by chi, (n, 3, c): ``F x dr``."""
-        d_centre = centre_by_chi(free, X, self._mass_kg, self._centre_m)
-        return np.asarray(hat(self.wrench[:, :3]) @ d_centre, np.float64)
+def _sensitivity(
+    inverse: FloatArray, momentum: FloatArray, twist: FloatArray, forcing: FloatArray, start: FloatArray, h: float
+) -> FloatArray:
+    """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``start``, (3, 3 + c); (n, 3, 3 + c)."""
+    n, _, width = len(momentum), 3, 3 + forcing.shape[2]
+    shapes = (
+        (inverse, (n, 6, 6)),
+        (momentum, (n, 3)),
+        (twist, (n, 6)),
+        (forcing, (n, 3, width - 3)),
+        (start, (3, width)),
+    )
+    parts = [library.given(part, *shape) for part, shape in shapes]
+    pointers = (library.address(part) for part in parts)
+    found = library.call("heft_sensitivity", n, width, *pointers, h, out=np.empty(3 * n * width))
+    return found.reshape(n, 3, width)
 
 
 class SensorPrediction(NamedTuple):
@@ -294,92 +280,13 @@ def sensor_in_base(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray)
         R_BS: axes of the sensor's frame S in the base's B, (3, 3).
         p_BoSo_B: its origin, (3,), m.
     """
-    w = base.rate
-    W, P = hat(w), hat(p_BoSo_B)
-    by_place = hat(base.acceleration) + W @ W
-    values = np.empty((len(w), 6))
-    values[:, :3] = w @ R_BS
-    values[:, 3:] = (base.specific_force + by_place @ p_BoSo_B) @ R_BS
-    gain = np.zeros((len(w), 6, 9))
-    gain[:, :3, :3] = R_BS.T
-    at_place = np.concatenate([R_BS.T, -R_BS.T @ P], axis=1)  # (3, 6)
-    # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
-    gain[:, 3:, :3] = at_place @ base.by_rate - R_BS.T @ (W @ P + hat(W @ p_BoSo_B))
-    gain[:, 3:, 3:] = at_place @ base.by_wrench
-    d_place = np.zeros((len(w), 6, 3))
-    d_place[:, 3:] = R_BS.T @ by_place
-    return SensorPrediction(values, gain, d_place)
+    n, compiled = len(base.rate), base.compiled()
+    R, p, out = library.given(R_BS, 3, 3), library.given(p_BoSo_B, 3), np.empty(78 * n)
+    library.call("heft_sensor", ctypes.byref(compiled), library.address(R), library.address(p), out=out)
+    return SensorPrediction(*library.carved(out, [(n, 6), (n, 6, 9), (n, 6, 3)]))
 
 
 def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Values, (n, 6), and derivatives, (n, 6, 3 + c), of :func:`sensor_in_base`."""
     found = sensor_in_base(base, R_BS, p_BoSo_B)
     return found.values, np.asarray(found.gain @ base.along, np.float64)
-
-
-def _midpoints(x: FloatArray) -> FloatArray:
-    """Values half-way between ticks, by cubics through four points, (n - 1, ...)."""
-    ends = np.concatenate(
-        [x[:1] * 4 - x[1:2] * 6 + x[2:3] * 4 - x[3:4], x, x[-1:] * 4 - x[-2:-1] * 6 + x[-3:-2] * 4 - x[-4:-3]]
-    )
-    middle: FloatArray = (9.0 * (ends[1:-2] + ends[2:-1]) - ends[:-3] - ends[3:]) / 16.0
-    return middle
-
-
-def _integrate_momentum(
-    J: FloatArray, k: FloatArray, start: FloatArray, h: float, torque: FloatArray | None = None
-) -> FloatArray:
-    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by fourth-order Runge-Kutta, (n, 3).
-
-    A torque, (n, 3), adds half a step's impulse before each step and half of the next after it: it may jump.
-    """
-    halves = None if torque is None else (0.5 * h * torque).tolist()
-    half, whole, sixth = 0.5 * float(h), float(h), float(h) / 6.0
-    # Python floats are faster than arrays of three, and than NumPy's.
-    stages = np.concatenate([J.reshape(-1, 9), k], axis=1).tolist()
-    middles = np.concatenate([_midpoints(J).reshape(-1, 9), _midpoints(k)], axis=1).tolist()
-    x, y, z = start.tolist()
-    eta = [(x, y, z)]
-    for i, middle in enumerate(middles):
-        if halves is not None:
-            x, y, z = (at + by for at, by in zip((x, y, z), halves[i], strict=True))
-        a1, b1, c1 = _momentum_rate(x, y, z, stages[i])
-        a2, b2, c2 = _momentum_rate(x + half * a1, y + half * b1, z + half * c1, middle)
-        a3, b3, c3 = _momentum_rate(x + half * a2, y + half * b2, z + half * c2, middle)
-        a4, b4, c4 = _momentum_rate(x + whole * a3, y + whole * b3, z + whole * c3, stages[i + 1])
-        x += sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        y += sixth * (b1 + 2.0 * (b2 + b3) + b4)
-        z += sixth * (c1 + 2.0 * (c2 + c3) + c4)
-        if halves is not None:
-            x, y, z = (at + by for at, by in zip((x, y, z), halves[i + 1], strict=True))
-        eta.append((x, y, z))
-    return np.array(eta)
-
-
-def _momentum_rate(x: float, y: float, z: float, stage: list[float]) -> tuple[float, float, float]:
-    """``eta x (J eta - k)``; the stage is J, row by row, and k."""
-    xx, xy, xz, yx, yy, yz, zx, zy, zz, k_x, k_y, k_z = stage
-    u = xx * x + xy * y + xz * z - k_x
-    v = yx * x + yy * y + yz * z - k_y
-    w = zx * x + zy * y + zz * z - k_z
-    return y * w - z * v, z * u - x * w, x * v - y * u
-
-
-def _integrate_sensitivity(
-    w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, start: FloatArray, h: float
-) -> FloatArray:
-    """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``start``; (n, 3, 3 + c)."""
-    A = hat(eta) @ J - hat(w)
-    middle, one = _midpoints(A), np.eye(3)
-    k1 = A[:-1]
-    k2 = middle @ (one + 0.5 * h * k1)
-    k3 = middle @ (one + 0.5 * h * k2)
-    k4 = A[1:] @ (one + h * k3)
-    steps = one + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)  # (n - 1, 3, 3)
-    push = 0.5 * h * (steps @ forcing[:-1] + forcing[1:])  # trapezoid
-    S = np.zeros((len(w), 3, 3 + forcing.shape[2]))
-    S[0] = start
-    for step, before, after, pushed in zip(steps, S[:-1], S[1:], push, strict=True):
-        np.matmul(step, before, out=after)
-        after[:, 3:] += pushed
-    return S

@@ -7,6 +7,7 @@ acceleration. Pinocchio computes the same one tick at a time; predicting a whole
 guess. Recursion over the chain and Newton-Euler equations: Featherstone, Rigid Body Dynamics Algorithms (2008).
 """
 
+import ctypes
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,8 +15,9 @@ import numpy as np
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.dynamics.spatial import force_transforms, hat, own_inertias, times
+from onboard.dynamics.spatial import force_transforms, hat, own_inertias
 from onboard.estimation.arrays import FloatArray
+from onboard.native import library
 
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ
 _TENSOR[[0, 1, 2, 0, 1, 2, 0, 1, 2], [0, 1, 3, 7, 8, 10, 15, 16, 17]] = 1.0
@@ -87,7 +89,7 @@ def link_motions(
 def chain_motion(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, offsets: FloatArray | None = None
 ) -> Chain:
-    """Motion of every link with columns (Rodrigues' formula; Featherstone 2008): axes by recursion, the rest by sums.
+    """Motion of every link and joint (Rodrigues' formula; Featherstone 2008), by recursion from the base outwards.
 
     Args:
         vehicle: the model; the links are in the order of its ``links``.
@@ -98,36 +100,19 @@ def chain_motion(
 
     Raises:
         SignalError: shapes that do not fit.
+        ArrayError: offsets of another shape.
     """
-    n, nj, tree = q.shape[0], len(vehicle.joints), vehicle.tree
+    n, nj, nl, tree = q.shape[0], len(vehicle.joints), len(vehicle.links), vehicle.tree
     if any(signal.shape != (n, nj) for signal in (q, dq, ddq)):
         raise SignalError(f"joint signals must be (n, {nj}); they are {q.shape}, {dq.shape}, {ddq.shape}")
-    arms = tree.seat_origin if offsets is None else tree.seat_origin + times(tree.seat_axes, offsets)
-    angle = q[:, :, None, None]
-    seated = tree.seat_axes + np.sin(angle) * tree.turned[0] + (1.0 - np.cos(angle)) * tree.turned[1]
-    axes = np.empty((n, nj + 1, 3, 3))  # of the bodies
-    axes[:, 0] = np.eye(3)
-    for joint, carrier in enumerate(tree.parent.tolist()):
-        np.matmul(axes[:, carrier], seated[:, joint], out=axes[:, joint + 1])
-    carriers = axes[:, tree.parent]
-    seat_R = carriers @ tree.seat_axes
-    axis, steps = times(seat_R, tree.axis), times(carriers, arms)  # (n, joints, 3)
-    slides = axis * q[..., None] * (1.0 - tree.revolute)
-    seat_p = steps + tree.below @ (steps + slides)
-    origins = np.zeros((n, nj + 1, 3))
-    origins[:, 1:] = seat_p + slides
-    screws = np.empty((n, nj, 6))
-    screws[..., :3] = cross(seat_p, axis) * tree.revolute + axis * (1.0 - tree.revolute)
-    screws[..., 3:] = axis * tree.revolute
-    moves = screws * dq[..., None]
-    W = tree.below @ moves
-    rates = screws * ddq[..., None]
-    rates[..., :3] += cross(W[..., 3:], moves[..., :3]) + cross(W[..., :3], moves[..., 3:])
-    rates[..., 3:] += cross(W[..., 3:], moves[..., 3:])
-    on = axes[:, tree.body]
-    p = origins[:, tree.body] + times(on, tree.link_origin)
-    links = Frames(on @ tree.link_axes, p, tree.moved @ moves, tree.moved @ rates)
-    return Chain(links, Frames(seat_R, seat_p, W, tree.below @ rates), screws, axes, origins)
+    moved = None if offsets is None else library.given(offsets, nj, 3)
+    motion = [library.given(part, n, nj) for part in (q, dq, ddq)]
+    out = np.empty(n * (24 * nl + 30 * nj + 12 * (nj + 1)))
+    pointers = (library.address(part) for part in (*motion, moved))
+    library.call("heft_chain", ctypes.byref(tree.compiled), n, *pointers, out=out)
+    shapes = [(n, count, *own) for count in (nl, nj) for own in ((3, 3), (3,), (6,), (6,))]
+    parts = library.carved(out, [*shapes, (n, nj, 6), (n, nj + 1, 3, 3), (n, nj + 1, 3)])
+    return Chain(Frames(*parts[:4]), Frames(*parts[4:8]), *parts[8:])
 
 
 def frames_of(links: Sequence[LinkMotion]) -> Frames:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.native import library, structures
 
 
 def _maps() -> tuple[FloatArray, ...]:
@@ -87,33 +88,12 @@ class Columns:
     def __init__(self, links: tuple[int, ...], bases: Sequence[FloatArray] | None = None) -> None:
         self.links = links
         each = [np.eye(10)] * len(links) if bases is None else bases
-        self._of_twist = np.array([MOMENTUM @ basis for basis in each]).reshape(len(links), 6, 60)
+        self.bases = library.given(np.array(each, np.float64).reshape(-1, 10, 10), len(links), 10, 10)
 
-    def into(self, out: FloatArray, X: FloatArray, V: FloatArray, A: FloatArray | None = None) -> None:
-        """Momentum, or with the rates of change ``A`` the wrench, of all links, base axes.
+    def compiled(self, count: int) -> structures.Unknown:
+        """The columns for the compiled core, of a vehicle with so many links.
 
-        Args:
-            out: where the columns are put, (n, 6, 10 x unknown links).
-            X: :func:`force_transforms` of all links, (n, links, 6, 6).
-            V: their twists, (n, links, 6).
-            A: rate of change of these.
+        Raises:
+            ArrayError: it has fewer links than these are of.
         """
-        if not self.links:
-            return
-        if self.links != tuple(range(X.shape[1])):
-            which = list(self.links)
-            X, V, A = X[:, which], V[:, which], A if A is None else A[:, which]
-        back = X.swapaxes(-1, -2)
-        own = times(back, V)
-        columns = self._of(own)
-        if A is not None:
-            columns = crf(own) @ columns
-            columns += self._of(times(back, A))
-        n, k = X.shape[:2]
-        out.reshape(n, 6, k, 10)[:] = (X @ columns).swapaxes(1, 2)
-
-    def _of(self, own: FloatArray) -> FloatArray:
-        """Momentum columns in each link's axes, (n, k, 6, 10)."""
-        n, k = own.shape[:2]
-        columns: FloatArray = np.matmul(own[:, :, None], self._of_twist).reshape(n, k, 6, 10)
-        return columns
+        return structures.Unknown(len(self.links), library.indices(np.array(self.links, np.intp), count), self.bases)

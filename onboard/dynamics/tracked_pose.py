@@ -79,7 +79,7 @@ def predict_pose(
     by_motion[:, :4] = right(tail) @ by_psi @ psi
     by_motion[:, 4:] = gain * (by_q @ by_psi @ psi)
     c = 3 + 10 * len(free.links)
-    by_motion[:, 4:, 3:c] -= gain * (S @ centre_by_chi(free, base.bodies.X, mass_kg, centre_m))
+    by_motion[:, 4:, 3:c] -= gain * (S @ centre_by_chi(free, base.bodies.frames, mass_kg, centre_m))
     if errors is not None and base.displaced is not None:
         moved = errors.of_moment(base.displaced, base.bodies) / mass_kg[..., None]
         by_motion[:, 4:, c : c + moved.shape[2]] -= gain * (S @ moved)

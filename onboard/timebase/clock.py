@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.timebase.polygon import Moments, Polygon, box, clip, moments, widen
+from onboard.timebase.polygon import NOTHING, Moments, Polygon, box, moments, moved, widen
 
 DRIFT_PER_S = 100e-6 / 60.0  # 100 ppm per minute: a gyro-referenced oscillator warming up
 CRYSTAL_DRIFT_PER_S = 1e-6 / 60.0
@@ -164,8 +164,8 @@ class DeviceClock(FlywheelingClock):
         """Take a mark, in order of tick; returns whether it was accepted."""
         if self.state in (ClockState.ACQUIRING, ClockState.INVALID):
             return self._acquire(mark)
-        left = self._taken(self._used, mark) if mark.high >= self._view.tick else self._view._replace(polygon=[])
-        if not left.polygon:
+        left = self._taken(self._used, mark) if mark.high >= self._view.tick else self._view._replace(polygon=NOTHING)
+        if not len(left.polygon):
             self._refuse(mark)
             return False
         self._residual(mark)
@@ -259,16 +259,25 @@ class DeviceClock(FlywheelingClock):
 
     def _taken(self, bound: int, mark: Mark) -> _View:
         """View of a bound at a later mark; an empty polygon if it contradicts the mark."""
-        view = self._propagated(bound, mark.high)
-        return view._replace(polygon=self._cut(view, mark))
+        view = self._views[bound]
+        seconds = self._seconds(mark.high - view.tick)
+        advance_ns = (mark.high - view.tick) * self.nominal_period_ns
+        whole_ns = math.floor(advance_ns)
+        drift = 1e9 * self._least_drift_per_s * self.LARGER[bound] * seconds
+        # the effect of a bounded drift on (offset, rate) lies in the sum of two segments: a steady drift, and one that
+        # reverses half-way
+        segments = [(0.5 * drift * seconds, drift), (0.25 * drift * seconds, 0.0)] if drift > 0.0 else []
+        later = _View(mark.high, view.base_ns + whole_ns, view.polygon)
+        shear = seconds, advance_ns - whole_ns
+        return later._replace(polygon=moved(view.polygon, shear, segments, self._bounds(later, mark)))
 
     def _set_all(self, left: _View, mark: Mark) -> None:
         """All views after a mark that the one in use agrees with, ``left``; the view to use from now on."""
         used = self._used
         for bound in range(len(self._views)):
             view = left if bound == used else self._taken(bound, mark)
-            self._agreed[bound] = self._agreed[bound] + 1 if view.polygon else 0
-            self._views[bound] = view if view.polygon else left
+            self._agreed[bound] = self._agreed[bound] + 1 if len(view.polygon) else 0
+            self._views[bound] = view if len(view.polygon) else left
         self._since_strike += 1
         if self._since_strike >= self.MARKS_TO_TRUST:
             self._strikes, self._since_strike = max(self._strikes - 1, 0), 0
@@ -305,27 +314,16 @@ class DeviceClock(FlywheelingClock):
     def _seconds(self, ticks: float) -> float:
         return ticks * self.nominal_period_ns * 1e-9
 
-    def _propagated(self, bound: int, tick: float) -> _View:
-        """A bound's polygon propagated to the later ``tick``, widened by the drift of the rate."""
-        view = self._views[bound]
-        seconds = self._seconds(tick - view.tick)
-        advance_ns = (tick - view.tick) * self.nominal_period_ns
-        whole_ns = math.floor(advance_ns)
-        polygon = [(x + y * seconds + advance_ns - whole_ns, y) for x, y in view.polygon]
-        drift = 1e9 * self._least_drift_per_s * self.LARGER[bound] * seconds
-        if drift > 0.0:
-            # the effect of a bounded drift on (offset, rate) lies in the sum of two segments: a steady drift, and one
-            # that reverses half-way
-            polygon = widen(widen(polygon, 0.5 * drift * seconds, drift), 0.25 * drift * seconds, 0.0)
-        return _View(tick, view.base_ns + whole_ns, polygon)
-
-    def _cut(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> Polygon:
-        """Intersection of ``view`` with ``mark`` widened by ``slack_ns`` on both sides."""
+    def _bounds(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> list[tuple[float, float, float]]:
+        """Lines that ``mark``, widened by ``slack_ns`` on both sides, cuts ``view`` by."""
         low, high = mark.low - view.tick, mark.high - view.tick
         latest_ns = mark.latest_ns - view.base_ns - low * self.nominal_period_ns + slack_ns
         earliest_ns = mark.earliest_ns - view.base_ns - high * self.nominal_period_ns - slack_ns
-        left = clip(view.polygon, 1.0, self._seconds(low), latest_ns)
-        return clip(left, -1.0, -self._seconds(high), -earliest_ns) if left else left
+        return [(1.0, self._seconds(low), latest_ns), (-1.0, -self._seconds(high), -earliest_ns)]
+
+    def _cut(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> Polygon:
+        """Intersection of ``view`` with ``mark`` widened by ``slack_ns`` on both sides."""
+        return moved(view.polygon, lines=self._bounds(view, mark, slack_ns))
 
     def _residual(self, mark: Mark) -> None:
         middle_ns = mark.earliest_ns + (mark.latest_ns - mark.earliest_ns) // 2
@@ -375,7 +373,7 @@ class DeviceClock(FlywheelingClock):
             for mark in [others[first], *others[:first], *others[first + 1 :]]:
                 seconds = self._seconds(mark.high - newest.high)
                 left = self._cut(view, mark, 0.5e9 * self.drift_per_s * seconds * seconds)
-                if left:
+                if len(left):
                     agreeing, view = agreeing + 1, view._replace(polygon=left)
             best = max(best, (agreeing, view.polygon), key=lambda found: found[0])
         return best

@@ -54,6 +54,9 @@ class Machine:
         self.checkout = directory / "a checkout"
         shutil.copytree(DEPLOY, self.checkout / "deploy")
         (self.checkout / "pyproject.toml").write_text("[project]\n")
+        (self.checkout / "onboard/native/src").mkdir(parents=True)
+        for name in ("build.py", "src/chain.c"):
+            (self.checkout / "onboard/native" / name).write_text("\n")
         for name, text in (("test_b.py", "realtime"), ("test_a.py", "@pytest.mark.realtime"), ("test_c.py", "")):
             (self.checkout / "tests").mkdir(exist_ok=True)
             (self.checkout / "tests" / name).write_text(text)
@@ -64,6 +67,9 @@ class Machine:
         self.python = self.bin / "python3"
         self.python.write_text(PYTHON)
         self.python.chmod(0o755)
+        self.compiler = self.bin / "cc"
+        self.compiler.write_text("#!/bin/sh\n")
+        self.compiler.chmod(0o755)
         self.elsewhere = directory / "elsewhere"
         self.elsewhere.mkdir()
         self.log = directory / "calls"
@@ -113,6 +119,16 @@ def test_first_run_installs_what_the_lock_pins_and_flies(machine: Machine) -> No
     assert done.stdout == "flown with hil rocksat --seed 3 clean 1\n"
 
 
+def test_without_a_compiler_one_comes_from_the_package_index(machine: Machine) -> None:
+    machine.compiler.write_text("#!/bin/sh\necho 'stdlib.h: no such file' >&2; exit 1\n")
+    done = machine.run("hil.sh")
+    assert (done.returncode, "stdlib.h" in done.stderr) == (0, False)
+    assert machine.calls[2].endswith(
+        f"--require-hashes --only-binary :all: -r {machine.checkout}/deploy/requirements-compiler.lock"
+    )
+    assert machine.calls[3].endswith(f"--editable {machine.checkout}")
+
+
 def test_another_scenario_is_flown_by_its_name(machine: Machine) -> None:
     assert machine.run("hil.sh", "dymaflex", "--seed", "3").stdout == "flown with hil dymaflex --seed 3 clean 1\n"
 
@@ -159,7 +175,11 @@ def test_the_flights_environment_lacks_the_test_tools(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", ["pyproject.toml", "deploy/requirements.lock", "deploy/requirements-test.lock", "deploy/env.sh"]
+    "changed",
+    [
+        *("pyproject.toml", "deploy/requirements.lock", "deploy/requirements-test.lock", "deploy/env.sh"),
+        *("deploy/backend.py", "onboard/native/build.py", "onboard/native/src/chain.c"),
+    ],
 )
 def test_what_is_installed_follows_its_sources(machine: Machine, changed: str) -> None:
     machine.run("hil.sh")

@@ -8,6 +8,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from onboard.native.build import ZIG
+
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ("requirements.lock", "requirements-test.lock")
 
@@ -50,6 +52,11 @@ def test_the_test_lock_is_the_runtime_lock_and_more() -> None:
     runtime, test = pins(LOCKS[0]), pins(LOCKS[1])
     assert len(test) > len(runtime)
     assert {name: version(pin) for name, pin in runtime.items()} == {name: version(test[name]) for name in runtime}
+
+
+def test_the_compiler_is_the_one_that_a_build_asks_for() -> None:
+    [(name, pin)] = pins("requirements-compiler.lock").items()
+    assert f"{name}=={version(pin)}" == ZIG
 
 
 @pytest.mark.parametrize(

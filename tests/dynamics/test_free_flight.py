@@ -96,15 +96,15 @@ def test_derivatives_by_errors_of_joints_are_finite_differences(flown):
     turns = 4.0 * q[:, [1, 4]]
     waves = np.stack([np.sin(turns), 4.0 * np.cos(turns) * dq[:, [1, 4]], np.zeros((12, 2))], axis=1)
     waves[:, 2] = 4.0 * np.cos(turns) * ddq[:, [1, 4]] - 16.0 * np.sin(turns) * dq[:, [1, 4]] ** 2
-    readings = Readings.of(q, dq, ddq, PERIOD_s, waves)
+    readings = Readings(q, dq, ddq, PERIOD_s, waves)
     errors, rate = JointErrors(flown.vehicle, cyclic=(1, 4)), np.array([0.03, -0.02, 0.05])
     at = np.append(rng.normal(size=(5, 6)) * [1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], [1e-3, -2e-3])
 
     def predicted(x):
         own = x[:30].reshape(5, 6)
-        plain = readings.without_cyclic(own, x[30:], errors.turns)
-        chain = chain_motion(flown.vehicle, *plain.corrected(own), own[:, :3])
-        return predict_base_from_rate(chain.links, PERIOD_s, flown.chi, rate, (0,), errors.along(chain, plain))
+        *motion, functions = readings.corrected(own, x[30:], errors.of_cyclic)
+        chain = chain_motion(flown.vehicle, *motion, own[:, :3])
+        return predict_base_from_rate(chain.links, PERIOD_s, flown.chi, rate, (0,), errors.along(chain, functions))
 
     base = predicted(at)
     labels = [f"{kind} of joint {joint + 1}" for joint in range(5) for kind in JOINT_ERRORS]

@@ -61,7 +61,7 @@ def momentum_form(
         SignalError: by the virtual manipulator, an arm that is no chain of revolute joints.
     """
     if method is Method.EXIDDM:
-        bodies = Bodies(chain_motion(vehicle, q, dq, np.zeros_like(q)).links, chi)
+        bodies = Bodies.of(chain_motion(vehicle, q, dq, np.zeros_like(q)).links, chi)
         inverse = np.asarray(np.linalg.inv(bodies.composite), np.float64)[:, 3:]
         return MomentumForm(inverse[:, :, 3:], turned(inverse, bodies.relative_momentum))
     arm = FloatingArm(vehicle, vehicle.spec.payload_link or vehicle.joints[-1].name, chi)

@@ -1,4 +1,4 @@
-"""A vehicle's joints and links as a tree of constant arrays, for arithmetic over all of them and many ticks at once."""
+"""A vehicle's joints and links as a tree of constant arrays. Bodies: the base, then what each joint carries."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -6,24 +6,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray
+from onboard.native import structures
 
 
 class Tree(NamedTuple):
-    """Which joint carries what, and where. Bodies: the base (0), then what each joint carries (column + 1)."""
+    """Which joint carries what, and where."""
 
-    parent: IndexArray  # (joints,) the body that carries each joint; always a smaller number than its own
-    seat_axes: FloatArray  # (joints, 3, 3) axes of each joint's frame at zero, in that body's
-    seat_origin: FloatArray  # (joints, 3) its origin
+    seat_axes: FloatArray  # (joints, 3, 3) axes of each joint's frame at zero, in those of the body that carries it
     axis: FloatArray  # (joints, 3) in the joint's frame
-    turned: FloatArray  # (2, joints, 3, 3) what the sine of a revolute joint's angle, and one less its cosine, add to
-    # seat_axes (Rodrigues' formula); zero of a prismatic one
-    revolute: FloatArray  # (joints, 1) one or zero
     below: FloatArray  # (joints, joints) one where the column's joint lies between the base and the row's
-    moved: FloatArray  # (links, joints) one where the column's joint moves the row's link
-    body: IndexArray  # (links,) the body that each link is fixed to
-    link_axes: FloatArray  # (links, 3, 3) its axes in that body's
-    link_origin: FloatArray  # (links, 3) its origin
+    compiled: structures.Tree  # what the compiled core moves
 
 
 class TreeJoint(Protocol):
@@ -64,19 +57,13 @@ def tree_of(model: pin.Model, joints: Sequence[TreeJoint], links: Sequence[str])
         path[column + 1, column] = 1.0
     hat = np.cross(np.eye(3), axes[:, None]) * revolute[:, None]
     seat_axes = _stacked([place.rotation for place in places], (3, 3))
-    return Tree(
-        parent,
-        seat_axes,
-        _stacked([place.translation for place in places], (3,)),
-        axes,
-        np.stack([seat_axes @ hat, seat_axes @ hat @ hat]),
-        revolute,
-        path[parent],
-        path[on],
-        on,
-        _stacked([frame.placement.rotation for frame in frames], (3, 3)),
-        _stacked([frame.placement.translation for frame in frames], (3,)),
-    )
+    seats = seat_axes, _stacked([place.translation for place in places], (3,))
+    # What the sine of a revolute joint's angle, and one less its cosine, add to seat_axes (Rodrigues' formula)
+    motion = axes, np.stack([seat_axes @ hat, seat_axes @ hat @ hat]), revolute
+    link_axes = _stacked([frame.placement.rotation for frame in frames], (3, 3))
+    link_origin = _stacked([frame.placement.translation for frame in frames], (3,))
+    compiled = structures.Tree(len(joints), len(links), parent, on, *seats, *motion, link_axes, link_origin)
+    return Tree(seat_axes, axes, path[parent], compiled)
 
 
 def _stacked(parts: Sequence[object], shape: tuple[int, ...]) -> FloatArray:

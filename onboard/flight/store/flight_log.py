@@ -15,6 +15,7 @@ from onboard import config
 from onboard.flight.clocks import known_delays
 from onboard.flight.store.directories import write_private
 from onboard.flight.store.manifest import Manifest, Storage
+from onboard.native import library
 from onboard.recording.format.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
 from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
@@ -161,6 +162,7 @@ def flight_facts(vehicle: config.Vehicle, started: Started | None) -> dict[str, 
         "host_system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "blas_kernels": blas_kernels(),
+        **dict(zip(("compiled_core", "compiled_by"), library.identity(), strict=True)),
     }
     if started is not None:
         facts["wall_clock_ns"], facts["monotonic_ns"] = str(started.wall_clock_ns), str(started.monotonic_ns)
@@ -175,7 +177,8 @@ def blas_kernels() -> str:
 
 def computed_on() -> dict[str, str]:
     """What the last bits of estimates depend on, as the log's metadata ``flight`` and ``versions`` say it."""
-    return {"host_machine": platform.machine(), "blas_kernels": blas_kernels()} | versions()
+    core = {"blas_kernels": blas_kernels(), "compiled_core": library.identity()[0]}
+    return {"host_machine": platform.machine()} | core | versions()
 
 
 def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:

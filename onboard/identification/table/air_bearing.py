@@ -135,8 +135,8 @@ class AirBearingBase:
     def with_errors(self, errors: FloatArray) -> "AirBearingBase":
         """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`."""
         signals = self.signals
-        read = Readings.of(signals.q, signals.dq, signals.ddq, signals.period_s)
-        q, dq, ddq = read.corrected(errors)
+        read = Readings(signals.q, signals.dq, signals.ddq, signals.period_s, np.zeros((len(signals.q), 3, 0)))
+        q, dq, ddq, _ = read.corrected(errors, np.zeros(0), np.zeros(0, np.intp))
         return AirBearingBase(self.vehicle, signals._replace(q=q, dq=dq, ddq=ddq), self.prior, errors[:, :3])
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:

@@ -4,6 +4,7 @@ Samples are stored with their device ticks; their times are computed from the ti
 clock solution shifts all samples of a window consistently.
 """
 
+import ctypes
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from onboard.flight.estimate.readings.history import History
 from onboard.flight.estimate.readings.jumps import JumpWatch
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import Said, StuckWatch
+from onboard.native import library, structures
 from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
@@ -304,38 +306,18 @@ class SignalSmoother:
         n, columns = len(at_ns), len(channel.noise)
         if isinstance(recent, GateReason):
             return nothing(columns, n, 0, recent)
-        values, sigma = np.full((2, n, columns), np.nan)
-        unusable = {
-            reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0)) for reason in _reasons_in(recent.wrong)
-        }
-        at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
-        refused = np.zeros(n, np.int64)
-        delays_s, noise = np.array(channel.delays_s), channel.inflation * np.array(channel.noise)
-        each_s = list(dict.fromkeys(channel.delays_s))
-        times_s = recent.times_s - np.array(each_s)[:, None]  # (d, k)
-        low, high = (
-            np.array([np.searchsorted(t, at_s + side) for t in times_s])[..., None] for side in (-half_s, half_s)
-        )  # (d, n, 1)
-        refused |= reasons((high - low <= half_s / channel.period_s).any(axis=0)[:, 0], GateReason.GAP)
-        for reason, count in unusable.items():
-            refused |= reasons((count[high] > count[low]).any(axis=0)[:, 0], reason)
-        index = low + np.arange(int((high - low).max(initial=1)))  # (d, n, l)
-        under = index < high
-        index = np.minimum(index, times_s.shape[1] - 1)
-        samples = np.maximum(high - low, 1)
-        offset_s = np.where(under, np.take_along_axis(times_s[:, None], index, axis=2) - at_s[:, None], 0.0)
-        middle_s = offset_s.sum(axis=2, keepdims=True) / samples
-        away_s = np.where(under, offset_s - middle_s, 0.0)
-        spread = np.maximum((away_s * away_s).sum(axis=2, keepdims=True), _TINY)
-        weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
-        spreads = np.sqrt((weights * weights).sum(axis=2, keepdims=True))
-        for k, delay_s in enumerate(each_s):
-            mine = _contiguous(delays_s == delay_s)
-            under_it = recent.values.T[mine].take(index[k], axis=1)  # (columns, n, l)
-            values[:, mine] = (weights[k, :, None] @ under_it.transpose(1, 2, 0))[:, 0]
-            sigma[:, mine] = noise[mine] * spreads[k]
-        values[refused != 0] = sigma[refused != 0] = np.nan
-        return ChannelAtTicks((values,), (sigma,), refused, of_samples=(np.ones_like(values),))
+        k, half_s = len(recent.times_s), 0.5e-9 * period_ns
+        noise = channel.inflation * np.array(channel.noise)
+        samples = structures.Samples(
+            *(k, n, columns, int(GateReason.GAP)),
+            *(library.given(recent.times_s, k), (at_ns - at_ns[0]) * 1e-9, library.given(recent.values, k, columns)),
+            *(library.given(np.array(channel.delays_s, np.float64), columns), library.given(noise, columns)),
+            np.ascontiguousarray(recent.wrong, np.int64),
+        )
+        out = np.empty(n * (2 * columns + 1))
+        library.call("heft_tick_means", ctypes.byref(samples), half_s, half_s / channel.period_s, out=out)
+        values, sigma, refused = library.carved(out, [(n, columns), (n, columns), (n,)])
+        return ChannelAtTicks((values,), (sigma,), refused.astype(np.int64), of_samples=(np.ones_like(values),))
 
 
 class _Recent(NamedTuple):

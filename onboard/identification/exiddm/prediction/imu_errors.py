@@ -11,18 +11,20 @@ those of a sensor that is turned: of one turned by 0.08 rad they are as large as
 
 Axes that are not orthogonal: six off-diagonal elements, of which ``hat`` has the antisymmetric part (as a rotation of
 the whole sensor has, which is ``exp(-hat)``) and ``sym(c)`` the symmetric one, c_x between y and z: the magnitudes of
-``hat(c)``.
+``hat(c)``. Computed in ``onboard/native/src/imu.c``.
 """
 
+import ctypes
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.spatial import hat
+from onboard.dynamics.free_flight import BasePrediction
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.prediction.parameters import Block
+from onboard.native import library
+from onboard.native.errors import ArrayError
 
 
 class ImuPrior(NamedTuple):
@@ -60,25 +62,6 @@ BIASES = ("gyro_bias_rad_s", "accelerometer_bias_m_s2")
 DRIFTS = ("gyro_drift_rad_s2", "accelerometer_drift_m_s3")
 _OF_BOTH = ("delay_s", "clock_rate_error")
 SIZE = 3 * (len(ImuPrior._fields) - len(_OF_BOTH)) + len(_OF_BOTH)
-_OF_AXES, _DELAY, _CLOCK, _CROSS = slice(24), 24, 25, slice(26, 32)  # biases to misalignments; the others
-
-_TURNS, _SENSORS = (slice(9, 12), slice(21, 24)), (slice(0, 3), slice(3, 6))  # misalignments, and rows of each sensor
-_SMALL = 1e-4  # rad^2, below which series to the square are exact to rounding: the next term is 2e-13
-_ROWS = np.arange(6)
-_BIAS = 12 * (_ROWS // 3) + _ROWS % 3  # place of each row's bias
-_POWERS = np.repeat([1.0, 2.0], 3)  # of time that each row is scaled by
-
-
-def _gains() -> FloatArray:
-    """Map of the errors to the elements of :func:`gain_of`, (SIZE, 36)."""
-    gains = np.zeros((SIZE, 6, 6))
-    for k in range(2):  # gyro, accelerometer
-        scale, cross_axis = (first + 3 * k for first in (6 + 9 * k, _CROSS.start))
-        rows = slice(3 * k, 3 * k + 3)
-        for axis, unit in enumerate(np.eye(3)):
-            gains[scale + axis, rows, rows] = np.diag(unit)
-            gains[cross_axis + axis, rows, rows] = _sym(unit)
-    return gains.reshape(SIZE, 36)
 
 
 def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
@@ -113,10 +96,8 @@ def gain_of(errors: FloatArray) -> FloatArray:
     Args:
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
-    E: FloatArray = (errors @ _GAIN).reshape(6, 6)
-    for turn, rows in zip(_TURNS, _SENSORS, strict=True):
-        E[rows, rows] += _turned(errors[turn])[0]
-    return E
+    given = library.address(errors := library.given(errors, SIZE))
+    return library.call("heft_imu_gain", given, out=np.empty(36)).reshape(6, 6)
 
 
 def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors: FloatArray) -> ImuReading:
@@ -128,54 +109,59 @@ def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors
         time_s: t, (n,).
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
-    delay_s, rate_error = errors[_DELAY], errors[_CLOCK]
-    bias, drift = errors[_OF_AXES].reshape(2, 4, 3)[:, :2].swapaxes(0, 1).reshape(2, 6)
-    t, E = time_s[:, None], gain_of(errors)
-    own = true - (delay_s + rate_error * t) * change - rate_error * _POWERS * true
-    d_errors = np.zeros((len(true), 6, SIZE))
-    d_errors[:, _ROWS, _BIAS] = 1.0
-    d_errors[:, _ROWS, _BIAS + 3] = t
-    d_errors[:, _ROWS, _BIAS + 6] = own
-    for turn, rows in zip(_TURNS, _SENSORS, strict=True):
-        R, along = _turned(errors[turn])
-        d_errors[:, rows, turn] = hat(own[:, rows] @ R.T) @ along
-    d_errors[:, :3, 26:29], d_errors[:, 3:, 29:32] = _sym(own[:, :3]), _sym(own[:, 3:])
-    d_errors[:, :, _DELAY] = -change @ E.T
-    d_errors[:, :, _CLOCK] = -(t * change + _POWERS * true) @ E.T
-    return ImuReading(own @ E.T + bias + t * drift, d_errors)
+    n = len(true)
+    parts = [
+        library.given(part, *shape)
+        for part, shape in zip((true, change, time_s, errors), ((n, 6), (n, 6), (n,), (SIZE,)), strict=True)
+    ]
+    out = library.call(
+        "heft_imu_reading", n, *(library.address(part) for part in parts), out=np.empty(n * (6 + 6 * SIZE))
+    )
+    return ImuReading(out[: 6 * n].reshape(n, 6), out[6 * n :].reshape(n, 6, SIZE))
 
 
-def _turned(m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``R = exp(-hat(m))`` and ``J``, (3, 3) each, of which ``d(R u) = hat(R u) J dm`` (the left Jacobian at -m).
+class ImuAlong(NamedTuple):
+    """What an IMU shows along a predicted motion, at the inner ticks."""
 
-    Rodrigues' formula; Sola, Deray, Atchuthan: A micro Lie theory for state estimation in robotics, 2018, equation 145.
+    values: FloatArray  # (n - 2, 6)
+    d_errors: FloatArray  # (n - 2, 6, SIZE)
+    d_place: FloatArray  # (n - 2, 6, 3)
+
+
+def imu_along(
+    base: BasePrediction,
+    R_BS: FloatArray,
+    p_BoSo_B: FloatArray,
+    errors: FloatArray,
+    samples: int,
+    period_s: float,
+    by_motion: FloatArray,
+) -> ImuAlong:
+    """Means of an IMU's readings over ticks: :func:`imu_reading` of a sensor fixed in the base.
+
+    Args:
+        base: its motion at n ticks.
+        R_BS: axes of the sensor's frame S in the base's B, (3, 3).
+        p_BoSo_B: its origin, (3,), m.
+        errors: in the order of :func:`imu_blocks`, (SIZE,).
+        samples: in each tick, see :func:`tick_mean`.
+        period_s: between ticks.
+        by_motion: derivatives of what it shows at an instant by what the motion depends on are put there,
+            (n, 6, 3 + c), its lines one after the other.
+
+    Raises:
+        ArrayError: shapes that do not fit.
     """
-    return _turned_by(*m.tolist())
-
-
-@lru_cache(maxsize=16)  # a gain and its derivatives are asked for one after the other
-def _turned_by(x: float, y: float, z: float) -> tuple[FloatArray, FloatArray]:
-    H, square = hat(np.array([x, y, z])), x * x + y * y + z * z
-    angle = math.sqrt(square)
-    if square < _SMALL:
-        a, b, c = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
-    else:
-        sine = math.sin(angle)
-        a, b, c = sine / angle, (1.0 - math.cos(angle)) / square, (angle - sine) / (angle * square)
-    HH = H @ H
-    R, J = np.eye(3) - a * H + b * HH, np.eye(3) - b * H + c * HH
-    R.setflags(write=False)
-    J.setflags(write=False)
-    return R, J
-
-
-def _sym(c: FloatArray) -> FloatArray:
-    """``[[0, z, y], [z, 0, x], [y, x, 0]]`` of each c, (..., 3); ``sym(c) u == sym(u) c``."""
-    out = np.zeros((*c.shape, 3))
-    out[..., 1, 2] = out[..., 2, 1] = c[..., 0]
-    out[..., 0, 2] = out[..., 2, 0] = c[..., 1]
-    out[..., 0, 1] = out[..., 1, 0] = c[..., 2]
-    return out
+    n, total = len(base.rate), base.along.shape[2]
+    compiled, out = base.compiled(), np.empty((n - 2) * (24 + 6 * SIZE))
+    given = [library.given(R_BS, 3, 3), library.given(p_BoSo_B, 3), library.given(errors, SIZE)]
+    apart, rest = divmod(by_motion.strides[0], 8 * total)
+    if by_motion.shape != (n, 6, total) or by_motion.strides[1:] != (8 * total, 8) or rest or apart < 6:
+        raise ArrayError(f"lines of {(n, 6, total)} are needed, and these are {by_motion.shape}")
+    pointers = (library.address(part) for part in given)
+    numbers = samples, period_s, by_motion.ctypes.data, apart
+    library.call("heft_imu", ctypes.byref(compiled), *pointers, *numbers, out=out)
+    return ImuAlong(*library.carved(out, [(n - 2, 6), (n - 2, 6, SIZE), (n - 2, 6, 3)]))
 
 
 def tick_mean(x: FloatArray, samples: int) -> FloatArray:
@@ -204,6 +190,3 @@ def whitened(
     """
     residual = ((values - measured) / sigma)[use].ravel()
     return residual, (jacobian / sigma[..., None])[use].reshape(residual.size, -1)
-
-
-_GAIN = _gains()

@@ -14,7 +14,6 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from onboard.dynamics.free_flight import sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors, Readings
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
@@ -37,10 +36,8 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     SIZE,
     ImuPrior,
     drift_of,
-    gain_of,
+    imu_along,
     imu_blocks,
-    imu_reading,
-    tick_mean,
 )
 from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.moving_base import MovingBase
@@ -57,6 +54,7 @@ from onboard.identification.exiddm.prediction.parameters import (
 )
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
+from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
@@ -203,7 +201,10 @@ class ImuPredictor:
         self._set_changing()
 
     def _set_changing(self) -> None:
-        """What of the state changes from tick to tick, and how."""
+        """What of the state changes from tick to tick, and how; and what of it the motion depends on."""
+        every = np.arange(self._layout.size + len(self.names))
+        both = [(every[here], every[there]) for here, there in self._of_motion]
+        self._all_of_motion = [np.concatenate(one).astype(np.int64) for one in zip(*both, strict=True)]
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
@@ -286,22 +287,18 @@ class ImuPredictor:
         (q, dq, ddq), (cyclic, thrust) = joints, known
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
-        readings = Readings.of(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
+        readings = Readings(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
         base, bend = self._base.predict(readings, x, self.period_s, thrust)
         if bend is not None and not np.isfinite(bend.b).all():
             return Prediction.none(n - 2, m, len(state), len(self.changing))
         time_s, jacobian = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64), np.zeros((n - 2, m, len(state)))
         values, by_motion = np.empty((n - 2, m)), np.empty((n, m, base.along.shape[2]))
         for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
-            true, gain, by_place = sensor_in_base(base, imu.R_BS, imu.p_BoSo_B + x[imu.place])
-            E = gain_of(x[imu.errors])
-            np.matmul(E @ gain, base.along, out=by_motion[:, own])
-            change = (true[2:] - true[:-2]) / (2.0 * self.period_s)
-            mean, d_place = (tick_mean(part, imu.samples)[1:-1] for part in (true, E @ by_place))
-            shown = imu_reading(mean, change, time_s, x[imu.errors])
+            place = imu.p_BoSo_B + x[imu.place]
+            shown = imu_along(base, imu.R_BS, place, x[imu.errors], imu.samples, self.period_s, by_motion[:, own])
             values[:, own] = shown.values
             jacobian[:, own, kept.errors] = shown.d_errors[:, :, kept.of_errors]
-            jacobian[:, own, kept.place] = d_place[:, :, kept.of_place]
+            jacobian[:, own, kept.place] = shown.d_place[:, :, kept.of_place]
         for (cell, cut), own, kept in zip(
             self._cells, self.lines[self._of_cells], self._own[self._of_cells], strict=True
         ):
@@ -316,11 +313,10 @@ class ImuPredictor:
             values[:, own], by_motion[:, own] = shown_pose.values[1:-1], shown_pose.by_motion
             jacobian[:, own, kept.errors] = shown_pose.d_own[1:-1][:, :, kept.of_errors]
             moved.append((pose, kept, shown_pose))
-        means = by_motion[2:] + by_motion[:-2]
-        means *= self._samples
-        means += (1.0 - 2.0 * self._samples) * by_motion[1:-1]
-        for here, there in self._of_motion:
-            jacobian[:, :, here] = means[:, :, there]
+        lines, total = by_motion.shape[1:]
+        pointers = *(library.address(places) for places in self._all_of_motion), library.address(self._samples)
+        numbers = n, lines, total, len(state), len(self._all_of_motion[0])
+        library.call("heft_means", *numbers, *pointers, library.address(by_motion), out=jacobian)
         told = self._of_motion, len(state)
         bent = self._flexible.along(base, bend, x, self.period_s, *told) if self._flexible and bend else None
         if bent is not None:
@@ -400,9 +396,8 @@ class ImuPredictor:
             The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
             the momentum by 1 rad, one sigma.
         """
-        functions = self._base.functions(2, cyclic)
-        parts = q, dq, ddq, np.zeros_like(q), np.concatenate([functions, np.zeros_like(functions[:, :1])], axis=1)
-        readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
+        q, dq, ddq, functions = (np.repeat(x, 2, axis=0) for x in (q, dq, ddq, self._base.functions(2, cyclic)))
+        readings = Readings(q, dq, ddq, 0.0, functions)
         base, _ = self._base.predict(readings, self._layout.whole(self._scaled.linear(state)), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]

@@ -60,7 +60,7 @@ class JointNoise:
     def effect(self, q: FloatArray, chi: FloatArray) -> FloatArray:
         """Of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
         chain = chain_motion(self._vehicle, q, *np.zeros((2, *q.shape)))
-        bodies, S = Bodies(chain.links, chi), chain.screws
+        bodies, S = Bodies.of(chain.links, chi), chain.screws
         momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
         twist = -momenta @ np.asarray(np.linalg.inv(bodies.composite), np.float64).swapaxes(1, 2)
         effect = np.zeros((*q.shape, 2, self._lines[-1].stop))

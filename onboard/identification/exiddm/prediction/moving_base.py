@@ -69,8 +69,8 @@ class MovingBase:
             links = chain_motion(vehicle, *readings[:3]).links
             return predict_base_from_rate(links, period_s, chi, rate, self._columns, None, push), None
         own, bend, local = x[at["joints"]].reshape(-1, PER_JOINT), None, 0
-        readings = readings.without_cyclic(own, x[at["cyclic"]], self._joint_errors.turns)
-        corrected = plain = readings.corrected(own)
+        told = readings.corrected(own, x[at["cyclic"]], self._joint_errors.of_cyclic)
+        corrected = plain = told[:3]
         if flexible is not None:
             local = len(flexible.compliance.functions)
 
@@ -81,12 +81,12 @@ class MovingBase:
             bend = flexible.follow(x, period_s, len(readings.q), bent)
             corrected = flexible.compliance.added(plain, bend)
         chain = chain_motion(vehicle, *corrected, own[:, :3])
-        errors = self._joint_errors.along(chain, readings, local)
+        errors = self._joint_errors.along(chain, told.functions, local)
         return predict_base_from_rate(chain.links, period_s, chi, rate, self._columns, errors, push), bend
 
     def functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
         """Of the joints' errors that vary in time, (n, 3, m): cyclic ones, zero for None, then those of bends."""
-        count = 0 if self._joint_errors is None else len(self._joint_errors.turns)
+        count = 0 if self._joint_errors is None else len(self._joint_errors.of_cyclic)
         if self._flexible is None:
             return np.zeros((ticks, 3, count)) if cyclic is None else cyclic
         own = self._flexible.compliance.unit_functions(ticks)

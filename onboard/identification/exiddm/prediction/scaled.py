@@ -11,13 +11,14 @@ angles to d (chi: drawn parameters, L: root of their covariance, so that z is of
 
     exp(t) (chi + L r) = chi + L s,   s = exp(t) (d + r) - d,   ds/dz = exp(t) (1 + r d' / d'd)
 
-which for small z is z.
+which for small z is z. Computed in ``onboard/native/src/scaled.c``.
 """
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.prediction.parameters import together
+from onboard.native import library
+from onboard.native.errors import ArrayError
 
 
 class Scaled:
@@ -29,26 +30,28 @@ class Scaled:
     """
 
     def __init__(self, at: IndexArray, drawn: FloatArray) -> None:
-        self._at, self._drawn = together(at), drawn
-        self._of_body = np.repeat(np.eye(len(drawn)), drawn.shape[1], axis=0)  # (10 k, k)
+        self._at = np.ascontiguousarray(at, np.int64)
+        self._drawn = library.given(drawn, len(drawn), 10)
         squares = np.sum(drawn**2, axis=1)[:, None]
-        self._factor = np.divide(drawn, squares, out=np.zeros_like(drawn), where=squares > 0.0)  # t of z
+        self._factor = np.divide(drawn, squares, out=np.zeros_like(self._drawn), where=squares > 0.0)  # t of z
 
     def linear(self, state: FloatArray) -> FloatArray:
         """The state, (p,), with s in place of z."""
-        linear = state.copy()
-        t, r = self._parts(state)
-        linear[self._at] = (np.exp(t) * (self._drawn + r) - self._drawn).ravel()
+        linear, z = state.copy(), state[self._at]
+        linear[self._at] = library.call("heft_scaled", *self._given(z), out=np.empty(z.size))
         return linear
 
     def derive(self, by: FloatArray, state: FloatArray) -> None:
-        """Make derivatives by s, (..., p), those by z, in place."""
-        t, r = self._parts(state)
-        own = by[..., self._at]
-        more = (own @ (r.ravel()[:, None] * self._of_body)) @ (self._factor.ravel()[:, None] * self._of_body).T
-        by[..., self._at] = (own + more) * np.repeat(np.exp(t), r.shape[1])
+        """Make derivatives by s, (..., p), those by z, in place.
 
-    def _parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        z = state[self._at].reshape(self._drawn.shape)
-        t = np.sum(self._factor * z, axis=1, keepdims=True)
-        return t, z - t * self._drawn
+        Raises:
+            ArrayError: they do not lie row by row.
+        """
+        if not by.flags.c_contiguous or by.shape[-1] != len(state):
+            raise ArrayError(f"derivatives by {len(state)} unknowns are needed, row by row")
+        z = state[self._at]
+        library.call("heft_scaled_derive", *self._given(z), library.address(self._at), len(state), out=by)
+
+    def _given(self, z: FloatArray) -> tuple[int | None, ...]:
+        """The bodies, and their errors, which the caller keeps."""
+        return len(self._drawn), *(library.address(part) for part in (self._drawn, self._factor, z))

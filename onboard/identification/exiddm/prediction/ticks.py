@@ -7,6 +7,7 @@ import numpy as np
 
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.native import library
 from onboard.regressor.signals import Signals
 
 BATCH_TICKS = 10  # that the filter takes in one step
@@ -31,13 +32,21 @@ class Prediction(NamedTuple):
     def plus(self, more: FloatArray, changing: IndexArray) -> "Prediction":
         """From a state that is so much more, (p,), to first order; ``changing``: elements of the transition, (c,)."""
         state = self.state + more
-        state[changing] = self.state[changing] + self.transition @ more
-        return self._replace(values=self.values + self.jacobian @ more, state=state)
+        state[changing] = _plus(self.state[changing], self.transition, more)
+        return self._replace(values=_plus(self.values, self.jacobian, more), state=state)
 
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""
         return all(bool(part.min() > -_IMMODERATE and part.max() < _IMMODERATE) for part in self)  # False for NaN
+
+
+def _plus(values: FloatArray, by: FloatArray, more: FloatArray) -> FloatArray:
+    """``values + by @ more``, (...), with derivatives (..., p)."""
+    shapes = (values, values.shape), (by, (*values.shape, len(more))), (more, more.shape)
+    given = [library.given(part, *shape) for part, shape in shapes]
+    pointers = (library.address(part) for part in given)
+    return library.call("heft_plus", len(more), *pointers, out=np.empty(values.shape))
 
 
 class Ticks(NamedTuple):

@@ -5,8 +5,9 @@ import pytest
 
 from onboard.identification.exiddm.prediction.scaled import Scaled
 
-DRAWN = np.array([[100.0, 3.0, 0.0, -2.0, 5.0], [30.0, 0.0, 1.0, 0.0, 2.0], np.zeros(5)])  # the last without mass
-AT = np.arange(2, 17)
+DRAWN = np.zeros((3, 10))  # the last without mass
+DRAWN[:2, :5] = [[100.0, 3.0, 0.0, -2.0, 5.0], [30.0, 0.0, 1.0, 0.0, 2.0]]
+AT = np.arange(2, 32)
 
 
 @pytest.fixture
@@ -16,7 +17,7 @@ def scaled():
 
 @pytest.fixture
 def state(rng):
-    return np.concatenate([[7.0, 8.0], 3.0 * rng.normal(size=15), [9.0]])
+    return np.concatenate([[7.0, 8.0], 3.0 * rng.normal(size=30), [9.0]])
 
 
 def bodies(scaled, state):
@@ -29,7 +30,7 @@ def test_small_errors_are_as_they_are_stated(scaled, state):
 
 
 def test_all_masses_grow_along_one_direction_wherever_the_state_is(scaled, state):
-    along = np.zeros(18)
+    along = np.zeros(33)
     along[AT] = DRAWN.ravel()
     for factor in (0.5, 0.9, 1.1, 2.0):
         heavier = bodies(scaled, state + np.log(factor) * along)
@@ -37,11 +38,11 @@ def test_all_masses_grow_along_one_direction_wherever_the_state_is(scaled, state
 
 
 def test_derivatives_are_finite_differences(scaled, state, rng):
-    by_linear = rng.normal(size=(4, 18))
+    by_linear = rng.normal(size=(4, 33))
     found = by_linear.copy()
     scaled.derive(found, state)
     step = 1e-6
-    eye = step * np.eye(18)
+    eye = step * np.eye(33)
     expected = np.stack([by_linear @ (scaled.linear(state + e) - scaled.linear(state - e)) for e in eye], axis=1)
     np.testing.assert_allclose(found, expected / (2.0 * step), rtol=1e-7, atol=1e-7)
 

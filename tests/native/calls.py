@@ -1,0 +1,160 @@
+"""Calls of all functions of the library with random arguments, and with wrong ones; run by itself it fuzzes a library.
+
+python -m tests.native.calls LIBRARY SECONDS
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from onboard.dynamics.bodies import Bodies
+from onboard.dynamics.cut_wrench import CutWrench
+from onboard.dynamics.free_flight import (
+    Push,
+    bodies_from_rate,
+    predict_base_from_rate,
+    rate_of_momentum,
+    sensor_in_base,
+)
+from onboard.dynamics.joint_errors import ErrorsAlong, Readings
+from onboard.dynamics.kinematics import Frames, chain_motion
+from onboard.dynamics.model.errors import SignalError
+from onboard.dynamics.spatial import Columns
+from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
+from onboard.identification.exiddm.prediction.scaled import Scaled
+from onboard.identification.exiddm.prediction.ticks import Prediction
+from onboard.native import library
+from onboard.native.errors import ArrayError
+from onboard.timebase import polygon
+from tests.native.vehicles import PERIOD_s, random_case
+
+REFUSALS = ArrayError, SignalError, ValueError, IndexError, MemoryError
+
+
+def outcomes(seed):
+    """Arrays that the library's functions make of one random vehicle's flight."""
+    rng, case = np.random.default_rng(seed), random_case(seed)
+    chain, n = case.chain, len(case.readings.q)
+    along = case.errors.along(chain, case.corrected.functions, len(case.errors.of_cyclic) // 2)
+    base = predict_base_from_rate(
+        chain.links, PERIOD_s, case.vehicle.chi, case.rate, Columns(case.free, case.bases), along, case.push
+    )
+    R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    by_motion, errors = np.zeros((n, 6, base.along.shape[2])), 0.2 * rng.normal(size=SIZE)
+    imu = imu_along(base, R, p, errors, 5, PERIOD_s, by_motion)
+    read = imu_reading(*rng.normal(size=(2, n, 6)), np.arange(float(n)), errors)
+    joint, cyclic = case.vehicle.joints[-1].name, case.errors.of_cyclic.tolist()
+    cut = CutWrench(case.vehicle, joint, rng.normal(size=6), case.free, cyclic).predict(base)
+    bodies = Bodies.of(chain.links, case.vehicle.chi, *rng.normal(size=(2, n, 6)))
+    inverse, (still, start) = np.eye(3) + 0.1 * rng.normal(size=(n, 3, 3)), rng.normal(size=(2, n, 3))
+    momentum = rate_of_momentum(inverse, still, start[0], PERIOD_s)
+    scaled, by = Scaled(np.arange(10), rng.normal(size=(1, 10))), rng.normal(size=(3, 12))
+    scaled.derive(by, rng.normal(size=12))
+    corners = polygon.moved(polygon.box(-3.0, 5.0, 2.0, 4.0), (0.3, 0.1), rng.normal(size=(2, 2)), [(1.0, 0.2, 4.0)])
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 40))
+    wide = polygon.widen(np.stack([5.0 * np.cos(angles), np.sin(angles)], axis=1), 1e-3, 1e-3)
+    plus = Prediction(
+        *rng.normal(size=(2, 3))[:1], rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=(2, 7))
+    )
+    more = plus.plus(rng.normal(size=7), np.array([0, 3]))
+    parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
+    return [*parts, gain_of(errors), *cut, bodies.parts, *momentum, by, corners, wide, *polygon.moments(wide), *more]
+
+
+def _spoiled(rng, array):
+    """An array as it is, of another shape, empty, with what is no number, or enormous."""
+    array = np.array(array, np.float64)
+    which = rng.integers(0, 9)
+    if which < 4 or not array.size:
+        return array
+    if which == 4:
+        return array[: rng.integers(0, len(array))] if array.ndim else array
+    if which == 5:
+        return np.zeros(rng.integers(0, 4, size=rng.integers(1, 4)))
+    if which == 6:
+        return array.swapaxes(0, -1)
+    array.flat[rng.integers(0, array.size)] = rng.choice([np.nan, np.inf, -np.inf, 1e308, -1e300, 1e-320])
+    return array
+
+
+def fuzz_once(seed):
+    """One round of wrong arguments for everything; only the errors that are said may come of it."""
+    rng, case = np.random.default_rng(seed), random_case(seed % 40)
+
+    def spoiled(array):
+        return _spoiled(rng, array)
+
+    def attempt(function, *arguments):
+        try:
+            return function(*arguments)
+        except REFUSALS:
+            return None
+
+    chi, other = case.vehicle.chi, random_case((seed + 1) % 40)
+    read = Readings(*map(spoiled, case.readings[:3]), PERIOD_s, spoiled(case.readings.cyclic))
+    attempt(
+        read.corrected, spoiled(case.of_joints), spoiled(case.multiples), case.errors.of_cyclic + rng.integers(-1, 2)
+    )
+    motion = [spoiled(part) for part in case.readings[:3]]
+    attempt(chain_motion, case.vehicle, *motion, spoiled(case.of_joints[:, :3]))
+    chain = case.chain
+    frames = Frames(*map(spoiled, chain.links))
+    attempt(lambda: Bodies.of(frames, spoiled(chi), spoiled(np.ones((len(motion[0]), 6))), None))
+    attempt(lambda: Bodies.of(chain.links, chi).sums(spoiled(np.ones((2, len(case.vehicle.links))))))
+    push = Push(spoiled(case.push.of_each), spoiled(case.push.gain))
+    attempt(bodies_from_rate, frames, PERIOD_s, spoiled(chi), spoiled(case.rate), push)
+    functions = spoiled(case.corrected.functions)
+    errors = other.errors if rng.random() < 0.3 else case.errors
+    along = ErrorsAlong(errors, chain, functions, int(rng.integers(-1, 3)))
+    free = Columns(tuple(rng.integers(-1, 9, size=len(case.free)).tolist()) if rng.random() < 0.3 else case.free)
+    given = frames, PERIOD_s, spoiled(chi), spoiled(case.rate), free, along, push
+    base = attempt(predict_base_from_rate, *given)
+    if base is None:
+        base = predict_base_from_rate(chain.links, PERIOD_s, chi, case.rate, case.free, None, case.push)
+    base = base._replace(along=spoiled(base.along), by_rate=spoiled(base.by_rate))
+    R, p, own = spoiled(np.eye(3)), spoiled(np.ones(3)), spoiled(np.zeros(SIZE))
+    attempt(sensor_in_base, base, R, p)
+    lines = spoiled(np.zeros((len(base.rate), 6, base.along.shape[-1])))
+    attempt(imu_along, base, R, p, own, int(rng.integers(0, 9)), PERIOD_s, lines)
+    attempt(imu_reading, lines[..., :1], lines[..., :1], np.ones(3), own)
+    attempt(imu_reading, *(spoiled(np.ones((5, 6))) for _ in range(2)), spoiled(np.ones(5)), own)
+    attempt(gain_of, own)
+    source = other if rng.random() < 0.3 else case
+    cut = CutWrench(
+        source.vehicle, source.vehicle.joints[-1].name, np.ones(6), source.free, source.errors.of_cyclic.tolist()
+    )
+    attempt(cut.predict, base)
+    attempt(rate_of_momentum, spoiled(np.ones((6, 3, 3))), spoiled(np.ones((6, 3))), spoiled(np.ones(3)), PERIOD_s)
+    scaled, by = Scaled(rng.integers(0, 14, 10), np.ones((1, 10))), spoiled(np.ones((4, 12)))
+    attempt(scaled.linear, spoiled(np.ones(12)))
+    attempt(scaled.derive, by, np.ones(by.shape[-1] if by.ndim else 1))
+    corners = spoiled(rng.normal(size=(int(rng.integers(0, 60)), 2)))
+    segments, cuts = (
+        rng.normal(size=(int(rng.integers(0, 4)), 2)),
+        spoiled(rng.normal(size=(int(rng.integers(0, 3)), 3))),
+    )
+    attempt(
+        lambda: polygon.moments(
+            polygon.moved(corners, (np.nan, 1.0) if rng.random() < 0.1 else (0.1, 0.2), segments, cuts)
+        )
+    )
+    plus = Prediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
+    attempt(plus.plus, spoiled(np.ones(7)), np.array([0, 3]))
+
+
+def main(path, seconds):
+    library.LIBRARY = library.open_library(Path(path))
+    end, seed = time.monotonic() + seconds, 0
+    while time.monotonic() < end or seed < 40:
+        if seed < 20:
+            outcomes(seed)
+        with np.errstate(all="ignore"):
+            fuzz_once(seed)
+        seed += 1
+    sys.stdout.write(f"{seed} rounds\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], float(sys.argv[2]))

@@ -1,0 +1,150 @@
+"""How the library is made: by every compiler the same bits, without one an error; and that it keeps to its arrays."""
+
+import os
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from onboard.native import build, library
+from onboard.native.errors import NativeError
+from tests.native.calls import outcomes
+
+ROOT = Path(__file__).resolve().parents[2]
+CODE_LINES, ALL_LINES = 300, 3500
+IMPORT = "from onboard.native import library; print(library.LIBRARY._name)"
+
+
+def python(*arguments, checkout=ROOT, **environment):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": str(checkout), **environment},
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def ours():
+    return [outcomes(seed) for seed in range(12)]
+
+
+@pytest.mark.parametrize(
+    "flags", [build.FLAGS, tuple("-O0" if f == "-O3" else f for f in build.FLAGS)], ids=["O3", "O0"]
+)
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "zig"])
+def test_every_compiler_makes_the_same_bits(compiler, flags, ours, tmp_path, monkeypatch):
+    commands = {Path(command[0]).name: command for command in build.system_compilers()}
+    for command in build.compilers():
+        commands |= {"zig": command} if "ziglang" in command else {}
+    if compiler not in commands:
+        pytest.skip(f"no {compiler} here")
+    path = tmp_path / build.file_name()
+    build.compile_into(path, commands[compiler], flags)
+    monkeypatch.setattr(library, "LIBRARY", library.open_library(path))
+    assert path.name in str(library.LIBRARY._name)
+    for seed, before in enumerate(ours):
+        after = outcomes(seed)
+        assert len(after) == len(before) > 30
+        for k, (one, other) in enumerate(zip(before, after, strict=True)):
+            assert (
+                memoryview(one).tobytes() == memoryview(other).tobytes() if hasattr(one, "shape") else one == other
+            ), k
+
+
+def test_nothing_is_read_or_written_out_of_bounds(tmp_path):
+    """Address and undefined-behaviour sanitizers, with random and with wrong arguments."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("no gcc here")
+    path, checks = tmp_path / build.file_name(), "address,undefined,float-cast-overflow"
+    flags = *build.FLAGS, "-g", f"-fsanitize={checks}", "-fno-sanitize-recover=all"
+    build.compile_into(path, [gcc], flags)
+    names = "libasan.so", "libstdc++.so"  # the second, for the first looks for what Pinocchio throws errors with
+    asked = [[gcc, f"-print-file-name={name}"] for name in names]
+    found = [subprocess.run(one, capture_output=True, text=True, check=True).stdout.strip() for one in asked]
+    done = python(
+        *("-m", "tests.native.calls", str(path), "4"),
+        LD_PRELOAD=" ".join(os.path.realpath(one) for one in found),
+        ASAN_OPTIONS="detect_leaks=0",
+    )
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr[-3000:]
+    assert int(done.stdout.split()[0]) >= 40
+
+
+def test_the_sources_are_few_and_short():
+    lines = {path.name: len(path.read_text().splitlines()) for path in build.SOURCES.iterdir()}
+    assert max(lines.values()) <= CODE_LINES
+    assert 500 < sum(lines.values()) <= ALL_LINES
+
+
+def test_only_one_compiler_is_needed_and_the_next_is_taken_where_one_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "compilers", lambda: [["/nowhere/cc"], ["false"], build.system_compilers()[0]])
+    assert build.build(tmp_path).name == build.file_name()
+    assert [one.name for one in tmp_path.iterdir()] == [build.file_name()]
+
+
+@pytest.fixture
+def bare_checkout(tmp_path):
+    """A checkout without a library beside its sources."""
+    root = tmp_path / "checkout"
+    shutil.copytree(ROOT / "onboard", root / "onboard", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    shutil.copytree(ROOT / "drivers", root / "drivers", ignore=shutil.ignore_patterns("__pycache__"))
+    return root
+
+
+def test_several_processes_that_make_it_at_once_all_find_it_whole(bare_checkout, tmp_path):
+    cache = tmp_path / "cache"
+    with ThreadPoolExecutor(4) as pool:
+        each = [pool.submit(python, "-c", IMPORT, checkout=bare_checkout, XDG_CACHE_HOME=str(cache)) for _ in range(4)]
+    done = [one.result() for one in each]
+    assert [one.returncode for one in done] == [0] * 4, done[0].stderr
+    [made] = (cache / "heft").iterdir()
+    assert {one.stdout.strip() for one in done} == {str(made)}
+
+
+def test_without_any_compiler_a_command_ends_with_the_remedy(bare_checkout, tmp_path):
+    blocked = tmp_path / "sitecustomize.py"
+    blocked.write_text("import sys\nsys.modules['ziglang'] = None\n")
+    path = f"{bare_checkout}:{tmp_path}"
+    for cache in ("cache", "."):
+        done = subprocess.run(
+            [sys.executable, "-m", "onboard.cli", "hil", "rocksat"],
+            cwd=tmp_path,
+            env={"PATH": "/nowhere", "PYTHONPATH": path, "XDG_CACHE_HOME": str(tmp_path / cache)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 69, done.stderr
+        assert "sudo apt install gcc" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_a_library_of_other_sources_is_refused(tmp_path, monkeypatch):
+    build.build(tmp_path)
+    path = tmp_path / build.file_name()
+    monkeypatch.setattr(build, "key", lambda: "0123456789abcdef")
+    with pytest.raises(NativeError, match="of other sources"):
+        library.open_library(path)
+    torn = tmp_path / "torn.so"
+    torn.write_bytes(b"no library")
+    with pytest.raises(NativeError, match="cannot be loaded"):
+        library.open_library(torn)
+
+
+def test_a_cache_that_others_can_write_is_not_used(bare_checkout, tmp_path):
+    shared = tmp_path / "shared"
+    (shared / "heft").mkdir(parents=True)
+    (shared / "heft").chmod(0o777)
+    home = str(tmp_path / "home")
+    done = python("-c", IMPORT, checkout=bare_checkout, XDG_CACHE_HOME=str(shared), HOME=home)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(tmp_path / "home/.cache/heft" / build.file_name())
+    assert list((shared / "heft").iterdir()) == []

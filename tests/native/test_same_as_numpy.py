@@ -1,0 +1,170 @@
+"""The compiled core against plain NumPy of the same equations, of random vehicles and shapes."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics import free_flight
+from onboard.dynamics.bodies import Bodies
+from onboard.dynamics.cut_wrench import CutWrench
+from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.spatial import Columns
+from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
+from onboard.identification.exiddm.prediction.scaled import Scaled
+from onboard.native import build, library
+from tests.native.oracle import base as oracle
+from tests.native.oracle import errors as of_errors
+from tests.native.oracle import imu as of_imu
+from tests.native.oracle.bodies import Bodies as OracleBodies
+from tests.native.oracle.chain import chain_motion as oracle_chain
+from tests.native.vehicles import PERIOD_s, random_case
+
+CASES = range(24)
+TOLERANCE = 1e-13  # of the largest of an array
+SOLVED = 1e-11  # where a system of six equations was solved: the condition of a composite inertia is a few hundred
+
+
+def same(found, true, tolerance=TOLERANCE):
+    assert found.shape == true.shape
+    if true.size:
+        assert np.isfinite(true).all()
+        np.testing.assert_allclose(found, true, rtol=0.0, atol=tolerance * max(np.abs(true).max(), 1e-300))
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    return random_case(request.param)
+
+
+def test_readings_and_the_chain(case):
+    for found, true in zip(
+        case.corrected,
+        of_errors.corrected(case.readings, case.of_joints, case.multiples, case.errors.of_cyclic),
+        strict=True,
+    ):
+        same(found, true)
+    motion = case.corrected[:3]
+    for offsets in (None, case.of_joints[:, :3]):
+        found, true = (one(case.vehicle, *motion, offsets) for one in (chain_motion, oracle_chain))
+        for ours, theirs in zip((*found[0], *found[1], *found[2:]), (*true[0], *true[1], *true[2:]), strict=True):
+            same(ours, theirs)
+
+
+def test_bodies_and_their_sums(case):
+    rng = np.random.default_rng(1)
+    frames, n = case.chain.links, len(case.rate)
+    n = len(frames.p)
+    twist, thrust = rng.normal(size=(2, n, 6))
+    groups = rng.integers(0, 2, size=(3, len(case.vehicle.links))).astype(np.float64)
+    rest, still = Bodies.of(frames, case.vehicle.chi), OracleBodies(frames, case.vehicle.chi)
+    same(rest.composite, still.composite)
+    same(rest.relative_momentum, still.relative_momentum)
+    same(rest.sums(groups).inertia, still.sums(groups).inertia)
+    moved = Bodies.of(frames, case.vehicle.chi, twist, thrust)
+    _, slope = still.moved(twist)
+    still.pushed(thrust)
+    same(moved.slope, slope)
+    for name in ("twist", "rate", "V", "A"):
+        same(getattr(moved, name), getattr(still, name))
+    for found, true in zip(moved.sums(groups), still.sums(groups), strict=True):
+        same(found, true)
+
+
+def local_of(case):
+    """Functions at each tick by itself: none, or some of the last."""
+    return len(case.errors.of_cyclic) // 2
+
+
+@pytest.mark.parametrize("by_rate", [True, False])
+def test_the_base_and_all_derivatives(case, by_rate):
+    chain, frames = case.chain, case.chain.links
+    along = case.errors.along(chain, case.corrected.functions, local_of(case))
+    free, given = Columns(case.free, case.bases), (PERIOD_s, case.vehicle.chi, case.rate)
+    if by_rate:
+        found = predict_base_from_rate(frames, *given, free, along, case.push)
+        true = oracle.predict(frames, *given, case.free, case.bases, along, case.push)
+    else:
+        found = predict_base(frames, *given, case.free)
+        true = oracle.predict(frames, *given, case.free, by_rate=False)
+    names = "rate acceleration specific_force along by_rate by_wrench momentum d_momentum"
+    for name in names.split():
+        same(getattr(found, name), getattr(true, name), SOLVED)
+    assert (found.local, found.at_first) == (true.local, true.at_first)
+    if by_rate:
+        same(found.displaced.screws, true.displaced.screws, SOLVED)
+        bodies = free_flight.bodies_from_rate(frames, *given, case.push)
+        assert (bodies.parts == found.bodies.parts).all()  # the same arithmetic without derivatives
+
+
+def test_instruments_along_a_motion(case):
+    rng = np.random.default_rng(2)
+    chain, (n, _) = case.chain, case.readings.q.shape
+    along = case.errors.along(chain, case.corrected.functions)
+    free, given = Columns(case.free, case.bases), (PERIOD_s, case.vehicle.chi, case.rate)
+    base = predict_base_from_rate(chain.links, *given, free, along, case.push)
+    true = oracle.predict(chain.links, *given, case.free, case.bases, along, case.push)
+    R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    found, sensor = sensor_in_base(base, R, p), oracle.sensor_in_base(base, R, p)
+    for ours, theirs in zip(found, sensor, strict=True):
+        same(ours, theirs)
+    for size in (1e-3, 0.3):  # with series for the rotation, and without
+        errors = size * rng.normal(size=SIZE)
+        same(gain_of(errors), of_imu.gain_of(errors))
+        by_motion = np.full((n, 7, base.along.shape[2]), np.nan)
+        ours = imu_along(base, R, p, errors, 5, PERIOD_s, by_motion[:, 1:])
+        theirs = of_imu.imu_along(sensor, base.along, errors, 5, PERIOD_s)
+        for one, other in zip((*ours, by_motion[:, 1:]), theirs, strict=True):
+            same(one, other, 1e-12)  # change in time by differences of neighbours
+        assert np.isnan(by_motion[:, 0]).all()
+        read = rng.normal(size=(2, n, 6))
+        for one, other in zip(
+            imu_reading(*read, np.arange(float(n)), errors),
+            of_imu.imu_reading(*read, np.arange(float(n)), errors),
+            strict=True,
+        ):
+            same(one, other)
+    frame = case.vehicle.joints[-1].name
+    cyclic = case.errors.of_cyclic.tolist()
+    cut = CutWrench(case.vehicle, frame, rng.normal(size=6), case.free, cyclic)
+    ours, theirs = cut.predict(base), oracle.cut_wrench(cut, true, true.bodies)
+    same(ours.values, theirs[0], SOLVED)
+    same(ours.d_values, theirs[1], SOLVED)
+
+
+def test_a_momentum_alone(case):
+    rng, n = np.random.default_rng(3), len(case.readings.q)
+    J = np.eye(3) + 0.1 * rng.normal(size=(n, 3, 3))
+    still, start = rng.normal(size=(n, 3)), rng.normal(size=3)
+    rate, slope = rate_of_momentum(J, still, start, PERIOD_s)
+    eta = oracle._integrate_momentum(J, still, start, PERIOD_s)
+    same(rate, np.einsum("nij,nj->ni", J, eta) - still)
+    nothing = np.zeros((n, 3, 0))
+    same(slope, J @ oracle._integrate_sensitivity(rate, eta, J, nothing, np.eye(3), PERIOD_s))
+
+
+@pytest.mark.parametrize("bodies", [0, 1, 3])
+def test_errors_of_bodies_in_the_drawing(bodies):
+    rng = np.random.default_rng(4)
+    drawn, at = rng.normal(size=(bodies, 10)), rng.permutation(45)[: 10 * bodies]
+    drawn[1:2] = 0.0  # a body without mass
+    state, by = 0.3 * rng.normal(size=45), rng.normal(size=(4, 3, 45))
+    scaled = Scaled(at, drawn)
+    same(scaled.linear(state), of_errors.linear(at, drawn, state))
+    ours = by.copy()
+    scaled.derive(ours, state)
+    same(ours, of_errors.derived(at, drawn, by, state))
+
+
+def test_sine_cosine_and_exponential_are_those_of_the_processor_to_rounding(case):
+    angles = np.concatenate([np.linspace(-30.0, 30.0, 4001), 10.0 ** np.linspace(-12, 6, 4001), [0.0, -0.0]])
+    vehicle = random_case(0).vehicle
+    q = np.zeros((len(angles), len(vehicle.joints)))
+    q[:, 0] = angles
+    R = chain_motion(vehicle, q, 0.0 * q, 0.0 * q).axes[:, 1]
+    same(R, oracle_chain(vehicle, q, 0.0 * q, 0.0 * q).axes[:, 1], 1e-15)
+    assert np.isnan(chain_motion(vehicle, q[:1] + 2e6, q[:1], q[:1]).axes[0, 1]).all()
+
+
+def test_the_library_says_what_it_is():
+    key, compiler = library.identity()
+    assert (key, bool(compiler)) == (build.key(), True)

@@ -1,0 +1,56 @@
+"""Random vehicles, their motion, and errors of everything, for the compiled core and its oracle."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.free_flight import Push
+from onboard.dynamics.joint_errors import JointErrors, Readings
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
+
+PERIOD_s = 0.01
+
+
+class Case(NamedTuple):
+    """A vehicle, and a few ticks of its flight."""
+
+    vehicle: VehicleModel
+    readings: Readings
+    errors: JointErrors
+    of_joints: np.ndarray  # (joints, 6)
+    multiples: np.ndarray  # (k,) of the first functions
+    free: tuple[int, ...]
+    bases: list[np.ndarray]
+    push: Push
+    rate: np.ndarray
+
+    @property
+    def corrected(self):
+        return self.readings.corrected(self.of_joints, self.multiples, self.errors.of_cyclic)
+
+    @property
+    def chain(self):
+        return chain_motion(self.vehicle, *self.corrected[:3], self.of_joints[:, :3])
+
+
+def random_case(seed: int) -> Case:
+    """Trees of one to seven bodies, revolute, prismatic and fixed joints, four to sixteen ticks, any links unknown."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 8))
+    kinds = ["revolute", *rng.choice(["revolute", "prismatic", "fixed"], count - 1).tolist()]
+    parents = [int(rng.integers(0, k + 1)) for k in range(count)]
+    vehicle = VehicleModel(to_urdf(random_vehicle(rng, kinds, parents)), VehicleSpec(BaseKind.FREE, "base"))
+    n, joints, links = int(rng.integers(4, 17)), len(vehicle.joints), len(vehicle.links)
+    m, k = int(rng.integers(0, 5)), int(rng.integers(0, 4))
+    motion = rng.normal(size=(3, 1, joints)) + 0.1 * rng.normal(size=(3, n, joints))
+    readings = Readings(*motion, PERIOD_s, rng.normal(size=(n, 3, m)))
+    errors = JointErrors(vehicle, rng.integers(0, joints, m).tolist())
+    of_joints = 1e-2 * rng.normal(size=(joints, 6))
+    free = tuple(rng.permutation(links)[: rng.integers(0, links + 1)].tolist())
+    bases = [np.eye(10) if rng.random() < 0.3 else rng.normal(size=(10, 10)) for _ in free]
+    push = Push(rng.normal(size=(n, 6, k)), rng.normal(size=k) if rng.random() < 0.7 else np.zeros(k))
+    multiples = 1e-3 * rng.normal(size=int(rng.integers(0, m + 1)))
+    return Case(vehicle, readings, errors, of_joints, multiples, free, bases, push, 0.1 * rng.normal(size=3))
