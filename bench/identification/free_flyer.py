@@ -14,10 +14,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.identification.momentum import momentum_columns
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
-from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
+from onboard.dynamics.kinematics import composite_inertia, link_motions
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import BodyEstimate, numbers_of, standard_covariance, standard_of

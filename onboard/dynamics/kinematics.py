@@ -127,33 +127,10 @@ def first_ticks(links: Sequence[LinkMotion], ticks: int) -> tuple[LinkMotion, ..
     return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)
 
 
-def _inertia_columns(x: FloatArray) -> FloatArray:
+def inertia_columns(x: FloatArray) -> FloatArray:
     """``I x`` as columns of ``XX XY YY XZ YZ ZZ``, (..., 3, 6)."""
     columns: FloatArray = (x @ _TENSOR).reshape(*x.shape[:-1], 3, 6)
     return columns
-
-
-def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArray:
-    """Momentum (linear, angular about the base's origin) of one link as columns of its ten parameters, (n, 6, 10).
-
-    ``l = m v_Lo + w_L x h``, ``k_Lo = I w_L + h x v_Lo``, moved to the base's origin; h: first moment.
-
-    Args:
-        link: its motion relative to the base.
-        v: velocity of the base's origin, (n, 3).
-        w: rate of the base, (n, 3).
-    """
-    wi = link.w + w
-    vi = v + link.v + cross(w, link.p)
-    Rt = link.R.swapaxes(-1, -2)
-    own, along = turned(Rt, wi), turned(Rt, vi)
-    H = np.zeros((*wi.shape[:-1], 6, 10))
-    H[..., :3, 0] = vi
-    H[..., :3, 1:4] = link.R @ hat(own)
-    H[..., 3:, 0] = cross(link.p, vi)
-    H[..., 3:, 1:4] = hat(link.p) @ H[..., :3, 1:4] - link.R @ hat(along)
-    H[..., 3:, 4:] = link.R @ _inertia_columns(own)
-    return H
 
 
 def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArray) -> FloatArray:
@@ -178,7 +155,7 @@ def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArra
     W[..., :3, 1:4] = link.R @ (hat(spin) + turning @ turning)
     W[..., 3:, 0] = cross(link.p, fi)
     W[..., 3:, 1:4] = hat(link.p) @ W[..., :3, 1:4] - link.R @ hat(force)
-    W[..., 3:, 4:] = link.R @ (_inertia_columns(spin) + turning @ _inertia_columns(own))
+    W[..., 3:, 4:] = link.R @ (inertia_columns(spin) + turning @ inertia_columns(own))
     return W
 
 

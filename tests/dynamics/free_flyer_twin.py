@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 import onboard
+from bench.identification.momentum import momentum_columns
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
-from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
+from onboard.dynamics.kinematics import composite_inertia, link_motions
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from bench.identification.momentum import momentum_columns
 from onboard.dynamics.bodies import Bodies
-from onboard.dynamics.kinematics import chain_motion, frames_of, link_motions, momentum_columns, wrench_columns
+from onboard.dynamics.kinematics import chain_motion, frames_of, link_motions, wrench_columns
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.spatial import coad, crf, crm

@@ -5,7 +5,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns, wrench_columns
+from bench.identification.momentum import momentum_columns
+from onboard.dynamics.kinematics import composite_inertia, link_motions, wrench_columns
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
