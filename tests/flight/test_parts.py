@@ -177,8 +177,10 @@ def test_rows_of_a_channel_are_joined_but_not_past_an_event() -> None:
     assert made[0].rows.flags.writeable
 
 
-BODY = """<robot name="t"><link name="body"><inertial><mass value="1"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+LINK = """<link name="{}"><inertial><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+BODIES = f"""<robot name="t">{LINK.format("body")}{LINK.format("arm")}
+<joint name="j" type="continuous"><parent link="body"/><child link="arm"/></joint></robot>"""
 
 
 def recorded_vehicle(tmp_path: Path) -> config.Vehicle:
@@ -187,7 +189,7 @@ def recorded_vehicle(tmp_path: Path) -> config.Vehicle:
         '[device.imu]\nkind="recorded_imu"\nframe="body"\nperiod_ms=1\naccel_noise_m_s2=0.1\ngyro_noise_rad_s=0.01\n'
         "[estimation]\nsmoothing_ms=50\n"
     )
-    (tmp_path / "t.urdf").write_text(BODY)
+    (tmp_path / "t.urdf").write_text(BODIES)
     return config.parse(text, tmp_path / "vehicle.toml")
 
 
