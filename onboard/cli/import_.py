@@ -80,6 +80,7 @@ def _names(vehicle: str) -> "Names":
     from onboard.devices.recorded import PoseKeys, thrusters_among
     from onboard.devices.roles import TorqueKeys
     from onboard.flight.estimate.readings.roles import roles_of
+    from onboard.ground.identify.replay.as_recorded import IN_TURN
     from onboard.ground.log.bring_in.guess.body import BodyChannels
     from onboard.ground.log.bring_in.guess.propose import Names
     from onboard.ground.log.bring_in.guess.wheels import WheelChannels
@@ -99,6 +100,8 @@ def _names(vehicle: str) -> "Names":
             next((name for name, one in devices.items() if isinstance(one, PoseKeys)), ""),
         ),
         WheelChannels(
-            tuple(joint.channel for joint in roles.joints if joint.is_rate), phases.channel if phases else ""
+            tuple(joint.channel for joint in roles.joints if joint.is_rate),
+            phases.channel if phases else "",
+            IN_TURN if torques and phases is None and IN_TURN not in devices else "",
         ),
     )

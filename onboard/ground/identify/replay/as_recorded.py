@@ -22,7 +22,9 @@ from onboard.ground.identify.replay.feed import FARTHEST_TIMES
 from onboard.ground.identify.replay.smoothing_choice import FEWEST_SAMPLES, chosen
 from onboard.recording.reader import LogReader
 
-IN_TURN = "recording"  # channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of
+IN_TURN = "recording"
+"""Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
+a column that says by 0 and 1 whether the payload is held."""
 _OTHER_PERIOD = 0.1  # relative: file and log differ
 _OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
 _FEWEST_STEPS = 32  # between readings, to tell how they are rounded
@@ -73,7 +75,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     if held is not None:
         devices[IN_TURN] = DEVICES["recorded_value"].model_validate({"kind": "recorded_value", "period_ms": 100.0})
         settings = settings.model_copy(update={"phases": held})
-        said.append(f"the payload is held from the second recording on, by channel {IN_TURN!r}: [estimation.phases]")
+        begins = f"the payload is held from {held.payload_taken} on in channel {IN_TURN!r}"
+        said.append(f"{begins}: [estimation.phases]")
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
     found_so_far = vehicle.model_copy(update={"file": file})
     if free or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
@@ -162,4 +165,4 @@ def _held(vehicle: config.Vehicle, log: LogReader) -> Phases | None:
         return None
     rows = log.read(IN_TURN)
     numbers = sorted(set(np.rint(rows["value_raw"] * rows["scale"]).astype(int).tolist()))
-    return Phases(channel=IN_TURN, identify=numbers, payload_taken=2) if len(numbers) > 1 else None
+    return Phases(channel=IN_TURN, identify=numbers, payload_taken=numbers[1]) if len(numbers) > 1 else None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.ground.log.bring_in.guess import magnitudes, text
-from onboard.ground.log.bring_in.guess.groups import Column
+from onboard.ground.log.bring_in.guess.groups import Column, Group, Table, best
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 
 _YAWS = ("yaw", "theta", "psi", "heading", "th", "phi")
@@ -21,13 +21,14 @@ class BodyChannels(NamedTuple):
     pose: str = ""
 
 
-def of_a_body(columns: Sequence[Column], wanted: BodyChannels, time: str) -> Iterator[tuple[str, Column, str]]:
+def of_a_body(table: Table, wanted: BodyChannels, time: str) -> Iterator[tuple[str, Column, str]]:
     """Channel, column and table of the mapping of each that is found.
 
     Thrusters are columns that are called like them, or as many columns as there are, numbered, of which none is
     commanded below 0 or above 1 (by times: below 0). The pose is x, y and yaw, without more in the name than that
-    they are a position.
+    they are a position, or a position and a quaternion.
     """
+    columns = table.columns
     for name, one in _thrusters(columns, wanted).items():
         largest = float(np.nanmax(one.values, initial=0.0))
         unit = Unit("1", "on is 1")
@@ -38,17 +39,32 @@ def of_a_body(columns: Sequence[Column], wanted: BodyChannels, time: str) -> Ite
     if not wanted.pose:
         return
     named = {_called(one): one for one in reversed(columns)}
-    for axis in "xy":
-        found = next((named[f"{word}{axis}"] for word in _POSITIONS if f"{word}{axis}" in named), None)
+    yaw = next((named[word] for word in _YAWS if word in named), None)
+    attitude = best(table.groups, "quaternion") if yaw is None else None
+    up = "z"
+    if attitude is not None:
+        order = _w_first(attitude)
+        up, name = magnitudes.vertical_of(attitude.values[:, order]), f"{wanted.pose}_yaw"
+        called = [attitude.called[k] for k in order]
+        yield name, attitude.columns[attitude.labels[0]], text.yaw(name, called, up, time)
+    place = best(table.groups, "position")
+    for axis, recorded in (("x", "x"), ("y", "z" if up == "y" else "y")):
+        found = next((named[f"{word}{recorded}"] for word in _POSITIONS if f"{word}{recorded}" in named), None)
+        found = found or (place.columns.get(recorded) if place is not None else None)
         if found is not None:
             unit = magnitudes.of_others("position", _values(found), found.of.unit, ("m", "mm"), "m")
-            name = f"{wanted.pose}_{axis}"
-            yield name, found, text.scalar(name, found.name, _values(found), unit, time)
-    yaw = next((named[word] for word in _YAWS if word in named), None)
+            name, sign = f"{wanted.pose}_{axis}", "-" if recorded == "z" else "+"
+            yield name, found, text.scalar(name, found.name, _values(found), unit, time, sign=sign)
     if yaw is not None:
         unit, name = magnitudes.of_angles(_values(yaw), yaw.of.unit), f"{wanted.pose}_yaw"
         turn = magnitudes.turn_of(_values(yaw)[:, 0])
         yield name, yaw, text.scalar(name, yaw.name, _values(yaw), unit, time, "", turn)
+
+
+def _w_first(attitude: Group) -> list[int]:
+    """Its columns, w first. Where they are numbered: of what turns about an axis w is one of the two that are large."""
+    large = np.argsort(np.nanmean(attitude.values**2, axis=0))[-2:]
+    return [0, 1, 2, 3] if "w" in attitude.columns or 0 in large else [3, 0, 1, 2]
 
 
 def _thrusters(columns: Sequence[Column], wanted: BodyChannels) -> dict[str, Column]:

@@ -90,6 +90,12 @@ def tables(kind: str, columns: Mapping[str, Values], units: Mapping[str, str], j
     return [_table(name, kind, some, joints) for name, some in apart.items() if len(some[0].values) > 1]
 
 
+def best(groups: Sequence[Group], kind: str) -> Group | None:
+    """The group of a kind that was measured, by its words, its columns and its place."""
+    some = [group for group in groups if group.kind == kind]
+    return max(some, key=lambda one: (bool(set(one.stem) & set(names.MEASURED)), len(one.columns)), default=None)
+
+
 def _flat(name: str, values: Values) -> list[tuple[str, Values]]:
     if values.dtype.kind not in "iufb" or values.ndim > 2:
         return []

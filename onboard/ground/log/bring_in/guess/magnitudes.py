@@ -113,6 +113,14 @@ def turned(quaternion: FloatArray, rates: FloatArray, seconds: FloatArray) -> fl
     return float((mean[good] * turn[good]).sum() / (turn[good] ** 2).sum())
 
 
+def vertical_of(quaternion: FloatArray) -> str:
+    """The recorder's axis, y or z, that a body on a table turns about, by its quaternions (n, 4), w first."""
+    q = quaternion[np.isfinite(quaternion).all(axis=1)]
+    w, v = q[:, 0], q[:, 1:]
+    turned = w[:, None] * -v[:1] + w[0] * v - np.cross(v, v[:1]) if len(q) else np.zeros((0, 3))  # of q times q[0]'
+    return "y" if (turned[:, 1] ** 2).sum() > (turned[:, 2] ** 2).sum() else "z"
+
+
 def slope(angles: FloatArray, rates: FloatArray, seconds: FloatArray) -> float | None:
     """Derivative of angles (n, k) over their rates, by least squares; None where nothing moves, or they differ."""
     step = _stride(seconds)

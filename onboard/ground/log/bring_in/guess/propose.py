@@ -12,9 +12,8 @@ from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
 from onboard.ground.log.bring_in.guess.clock import Clock, said
-from onboard.ground.log.bring_in.guess.groups import Group, Table, tables
+from onboard.ground.log.bring_in.guess.groups import Group, Table, best, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
-from onboard.ground.log.bring_in.guess.names import MEASURED
 from onboard.ground.log.bring_in.guess.wheels import WheelChannels, of_wheels
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.messages import read_messages
@@ -170,8 +169,8 @@ class _Maker:
     def add(self, one: Table, main: Table) -> None:
         """What a table holds."""
         groups = [group for group in one.groups if not group.commanded]
-        angles = _best(groups, "angle")
-        rates = _best(groups, "rate")
+        angles = best(groups, "angle")
+        rates = best(groups, "rate")
         units = self._agreed(one, angles, rates)
         time = ""
         if one is not main and one.clock is not None:
@@ -182,7 +181,7 @@ class _Maker:
             self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
             return
         of_vehicle = (
-            *of_a_body(one.columns, self._vehicle.body, time),
+            *of_a_body(one, self._vehicle.body, time),
             *of_wheels(one.columns, self._vehicle.wheels, time),
         )
         for name, column, part in of_vehicle:
@@ -190,10 +189,10 @@ class _Maker:
             self.parts.append(part)
             one = one.without(column.name)
         groups = [group for group in one.groups if not group.commanded]
-        quaternion = _best(groups, "quaternion")
+        quaternion = best(groups, "quaternion")
         done = list(self._imu(one, groups, quaternion, time))
         for kind in ("angle", "torque", "current", "wrench", "force", "moment", "load_cell", "quaternion", "position"):
-            group = _best(groups, kind)
+            group = best(groups, kind)
             if (
                 group is None
                 or (kind in self._taken and kind != "load_cell")
@@ -304,9 +303,3 @@ class _Maker:
         while name in self.names:
             name += "_2"
         return name
-
-
-def _best(groups: Sequence[Group], kind: str) -> Group | None:
-    """The group of a kind that was measured, by its words, its columns and its place."""
-    some = [group for group in groups if group.kind == kind]
-    return max(some, key=lambda one: (bool(set(one.stem) & set(MEASURED)), len(one.columns)), default=None)

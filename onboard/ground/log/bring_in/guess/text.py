@@ -70,10 +70,18 @@ def _mantissa(value: float) -> float:
 
 
 def scalar(
-    name: str, column: str, values: FloatArray, unit: Unit, time: str, doubt: str = "", turn: float = 0.0
+    name: str,
+    column: str,
+    values: FloatArray,
+    unit: Unit,
+    time: str,
+    doubt: str = "",
+    turn: float = 0.0,
+    sign: str = "+",
 ) -> str:
     """A channel of one value, which starts again after ``turn``; 0: it does not."""
     keys = [Key(f"column = {quoted(column)}", doubt)]
+    keys += [Key(f"sign = {quoted(sign)}")] if sign == "-" else []
     keys += [Key(f"wraps = {turn!r}", why="it starts again after a turn")] if turn else []
     if unit.counts != 1.0:
         keys.append(Key(f"scale = [1, {unit.counts:g}]", why="whole counts"))
@@ -82,6 +90,16 @@ def scalar(
     keys.append(Key(f"unit = {quoted(unit.name)}", unit.doubt, unit.why))
     text = f'\n[channel.{name}]\nrecord = "scalar"\n{time}\n[channel.{name}.value]\n'
     return text + "".join(key.lines for key in keys)
+
+
+def yaw(name: str, quaternion: Sequence[str], up: str, time: str) -> str:
+    """A channel of the yaw of a quaternion, w first."""
+    keys = [Key(f"quaternion = [{', '.join(map(quoted, quaternion))}]")]
+    keys += [Key(f"up = {quoted(up)}", why="it turns about this axis most")] if up != "z" else []
+    keys += [Key('values = "physical"'), Key("scale = 1e-08"), Key('unit = "rad"')]
+    return f'\n[channel.{name}]\nrecord = "scalar"\n{time}\n[channel.{name}.value]\n' + "".join(
+        key.lines for key in keys
+    )
 
 
 def not_taken(columns: Sequence[tuple[str, str]]) -> str:

@@ -11,6 +11,7 @@ from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess.body import BodyChannels
 from onboard.ground.log.bring_in.guess.propose import Names, propose
+from onboard.ground.log.bring_in.guess.wheels import WheelChannels
 from onboard.recording.reader import LogReader
 from tests.ground.log.bring_in.guess import made
 from tests.ground.log.bring_in.guess.made import COUNT, BEGAN_ns, PERIOD_s, T, arm, body
@@ -193,6 +194,57 @@ def test_thrusters_and_the_pose_of_a_body_on_a_table(tmp_path, named, pose):
     assert np.unwrap(values(log, "tracker_yaw")) == pytest.approx(yaw, abs=1e-4)
     assert np.diff(values(log, "tracker_yaw")).max() < 0.1
     assert '# not taken (no name that is known, or no number): "pressure"' in proposal.text
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+@pytest.mark.parametrize(
+    ("named", "w_first"),
+    [
+        (("pos.x", "pos.y", "pos.z", "quat.w", "quat.x", "quat.y", "quat.z"), True),
+        (("x [mm]", "y [mm]", "z [mm]", "qx", "qy", "qz", "qw"), False),
+        (("body_position_x", "body_position_y", "body_position_z", "q0", "q1", "q2", "q3"), True),
+        (("p_x", "p_y", "p_z", "quaternion[0]", "quaternion[1]", "quaternion[2]", "quaternion[3]"), False),
+    ],
+)
+def test_a_body_on_a_table_that_is_tracked_with_a_quaternion(tmp_path, named, w_first, up):
+    """w first or last, by name or by which two are large; with y up the table's y is the recorder's -z."""
+    levels, yaw = np.random.default_rng(7).integers(0, 2, COUNT).astype(np.float64), 4.0 * T
+    size, level = 1e3 if "[mm]" in named[0] else 1.0, np.full(COUNT, 1e-3)
+    parts = {"w": np.cos(0.5 * yaw), "x": level, "y": -level, "z": np.sin(0.5 * yaw)}
+    place = size * np.array([np.sin(T), np.cos(T), level])
+    if up == "y":
+        parts |= {"y": parts["z"], "z": -parts["y"]}
+        place = np.array([place[0], place[2], -place[1]])
+    columns = [T, levels, *place, *(parts[axis] for axis in ("wxyz" if w_first else "xyzw"))]
+    path = made.text(tmp_path / "a.csv", ["t", "u1", *named], columns)
+    mapping = tmp_path / "a.toml"
+    mapping.write_text(propose(path, Names(body=BodyChannels(("valve_1",), pose="tracker"))).text)
+    assert main(["import", str(mapping), str(path), "-o", str(tmp_path / "logs")]) == OK
+    log = LogReader(tmp_path / "logs" / "a.mcap")
+    held(log, {"valve_1": levels, "tracker_x": np.sin(T), "tracker_y": np.cos(T)})
+    assert values(log, "tracker_yaw") == pytest.approx(yaw, abs=1e-4)
+
+
+def test_a_column_that_says_from_when_on_the_payload_is_held(tmp_path):
+    """By its name and its two values; a column that goes back, or says more, is none."""
+    own, held_from = arm(2), np.where(T[COUNT // 3] < T, 1.0, 0.0)
+    back, level = np.where((T > 1.0) & (T < 2.0), 1.0, 0.0), 3.0 * held_from
+    names = ["t", "q1", "q2", "tau1", "tau2"]
+    vehicle = Names(("imu",), ("a", "b"), ("a_torque", "b_torque"), wheels=WheelChannels(held="recording"))
+    for called, column, found in (
+        ("gripper_closed", held_from, True),
+        ("holding", held_from + 1.0, True),
+        ("object_held", back, False),
+        ("load", level, False),
+        ("mode", held_from, False),
+    ):
+        path = made.text(tmp_path / "a.csv", [*names, called], [T, *own.q.T, *own.tau.T, column])
+        mapping = tmp_path / "a.toml"
+        mapping.write_text(text := propose(path, vehicle).text)
+        assert ("[channel.recording]" in text) == found, called
+        if found:
+            assert main(["import", str(mapping), str(path), "-o", str(tmp_path / called)]) == OK
+            held(LogReader(tmp_path / called / "a.mcap"), {"recording": column})
 
 
 def test_thrusters_that_were_commanded_by_times(tmp_path):
