@@ -23,6 +23,7 @@ MOMENT_UNITS = {
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
 _FULL_TURN = 2.0 * np.pi + 0.1
+_UNIT = 1e-3  # of a quaternion's length: four decimals
 
 # Names, without marks between their parts, in the order in which they are looked for
 _WRENCH = (
@@ -32,6 +33,7 @@ _WRENCH = (
 _ORIENTATION = (
     ("quaternion", r"(?:.*quat(?:ernion)?|.*orientation|.*ori|.*rot(?:ation)?|(?:.*[^a-z])?q)([wxyz])$", "wxyz"),
     ("quaternion?", r"(?:.*quat(?:ernion)?|q)([0-3])$", "0123"),
+    ("quaternion?", r"(?:.*quat(?:ernion)?|q)([1-4])$", "1234"),  # ABB
     ("matrix", r"(?:.*rot(?:ation)?(?:matrix|mat)?|r|m)([0-3][0-3])$", ""),
     ("rotvec", r".*(?:rotvec|rotationvector|axisangle|rotvector)([xyz])$", "xyz"),
     ("xyz", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
@@ -210,13 +212,19 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
                 wanted = tuple(f"{int(first) + i}{int(first) + j}" for i in range(3) for j in range(3))
                 if (at := _vector(table, columns, [pattern], wanted, tuple(taken))) is not None:
                     return kind, at
-        elif (at := _vector(table, columns, [pattern], axes, tuple(taken))) is not None:
+        elif (at := _vector(table, columns, [pattern], axes, tuple(taken))) is not None and (
+            kind != "quaternion?" or _of_unit_length(table.values[:, at])  # else joints
+        ):
             return kind, at
     raise PosesError(
         f"{table.label}: no orientation among {_shown(table.names)}: quaternion (qw, qx, qy, qz), matrix (r11 .. r33), "
         "rotation vector (rotvec_x ..), Euler angles (roll, pitch, yaw; phi, theta, psi), or joints with --urdf; "
         "give names by --columns"
     )
+
+
+def _of_unit_length(four: FloatArray) -> bool:
+    return bool(np.nanmedian(np.abs(np.linalg.norm(four, axis=1) - 1.0)) < _UNIT)
 
 
 def _joints(table: Table, columns: Sequence[Column], joints: Sequence[str]) -> list[int]:
@@ -288,11 +296,9 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     """
     values = table.values
     width = values.shape[1]
-    remedy = "give names by --columns, e.g. --columns -,-,-,qx,qy,qz,qw,fx,fy,fz,mx,my,mz"
     kinds = []
     for first in range(width - 9):
-        four = np.linalg.norm(values[:, first : first + 4], axis=1)
-        if np.nanmedian(np.abs(four - 1.0)) < 1e-3:
+        if _of_unit_length(values[:, first : first + 4]):
             kinds.append(("quaternion?", first, 4))
         if first + 15 <= width:
             nine = values[:, first : first + 9].reshape(-1, 3, 3)
@@ -302,7 +308,7 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     if orientation and orientation not in ("xyzw", "wxyz", "matrix"):  # three angles before the wrench, as is said
         kinds = [("angles", width - 9, 3)]
     if joints or len(kinds) != 1 or kinds[0][1] < 0 or width - kinds[0][1] - kinds[0][2] != 6:
-        raise PosesError(f"{table.label} has {width} columns without names: {remedy}")
+        raise PosesError(f"{table.label} has {width} columns without names: {_remedy(width, bool(kinds))}")
     kind, first, count = kinds[0]
     said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
     names = [Column("", "")] * width
@@ -312,6 +318,16 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     if kind == "angles":
         found = found * _angle(found, [], units.angle, said)
     return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
+
+
+def _remedy(width: int, quaternion: bool) -> str:
+    """How to name the columns of a table, with its own number of them."""
+    if width < 9:
+        return "an orientation and a wrench have nine or more; put them side by side: heft weigh POSES WRENCHES"
+    before = ["qx", "qy", "qz", "qw"] if quaternion and width > 9 else ["roll", "pitch", "yaw"]
+    given = [*"-" * (width - 6 - len(before)), *before, "fx", "fy", "fz", "mx", "my", "mz"]
+    by_angles = "" if quaternion else "; or, where three angles stand before the wrench, --orientation xyz (or ZYX ...)"
+    return f"give names by --columns, e.g. --columns={','.join(given)}{by_angles}"
 
 
 def _shown(names: Sequence[str]) -> str:

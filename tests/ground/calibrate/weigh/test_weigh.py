@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from onboard.cli import BAD_INPUT, FAILED, OK, main
 from onboard.ground.calibrate.weigh import columns, conventions, table
@@ -102,6 +103,7 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
             ",",
         ),
         (("q0", "q1", "q2", "q3", "FX", "FY", "FZ", "MX", "MY", "MZ"), " "),
+        (("q1", "q2", "q3", "q4", "Force_X", "Force_Y", "Force_Z", "Torque_X", "Torque_Y", "Torque_Z"), ","),
         ((), ","),
     ],
 )
@@ -127,6 +129,29 @@ def test_numbered_parts_of_a_pose_and_a_wrench(one, named, first):
     assert understood(pose[:-1] + wrench, np.delete(rows, 6, axis=1)).kind == "angles?"
     with pytest.raises(PosesError, match="no columns of forces"):
         understood(pose + wrench[:-1], rows[:, :-1])
+
+
+def test_angles_without_names_are_named_by_the_message(one, tmp_path, capsys):
+    """It counts the table's own columns; what it shows can be given as it is."""
+    angles = Rotation.from_matrix(one.R).as_euler("xyz", degrees=True)
+    rows = np.hstack([np.full((len(angles), 2), 7.0), angles, one.rows[:, 4:]])
+    assert weighed(tmp_path, rows, header=())[0] == BAD_INPUT
+    said = " ".join(capsys.readouterr().err.split())
+    given = said.partition("e.g. ")[2].partition(";")[0]
+    assert given == "--columns=-,-,roll,pitch,yaw,fx,fy,fz,mx,my,mz"
+    assert "--orientation xyz" in said
+    for way in ((given,), ("--orientation", "xyz")):
+        code, answer = weighed(tmp_path, rows, *way, header=())
+        assert code == OK
+        assert all(holds(answer, one.true).values())
+    assert weighed(tmp_path, rows[:, 3:], header=())[0] == BAD_INPUT
+    assert "have nine or more" in " ".join(capsys.readouterr().err.split())
+
+
+def test_joints_are_no_quaternion(one, tmp_path, capsys):
+    names = [*(f"q{k}" for k in range(1, 5)), *HEADER[4:]]
+    assert weighed(tmp_path, one.rows * ([1.5] * 4 + [1.0] * 6), header=names)[0] == BAD_INPUT
+    assert "joints with --urdf" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
