@@ -48,7 +48,6 @@ BENCHES: Final = (
     Bench("kill_recorder", "--kills 10", "--kills 200"),
     Bench("timebase", "--seeds 4 --hour 120 --field 1"),
     Bench("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
-    Bench("estimators", "--quick"),
     Bench("speed", "--only hil-rocksat --rounds 1"),
     Bench("flight", "--quick", "--minutes 1"),
     Bench("page", "--seconds 10", "--vehicle dymaflex --seconds 30"),

@@ -7,6 +7,8 @@ import binascii
 import struct
 from collections.abc import Callable
 
+from cobs import cobs
+
 from drivers.ports import CanFrame, Edge, I2cReply
 
 QSB_TICK_NS = 1_953_125
@@ -309,21 +311,9 @@ def dynamixel_packet(head: str, data: bytes) -> bytes:
     return packet + crc.to_bytes(2, "little")
 
 
-def cobs_stuffed(data: bytes) -> bytes:
-    """COBS of ``data``, and the delimiter."""
-    out, block = bytearray(), bytearray()
-    for at, byte in enumerate(data):
-        if byte:
-            block.append(byte)
-        if not byte or (len(block) == 254 and at < len(data) - 1):
-            out += bytes([len(block) + 1]) + block
-            block.clear()
-    return bytes(out + bytes([len(block) + 1]) + block) + b"\0"
-
-
 def node_framed(payload: bytes) -> bytes:
     """A node frame on the wire: payload, CRC-16/CCITT-FALSE, COBS, delimiter."""
-    return cobs_stuffed(payload + binascii.crc_hqx(payload, 0xFFFF).to_bytes(2, "big"))
+    return cobs.encode(payload + binascii.crc_hqx(payload, 0xFFFF).to_bytes(2, "big")) + b"\0"
 
 
 def node_descriptor(names: tuple[str, ...], sequence: int, tick: int) -> bytes:

@@ -23,12 +23,12 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rich.console import Console
 from rich.table import Table
 
+from bench.recording import rows_of
 from drivers import records
 from onboard.ground.log.export.dump import dump
 from onboard.recording.reader import LogReader
@@ -42,14 +42,7 @@ REPORT_S, READING_MIB = 15.0, 300
 
 def write_imu(path: Path, count: int) -> None:
     """A log of one IMU: noise of some hundred counts at 1 kHz."""
-    rng = np.random.default_rng(1)
-    rows = np.zeros(count, records.IMU)
-    rows["sequence"] = rows["tick"] = np.arange(count)
-    rows["host_ns"] = 1_000_000_000 + np.arange(count) * 1_000_000 + rng.integers(0, 50_000, count)
-    rows["accel_raw"] = rng.normal([0, 0, 8192], 200, (count, 3)).astype(np.int16)
-    rows["gyro_raw"] = rng.normal(0, 300, (count, 3)).astype(np.int16)
-    rows["temperature_raw"] = rng.normal(-500, 5, count).astype(np.int16)
-    rows["accel_scale_m_s2"], rows["gyro_scale_rad_s"] = 9.80665 / 8192, np.deg2rad(1 / 131)
+    rows = rows_of(records.IMU, count)
     with LogWriter.create(path, overwrite=True, durable=False) as writer:
         writer.register("imu_0", records.IMU)
         for first in range(0, count, 100):
