@@ -9,8 +9,7 @@ without one, by node guarding (7.2.8.3.2.1): it answers remote frames with its s
 none came for guard time x life time factor it reports 8130h and leaves Operational, the default of 1029h.
 """
 
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from hil_sim.devices.can_bus.can_wire import TransmitFrame
 from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
 from hil_sim.devices.canopen.sdo_server import serve
+from hil_sim.devices.powered import PoweredTwin
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
 _BOOT_NS = 50_000_000
@@ -40,7 +40,7 @@ _DEAF = (OFF, BOOTING)
 _FAULTS = (FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.GARBAGE, FaultKind.SLOW)
 
 
-class CanopenNode:
+class CanopenNode(PoweredTwin):
     """One node.
 
     Args:
@@ -73,25 +73,14 @@ class CanopenNode:
         self.dictionary = ObjectDictionary()
         self.uploads: Counter[tuple[int, int]] = Counter()  # SDO reads answered, by object
         self.emergencies = 0  # messages sent
-        self._faults = faults.require(*_FAULTS, *extra_faults)
-        self._is_faulty = bool(faults)  # at any time
+        super().__init__(start_ns, faults.require(*_FAULTS, *extra_faults))
         self._rng = faults.rng()
-        self._start_ns = start_ns
         self._transmit: TransmitFrame | None = None
         self._tpdos: list[Tpdo] = []
         self._guard: tuple[Entry, Entry] | None = None  # guard time in ms, life time factor
         self._toggle = 0
         self._abandoned = False  # by who guarded it
-        self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
-        self.due_ns = NEVER  # when it next does something of its own accord
         self.revision = 0  # changes with all that its answers to SYNCs depend on, but for what it measures
-        self._supply = deque(
-            event
-            for cycle in faults.power_cycles()
-            for event in ((cycle.down_ns, self._power_down), (cycle.up_ns, self._power_up))
-        )
-        self._supply.appendleft((start_ns, self._power_up))
-        self._next_supply(start_ns)
         for away_ns, back_ns in faults.absences():
             if back_ns != NEVER:
                 self._at(f"recovery {away_ns}", back_ns, self._recovered_bus)
@@ -113,18 +102,9 @@ class CanopenNode:
         """Give it the wire."""
         self._transmit = transmit
 
-    def act(self, now_ns: int) -> None:
-        """Do what is due, in order."""
-        while self.due_ns <= now_ns:
-            name = min(self._timers, key=lambda key: self._timers[key][0])
-            due_ns, action = self._timers.pop(name)
-            self.revision += name != "heartbeat"
-            self._refresh()
-            action(due_ns)
-
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
         """A frame has ended on the wire."""
-        if self.state in _DEAF or (self._is_faulty and self._faults.is_away(now_ns)):
+        if self.state in _DEAF or self._is_silent(now_ns):
             return
         if identifier == self._sync_cob_id.value:
             if len(data) > 1:
@@ -156,7 +136,7 @@ class CanopenNode:
         """A remote frame has ended."""
         if self._guard is None or identifier != 0x700 + self.node_id:
             return
-        if self.state in (OFF, BOOTING) or self._is_silent(now_ns):
+        if self.state in _DEAF or self._is_silent(now_ns):
             return
         self._send(identifier, bytes([self._toggle | self.state]), now_ns + ANSWER_NS)
         self._toggle ^= _TOGGLE
@@ -204,19 +184,6 @@ class CanopenNode:
         else:
             self._send_tpdo(tpdo, now_ns)
 
-    def _at(self, name: str, due_ns: int, action: Callable[[int], None]) -> None:
-        """Set (or move) the timer ``name``."""
-        self._timers[name] = (due_ns, action)
-        self._refresh()
-
-    def _stop(self, name: str) -> None:
-        if self._timers.pop(name, None) is not None:
-            self._refresh()
-
-    def _seconds(self, now_ns: int) -> float:
-        """Mission time."""
-        return (now_ns - self._start_ns) * 1e-9
-
     def _times_s(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Mission times, (n,)."""
         return (times_ns - self._start_ns).astype(np.float64) * 1e-9
@@ -230,23 +197,18 @@ class CanopenNode:
 
     # Supply and NMT
 
-    def _next_supply(self, now_ns: int) -> None:
+    def _lose_power(self, now_ns: int) -> None:
         del now_ns
-        if self._supply:
-            due_ns, action = self._supply.popleft()
-            if due_ns < NEVER:
-                self._at("supply", due_ns, action)
-
-    def _power_down(self, now_ns: int) -> None:
         self.state = OFF
         self._stop_communication()
-        self._next_supply(now_ns)
 
-    def _power_up(self, now_ns: int) -> None:
+    def _gain_power(self, now_ns: int) -> None:
         self.dictionary.reset()
         self._before_start()
-        self._next_supply(now_ns)
         self._boot(now_ns + _BOOT_NS + self.node_id * _BOOT_STAGGER_NS)
+
+    def _acts(self, name: str) -> None:
+        self.revision += name != "heartbeat"
 
     def _boot(self, ready_ns: int) -> None:
         self._stop_communication()
@@ -366,9 +328,6 @@ class CanopenNode:
         del now_ns
         self.hears_process_data |= sync != 0x80
 
-    def _is_silent(self, now_ns: int) -> bool:
-        return self._is_faulty and self._faults.is_away(now_ns)
-
     def _send(self, identifier: int, data: bytes, ready_ns: int) -> None:
         if self._is_faulty:
             slow = self._faults.active(FaultKind.SLOW, ready_ns)
@@ -379,9 +338,6 @@ class CanopenNode:
                 return
         if self._transmit is not None:
             self._transmit(identifier, data, ready_ns)
-
-    def _refresh(self) -> None:
-        self.due_ns = min([timer[0] for timer in self._timers.values()], default=NEVER)
 
     def _add_communication_objects(self, device_type: int) -> None:
         add, u8, u16, u32 = self.dictionary.add, DataType.U8, DataType.U16, DataType.U32

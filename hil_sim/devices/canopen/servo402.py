@@ -220,9 +220,9 @@ class ServoDrive402(Drive402):
         for rpdo in self._rpdos:
             rpdo.restart()
 
-    def _power_down(self, now_ns: int) -> None:
+    def _lose_power(self, now_ns: int) -> None:
         self.axis.advance(self._seconds(now_ns))
-        super()._power_down(now_ns)
+        super()._lose_power(now_ns)
         self._before_start()
 
     def _on_nmt(self, command: int, now_ns: int) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.i2c.twin import I2cTwin
+from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.scenario.tables import ScenarioError
@@ -60,7 +60,7 @@ class As5600Twin(I2cTwin):
         seed: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(0x36, start_ns, faults, (*INPUT_KINDS, FaultKind.FIELD))
+        super().__init__(0x36, start_ns, faults, (*POWER_KINDS, *INPUT_KINDS, FaultKind.FIELD))
         self._joint = FaultyScalar(analog, faults, start_ns)
         self._turns, self._zero, self._seed = turns, zero_count, seed
         self.answered = 0  # readings of STATUS or an angle, from their first byte

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.i2c.twin import I2cTwin
+from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
@@ -65,7 +65,7 @@ class Nau7802Twin(I2cTwin):
         seed: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        kinds = (*INPUT_KINDS, FaultKind.SATURATED, *CLOCK_KINDS, FaultKind.WHO_AM_I)
+        kinds = (*POWER_KINDS, *INPUT_KINDS, FaultKind.SATURATED, *CLOCK_KINDS, FaultKind.WHO_AM_I)
         super().__init__(0x2A, start_ns, faults, kinds)
         self._cell = FaultyScalar(analog, faults, start_ns)
         self._healthy = clock

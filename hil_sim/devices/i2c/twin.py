@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import Final
 
-from hil_sim.faults import DeviceFaults, FaultKind, garbled
+from hil_sim.faults import DeviceFaults, FaultKind, PowerCycle, garbled
 
 LAZY_NS: Final = 50_000_000
 POWER_KINDS: Final = (
@@ -25,8 +25,8 @@ class I2cTwin(ABC):
     Args:
         address: 7-bit address.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        faults: What breaks, of ``POWER_KINDS`` and ``kinds``.
-        kinds: Further faults that it can have.
+        faults: What breaks.
+        kinds: Faults that it can have.
 
     Raises:
         FaultError: a fault that it cannot have.
@@ -34,7 +34,7 @@ class I2cTwin(ABC):
 
     def __init__(self, address: int, start_ns: int, faults: DeviceFaults, kinds: tuple[FaultKind, ...]) -> None:
         self.address = address
-        self._faults = faults.require(*POWER_KINDS, *kinds)
+        self._faults, self._is_faulty = faults.require(*kinds), bool(faults)
         self._rng = faults.rng()
         self._start_ns = self._settled_ns = start_ns
         self._cycles = deque(faults.power_cycles())
@@ -44,6 +44,9 @@ class I2cTwin(ABC):
     @abstractmethod
     def _power_up(self, now_ns: int) -> None:
         """Registers have their reset values."""
+
+    def _lose_power(self, cycle: PowerCycle) -> None:
+        self._power_up(cycle.up_ns)
 
     @abstractmethod
     def _run(self, until_ns: int) -> None:
@@ -75,7 +78,7 @@ class I2cTwin(ABC):
             self._run(cycle.down_ns)
             self._off_until_ns = cycle.up_ns
             self._pointer = 0
-            self._power_up(cycle.up_ns)
+            self._lose_power(cycle)
         if now_ns >= self._off_until_ns:
             self._run(now_ns)
         self._settled_ns = max(now_ns, self._settled_ns)
@@ -87,10 +90,19 @@ class I2cTwin(ABC):
             OSError: EREMOTEIO when nothing acknowledges; the errno of a ``nack`` fault; ETIMEDOUT.
         """
         self._settle(now_ns)
-        nack = self._faults.active(FaultKind.NACK, now_ns)
-        if nack is not None or self._faults.is_away(now_ns) or address != self.address or now_ns < self._off_until_ns:
+        nack = self._faults.active(FaultKind.NACK, now_ns) if self._is_faulty else None
+        away = self._is_faulty and self._faults.is_away(now_ns)
+        if nack is not None or away or address != self.address or now_ns < self._off_until_ns:
             code = int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO
             raise OSError(code, os.strerror(code))
+        answer = self._exchange(write, read_count, now_ns)
+        if not self._is_faulty:
+            return answer
+        if self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
+            raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        return answer if self._faults.active(FaultKind.GARBAGE, now_ns) is None else garbled(answer, self._rng)
+
+    def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
         if write:
             self._point(write[0])
             for byte in write[1:]:
@@ -100,7 +112,4 @@ class I2cTwin(ABC):
         for _ in range(read_count):
             answer.append(self._read(self._pointer))
             self._pointer = self._following(self._pointer)
-        if self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
-            raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
-        garbage = self._faults.active(FaultKind.GARBAGE, now_ns) is not None
-        return garbled(bytes(answer), self._rng) if garbage else bytes(answer)
+        return bytes(answer)

@@ -11,30 +11,32 @@ stop the chip, as nothing is wired to CLKIN; oscillator and gyro settling times 
 stored without effect.
 """
 
-import errno
-import os
-from collections import deque
-
 import numpy as np
 from numpy.typing import NDArray
 
+from hil_sim.devices.i2c.twin import I2cTwin
 from hil_sim.devices.mpu6050 import registers as reg
 from hil_sim.devices.mpu6050.ahead import Grid, SamplesAhead
 from hil_sim.devices.mpu6050.fifo import TwinFifo
 from hil_sim.devices.mpu6050.fsync import FsyncLatch
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, PowerCycle
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
 
 _RESET_NS = 1_000_000
 _FAST_TICK_NS = 125_000  # 8 kHz: DLPF_CFG 0 and 7
 _SLOW_TICK_NS = 1_000_000
 _HIGHEST_REGISTER = 0x7F
-_LAZY_NS = 50_000_000
 _SECOND_NS = 1_000_000_000
 _CONVERTING = slice(reg.CONFIG, reg.ACCEL_CONFIG + 1), slice(reg.PWR_MGMT_1, reg.PWR_MGMT_2 + 1)
 
+_FAULTS = (
+    *(FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, FaultKind.INTERMITTENT, FaultKind.NACK, FaultKind.TIMEOUT),
+    *(FaultKind.STUCK, FaultKind.SATURATED, FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLOW, FaultKind.CLOCK_JUMP),
+    *(FaultKind.WHO_AM_I, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS),
+)
 
-class Mpu6050Twin:
+
+class Mpu6050Twin(I2cTwin):
     """One chip.
 
     Args:
@@ -63,24 +65,7 @@ class Mpu6050Twin:
         trim: reg.FactoryTrim | None = None,
         self_test_error: float = 0.0,
     ) -> None:
-        self.address = address
-        self._faults = faults.require(
-            FaultKind.OFF,
-            FaultKind.RESET,
-            FaultKind.STUCK,
-            FaultKind.SATURATED,
-            FaultKind.WRONG,
-            FaultKind.DELAYED,
-            FaultKind.GARBAGE,
-            FaultKind.INTERMITTENT,
-            FaultKind.SLOW,
-            FaultKind.CLOCK_JUMP,
-            FaultKind.NACK,
-            FaultKind.TIMEOUT,
-            FaultKind.WHO_AM_I,
-            FaultKind.PULSE_DROP,
-            FaultKind.PULSE_SPURIOUS,
-        )
+        super().__init__(address, start_ns, faults, _FAULTS)
         self._analog = FaultyImu(analog, faults, start_ns)
         if any(w.kind is FaultKind.CLOCK_JUMP and w.value > 0.0 for w in faults.windows):
             raise FaultError(
@@ -89,13 +74,9 @@ class Mpu6050Twin:
         self._healthy = clock
         self._pll: ChipClock = FaultyClock(clock, faults)
         self._rc: ChipClock = FaultyClock(rc_clock or clock, faults)
-        self._rng = faults.rng()
-        self._start_ns = start_ns
         self._trim = trim or reg.FactoryTrim()
         self._self_test_gain = 1.0 + self_test_error
-        self._cycles = deque(faults.power_cycles())
-        self._off_until_ns = 0
-        self._now_ns = self._settled_ns = start_ns
+        self._now_ns = start_ns
         self._fsync = FsyncLatch()
         self._fifo = TwinFifo()
         self._made = 0  # samples
@@ -162,48 +143,29 @@ class Mpu6050Twin:
     def advance(self, now_ns: int) -> None:
         """Time goes on; samples are made in batches, on a read or after 50 ms."""
         self._now_ns = max(now_ns, self._now_ns)
-        if now_ns - self._settled_ns >= _LAZY_NS:
-            self._settle(now_ns)
+        super().advance(now_ns)
 
     def _settle(self, now_ns: int) -> None:
         """Make every sample that is due."""
         if now_ns == self._settled_ns and not self._cycles:
             return
-        for edge_ns in self._faults.spurious_edges(self._settled_ns, now_ns) if self._faults else ():
+        for edge_ns in self._faults.spurious_edges(self._settled_ns, now_ns) if self._is_faulty else ():
             self._mark(edge_ns, 300_000)
-        while self._cycles and self._cycles[0].down_ns <= now_ns:
-            cycle = self._cycles.popleft()
-            self._make_samples(cycle.down_ns)
-            self._off_until_ns = cycle.up_ns
-            self._power_up(cycle.down_ns)
-        if now_ns >= self._off_until_ns:
-            self._make_samples(now_ns)
-        self._settled_ns = max(now_ns, self._settled_ns)
+        super()._settle(now_ns)
+
+    def _lose_power(self, cycle: PowerCycle) -> None:
+        self._power_up(cycle.down_ns)
 
     def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
-        """One transaction: START, ``write``, repeated START when ``read_count`` > 0, that many bytes, STOP.
-
-        Raises:
-            OSError: EREMOTEIO when nothing acknowledges; the errno of a ``nack`` fault; ETIMEDOUT.
-        """
+        """See ``I2cTwin``."""
         self._now_ns = max(now_ns, self._now_ns)
-        self._settle(self._now_ns)
-        nack = self._faults.active(FaultKind.NACK, now_ns) if self._faults else None
-        away = bool(self._faults) and self._faults.is_away(now_ns)
-        if nack is not None or away or address != self.address or now_ns < self._off_until_ns:
-            code = int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO
-            raise OSError(code, os.strerror(code))
-        answer = self._exchange(write, read_count, now_ns)
-        if self._faults and self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
-            raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
-        is_garbled = self._faults and self._faults.active(FaultKind.GARBAGE, now_ns) is not None
-        return garbled(answer, self._rng) if is_garbled else answer
+        return super().transfer(address, write, read_count, self._now_ns)
 
     def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
         if write:
             self._pointer = write[0] & _HIGHEST_REGISTER
             for byte in write[1:]:
-                self._write(byte, now_ns)
+                self._write(self._pointer, byte, now_ns)
                 self._step_pointer()
         if read_count == 0:
             return b""
@@ -214,7 +176,7 @@ class Mpu6050Twin:
             self._show()
         answer = bytearray()
         for _ in range(read_count):
-            answer.append(self._read(now_ns))
+            answer.append(self._read(self._pointer))
             self._step_pointer()
         if self._reg[reg.INT_PIN_CFG] & 0x10:
             self._reg[reg.INT_STATUS] = 0
@@ -270,7 +232,7 @@ class Mpu6050Twin:
             self._period_ns = self._tick_ns * (1 + self._reg[reg.SMPLRT_DIV])
         self._next_chip_ns = (self._clock.chip_ns(now_ns) // self._tick_ns + 1) * self._tick_ns
 
-    def _make_samples(self, until_ns: int) -> None:
+    def _run(self, until_ns: int) -> None:
         if not self._running:
             self._last_s = max(self._last_s, (until_ns - self._start_ns) * 1e-9)  # the FSYNC latch rests too
             self._fsync.forget(self._last_s)
@@ -334,8 +296,8 @@ class Mpu6050Twin:
 
     # Registers
 
-    def _read(self, now_ns: int) -> int:
-        address = self._pointer
+    def _read(self, address: int) -> int:
+        now_ns = self._settled_ns
         if address == reg.FIFO_R_W:
             return self._pop(1)[0]
         if address == reg.FIFO_COUNT_H:
@@ -352,8 +314,7 @@ class Mpu6050Twin:
             value = value if wrong is None else int(wrong.value)
         return value
 
-    def _write(self, value: int, now_ns: int) -> None:
-        address = self._pointer
+    def _write(self, address: int, value: int, now_ns: int) -> None:
         if now_ns < self._busy_until_ns:
             return
         if address == reg.PWR_MGMT_1:

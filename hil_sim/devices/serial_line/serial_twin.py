@@ -1,19 +1,16 @@
-"""What every twin at the end of a serial line has in common: its supply, its timers, its connector."""
+"""What every twin at the end of a serial line has in common: its faults and its connector."""
 
-from collections import deque
-from collections.abc import Callable
-from typing import ClassVar, Final
+from typing import Final
 
+from hil_sim.devices.powered import PoweredTwin
 from hil_sim.devices.serial_wire import LineFormat, Transmit
-from hil_sim.faults import INPUT_KINDS, NEVER, DeviceFaults, FaultKind, garbled
-
-_SUPPLY = "supply"
+from hil_sim.faults import INPUT_KINDS, DeviceFaults, FaultKind, garbled
 
 POLLED_KINDS: Final = (FaultKind.SATURATED, FaultKind.SLOW, *INPUT_KINDS)
 """Faults of a load cell that speaks when it is spoken to."""
 
 
-class SerialTwin:
+class SerialTwin(PoweredTwin):
     """Base of the serial twins; it is powered up at ``start_ns``.
 
     Args:
@@ -26,14 +23,12 @@ class SerialTwin:
         FaultError: a fault that this device cannot have.
     """
 
-    _outside: ClassVar[frozenset[str]] = frozenset()  # timers of what happens around the device, on or off
-
     def __init__(
         self, line: LineFormat, start_ns: int, faults: DeviceFaults, extra_faults: tuple[FaultKind, ...] = ()
     ) -> None:
         self.line = line
         self.powered = False
-        self._faults = faults.require(
+        faults.require(
             FaultKind.OFF,
             FaultKind.RESET,
             FaultKind.SILENT,
@@ -42,20 +37,9 @@ class SerialTwin:
             *extra_faults,
         )
         self._garbage = faults.rng()
-        self._start_ns = start_ns
         self._transmit: Transmit | None = None
-        self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
-        self._due_ns = NEVER
         self._until_ns = start_ns
-        self._supply = deque([(start_ns, self._supply_on)])
-        for cycle in faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._supply_off), (cycle.up_ns, self._supply_on)]
-        self._next_supply()
-
-    @property
-    def due_ns(self) -> int:
-        """When it next does something of its own accord."""
-        return self._due_ns
+        super().__init__(start_ns, faults)
 
     def connect(self, transmit: Transmit) -> None:
         """Give it the line."""
@@ -64,11 +48,7 @@ class SerialTwin:
     def act(self, until_ns: int) -> None:
         """Do, in order, everything that is due at ``until_ns``."""
         self._until_ns = max(until_ns, self._until_ns)
-        while self._due_ns <= until_ns:
-            name = min(self._timers, key=lambda key: self._timers[key][0])
-            due_ns, action = self._timers.pop(name)
-            self._refresh()
-            action(due_ns)
+        super().act(until_ns)
 
     def receive(self, byte: int, now_ns: int) -> None:
         """A character has ended."""
@@ -88,19 +68,6 @@ class SerialTwin:
     def _on_byte(self, byte: int, now_ns: int) -> None:
         """A character for a device that is on. Subclasses that listen override."""
 
-    def _at(self, name: str, due_ns: int, action: Callable[[int], None]) -> None:
-        """Set (or move) the timer ``name``."""
-        before = self._timers.get(name)
-        self._timers[name] = (due_ns, action)
-        if due_ns <= self._due_ns:
-            self._due_ns = due_ns
-        elif before is not None and before[0] == self._due_ns:
-            self._refresh()
-
-    def _stop(self, name: str) -> None:
-        if self._timers.pop(name, None) is not None:
-            self._refresh()
-
     def _send(self, data: bytes, ready_ns: int) -> int:
         """Send; returns when the last bit ends. With an open connector nothing arrives."""
         if self._transmit is None or self._is_silent(ready_ns):
@@ -114,38 +81,10 @@ class SerialTwin:
         slow = self._faults.active(FaultKind.SLOW, now_ns)
         return now_ns if slow is None else now_ns + round(slow.value * 1e9)
 
-    def _seconds(self, now_ns: int) -> float:
-        """Mission time."""
-        return (now_ns - self._start_ns) * 1e-9
-
-    def _is_silent(self, now_ns: int) -> bool:
-        return bool(self._faults) and self._faults.is_away(now_ns)
-
-    # Supply
-
-    def _next_supply(self) -> None:
-        if self._supply:
-            due_ns, action = self._supply.popleft()
-            if due_ns < NEVER:
-                self._at(_SUPPLY, due_ns, action)
-
-    def _supply_on(self, now_ns: int) -> None:
-        self._next_supply()
-        self._gain_power(now_ns)
-
-    def _supply_off(self, now_ns: int) -> None:
-        self._lose_power(now_ns)
-        self._next_supply()
-
     def _gain_power(self, now_ns: int) -> None:
         self.powered = True
         self._power_up(now_ns)
 
     def _lose_power(self, now_ns: int) -> None:
-        del now_ns
         self.powered = False
-        self._timers = {n: timer for n, timer in self._timers.items() if n == _SUPPLY or n in self._outside}
-        self._refresh()
-
-    def _refresh(self) -> None:
-        self._due_ns = min([timer[0] for timer in self._timers.values()], default=NEVER)
+        super()._lose_power(now_ns)
