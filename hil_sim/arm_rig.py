@@ -13,7 +13,7 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.devices.sync.sync_box import SyncBox
-from hil_sim.faults import NEVER, Fault, FaultPlan
+from hil_sim.faults import NEVER, DeviceFaults, Fault, FaultPlan
 from hil_sim.plants.drives.servo_axis import Axis, ServoAxis
 from hil_sim.scenario.bus_tables import CanBusTable
 from hil_sim.sensing.sensors import DriftingClock
@@ -50,6 +50,57 @@ class Motor(NamedTuple):
     gear_ratio: float = 1.0
 
 
+class Wired(NamedTuple):
+    """A drive and the joint of a vehicle that it moves; its other fields are those of :class:`Motor`."""
+
+    name: str
+    joint: str
+    node: int
+    counts: int
+    zero: int = 0
+    reversed_count: bool = False
+    gear_ratio: float = 1.0
+
+
+def _alone(motor: Motor | Wired) -> Axis:
+    assert isinstance(motor, Motor), "a drive of a vehicle moves an axis of the vehicle"
+    torque = motor.torque_n_m
+    return ServoAxis(motor.angle_rad, inertia_kg_m2=motor.inertia_kg_m2, torque_n_m=torque, brake_n_m=torque)
+
+
+def drive_of(motor: Motor | Wired, axis: Axis, start_ns: int, faults: DeviceFaults) -> ServoDrive402:
+    """The drive of a motor that moves ``axis``.
+
+    Raises:
+        FaultError: a fault that it cannot have.
+    """
+    return ServoDrive402(
+        motor.node,
+        axis,
+        start_ns,
+        increments_per_revolution=motor.counts,
+        zero_increments=motor.zero,
+        reversed_count=motor.reversed_count,
+        rated_torque_nm=_RATED_N_M / abs(motor.gear_ratio),
+        gear_ratio=motor.gear_ratio,
+        faults=faults,
+    )
+
+
+def travels(drives: Mapping[str, ServoDrive402]) -> dict[str, dict[str, float | str]]:
+    """Where the joint of each drive has been (rad), how fast it was and is (rad/s), and the drive's state."""
+    return {
+        name: {
+            "lowest_rad": drive.axis.lowest_rad,
+            "highest_rad": drive.axis.highest_rad,
+            "fastest_rad_s": drive.axis.fastest_rad_s,
+            "rate_rad_s": drive.axis.rate_rad_s,
+            "state": f"{drive.drive_state:02X}h",
+        }
+        for name, drive in drives.items()
+    }
+
+
 class Arm:
     """The arm, to be put on a bus.
 
@@ -72,7 +123,7 @@ class Arm:
 
     def __init__(
         self,
-        motors: Sequence[Motor],
+        motors: Sequence[Motor | Wired],
         plan: FaultPlan,
         start_ns: int,
         period_ns: int,
@@ -83,24 +134,8 @@ class Arm:
         self.axes: dict[str, Axis] = {}
         self.drives: dict[str, ServoDrive402] = {}
         for motor in motors:
-            torque, inertia = motor.torque_n_m, motor.inertia_kg_m2
-            axis: Axis = (
-                ServoAxis(motor.angle_rad, inertia_kg_m2=inertia, torque_n_m=torque, brake_n_m=torque)
-                if axes is None
-                else axes[motor.name]
-            )
-            self.axes[motor.name] = axis
-            self.drives[motor.name] = ServoDrive402(
-                motor.node,
-                axis,
-                start_ns,
-                increments_per_revolution=motor.counts,
-                zero_increments=motor.zero,
-                reversed_count=motor.reversed_count,
-                rated_torque_nm=_RATED_N_M / abs(motor.gear_ratio),
-                gear_ratio=motor.gear_ratio,
-                faults=plan.of(motor.name),
-            )
+            axis = self.axes[motor.name] = _alone(motor) if axes is None else axes[motor.name]
+            self.drives[motor.name] = drive_of(motor, axis, start_ns, plan.of(motor.name))
         clock = DriftingClock(start_ns, _RATE_ERROR, 0.0)
         self.box = SyncBox(clock, start_ns, period_ns=period_ns, faults=plan.of("sync_box"))
         self._buses: list[CanBus | PulseLine] = []
@@ -149,7 +184,7 @@ class ArmRig(Arm):
 
     def __init__(
         self,
-        motors: Sequence[Motor],
+        motors: Sequence[Motor | Wired],
         faults: Iterable[Fault] = (),
         *,
         period_ns: int = 5_000_000,

@@ -5,10 +5,10 @@ What a flight computer commands moves the arm, the arm moves the base, and IMU, 
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from hil_sim.arm_rig import Wired, drive_of
 from hil_sim.buses.media import Bus, CanBus
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.driven_plant import DrivenPlant, late
-from hil_sim.driven_world import Wired
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.mission import VIRTUAL_START_NS, Mission
 from hil_sim.plants.drives.servo_axis import STEP_S
@@ -16,8 +16,6 @@ from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
-
-_RATED_N_M = 10.0  # of a motor, at the joint
 
 
 class DrivenFlight(Mission):
@@ -70,17 +68,7 @@ class DrivenFlight(Mission):
             raise ScenarioError(f"bus.{self._can} is no CAN bus; drives are on one")
         for drive in self._wired:
             axis = self.plant.vehicle.axes[drive.joint]
-            self.drives[drive.name] = ServoDrive402(
-                drive.node,
-                axis,
-                self.start_ns,
-                increments_per_revolution=drive.counts,
-                zero_increments=drive.zero,
-                reversed_count=drive.reversed_count,
-                rated_torque_nm=_RATED_N_M / abs(drive.gear_ratio),
-                gear_ratio=drive.gear_ratio,
-                faults=plan.of(drive.name),
-            )
+            self.drives[drive.name] = drive_of(drive, axis, self.start_ns, plan.of(drive.name))
             bus.add(self.drives[drive.name])
             axis.controller = None if axis.controller is None else late(axis.controller)
         plan.check_all_taken()

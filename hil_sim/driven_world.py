@@ -5,27 +5,15 @@ At first the gripper is empty.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-from hil_sim.arm_rig import ArmRig, Motor
+from hil_sim.arm_rig import ArmRig, Wired
 from hil_sim.faults import Fault
 from hil_sim.mission import Mission
 from hil_sim.plants.drives.driven_vehicle import DrivenVehicle
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError
-
-
-class Wired(NamedTuple):
-    """A drive and the joint that it moves."""
-
-    name: str
-    joint: str
-    node: int
-    counts: int
-    zero: int = 0
-    reversed_count: bool = False
-    gear_ratio: float = 1.0
 
 
 class DrivenWorld(ArmRig):
@@ -68,22 +56,8 @@ class DrivenWorld(ArmRig):
         if missing:
             raise ScenarioError(f"{', '.join(missing)}: every joint of the URDF needs one drive, and no other has one")
         self.vehicle = DrivenVehicle(built, noise_rad, seed)
-        posture = dict(zip(built.joints, built.posture_rad.tolist(), strict=True))
-        motors = [
-            Motor(
-                drive.name,
-                drive.node,
-                posture[drive.joint],
-                drive.counts,
-                drive.zero,
-                drive.reversed_count,
-                built.efforts_n_m[drive.joint],
-                gear_ratio=drive.gear_ratio,
-            )
-            for drive in wired
-        ]
         axes = {drive.name: self.vehicle.axes[drive.joint] for drive in wired}
-        super().__init__(motors, faults, period_ns=period_ns, seed=seed, axes=axes)
+        super().__init__(wired, faults, period_ns=period_ns, seed=seed, axes=axes)
 
     def capture(self) -> None:
         """The gripper closes about the payload."""

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil_sim.arm_rig import Arm, Motor
+from hil_sim.arm_rig import Arm, Motor, travels
 from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.faults import FaultPlan, parse
@@ -104,19 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say({**ports.urls, "start_ns": start_ns})
         server = MissionServer(ports, time.monotonic_ns)
         server.run(arm, lambda: bool(stops))
-        say(
-            {
-                name: {
-                    "lowest_rad": axis.lowest_rad,
-                    "highest_rad": axis.highest_rad,
-                    "fastest_rad_s": axis.fastest_rad_s,
-                    "rate_rad_s": axis.rate_rad_s,
-                    "state": f"{arm.drives[name].drive_state:02X}h",
-                }
-                for name, axis in arm.axes.items()
-            }
-            | {"server": server.summary()}
-        )
+        say({**travels(arm.drives), "server": server.summary()})
     return 0
 
 

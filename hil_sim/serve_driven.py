@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hil_sim.arm_rig import Wired, travels
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.driven_flight import DrivenFlight
-from hil_sim.driven_world import Wired
 from hil_sim.faults import parse
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.serve import do_not_wait, motion_starts, open_sockets, say, stops_on_signals
@@ -97,17 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say({**ports.urls, "start_ns": start_ns})
         server = MissionServer(ports, time.monotonic_ns)
         server.run(mission, lambda: bool(stops))
-        joints = {
-            name: {
-                "lowest_rad": drive.axis.lowest_rad,
-                "highest_rad": drive.axis.highest_rad,
-                "fastest_rad_s": drive.axis.fastest_rad_s,
-                "rate_rad_s": drive.axis.rate_rad_s,
-                "state": f"{drive.drive_state:02X}h",
-            }
-            for name, drive in mission.drives.items()
-        }
-        say({"truth": mission.truth(), "joints": joints, "server": server.summary()})
+        say({"truth": mission.truth(), "joints": travels(mission.drives), "server": server.summary()})
     return 0
 
 

@@ -97,7 +97,8 @@ def _identify_in_flight(arguments: argparse.Namespace, vehicle: "config.Vehicle"
 def _run(
     arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any], log: Path
 ) -> "TrialSeries":
-    from hil_sim.driven_world import DrivenWorld, Wired
+    from hil_sim.arm_rig import Wired
+    from hil_sim.driven_world import DrivenWorld
     from onboard.dynamics.model.errors import ModelError
     from onboard.flight.estimate.problem.identification import build_model
     from onboard.flight.trials import PERIOD_MS

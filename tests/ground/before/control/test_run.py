@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from hil_sim.arm_rig import Wired
 from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.driven_world import DrivenWorld, Wired
+from hil_sim.driven_world import DrivenWorld
 from hil_sim.faults import Fault
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody, symmetric
