@@ -20,7 +20,8 @@ import secrets
 import socket
 import struct
 import threading
-from urllib.parse import urlsplit
+
+from onboard.live.heads import LOCAL, fields, host_of, is_ours
 
 MOST_CLIENTS = 8
 LONGEST_REQUEST = 8192  # bytes
@@ -31,7 +32,6 @@ WEB_VIEWERS = ("app.foxglove.dev", "lichtblick-suite.github.io")  # pages that a
 _BLOCK = 1 << 16
 _SO_ATTACH_FILTER = 26  # asm-generic/socket.h
 NEW, OLD = b"foxglove.sdk.v1", b"foxglove.websocket.v1"  # names of the subprotocol
-_LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
 class Gate:
@@ -131,15 +131,12 @@ async def _request(reader: asyncio.StreamReader, clients: int) -> tuple[str, byt
     if clients > MOST_CLIENTS:
         return "503 Too Many Viewers", b""
     lines = request.decode("latin-1").split("\r\n")
-    headers: dict[str, list[str]] = {}
-    for line in lines[1:]:
-        name, _, value = line.partition(":")
-        headers.setdefault(name.strip().lower(), []).append(value.strip())
+    headers = fields(lines[1:])
     hosts, origins = headers.get("host", []), headers.get("origin", [])
     if not re.fullmatch(r"GET \S+ HTTP/1\.1", lines[0]) or len(hosts) != 1 or len(origins) > 1:
         return "400 Bad Request", b""
-    host = _host(f"//{hosts[0]}")
-    if host is None or not (host in _LOCAL or host == socket.gethostname().lower() or _is_number(host)):
+    host = host_of(f"//{hosts[0]}")
+    if host is None or not is_ours(host):
         return "403 Forbidden Host", b""
     if origins and not allowed(origins[0], host):
         return "403 Forbidden Origin", b""
@@ -151,27 +148,12 @@ async def _request(reader: asyncio.StreamReader, clients: int) -> tuple[str, byt
 def allowed(origin: str, host: str) -> bool:
     """Whether pages of ``origin`` may watch: of this computer, of the host they reach it by, or of a viewer's maker."""
     scheme, separator, _ = origin.partition("://")
-    named = _host(origin)
+    named = host_of(origin)
     if scheme == "file" and separator:
         return True  # a desktop application; a page in a browser says null
     if named is None or scheme not in ("http", "https"):
         return False
-    return named in _LOCAL or named == host or (scheme == "https" and named in WEB_VIEWERS)
-
-
-def _host(url: str) -> str | None:
-    try:
-        return urlsplit(url).hostname
-    except ValueError:
-        return None
-
-
-def _is_number(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
+    return named in LOCAL or named == host or (scheme == "https" and named in WEB_VIEWERS)
 
 
 async def _to_viewer(inward: asyncio.StreamReader, writer: asyncio.StreamWriter, stall_s: float) -> None:

@@ -11,12 +11,12 @@ import re
 import secrets
 import socket
 from typing import NamedTuple
-from urllib.parse import urlsplit
+
+from onboard.live.heads import fields, host_of, is_ours
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8787
 LONGEST_REQUEST = 8192  # bytes
 ACT, LONGEST_ACT = "act", 512  # path and bytes of what is asked of the flight
-LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
 class Address(NamedTuple):
@@ -97,10 +97,7 @@ def judge(head: bytes, address: Address, token: str, *, acts: bool = False) -> R
     """
     first, *lines = head.decode("latin-1").split("\r\n")
     asked = re.fullmatch(r"([A-Z]+) (/[!-~]*) HTTP/1\.[01]", first)
-    headers: dict[str, list[str]] = {}
-    for line in lines:
-        name, _, value = line.partition(":")
-        headers.setdefault(name.strip().lower(), []).append(value.strip())
+    headers = fields(lines)
     if asked is None or len(headers.get("host", [])) != 1 or len(headers.get("origin", [])) > 1:
         return Request("", refused="400 Bad Request")
     if refused := _refusal(asked[1], headers, None if token else address, acts=acts and bool(token)):
@@ -120,10 +117,10 @@ def judge(head: bytes, address: Address, token: str, *, acts: bool = False) -> R
 def _refusal(method: str, headers: dict[str, list[str]], address: Address | None, *, acts: bool) -> str:
     """The status, or nothing. Without an address any name will do: a page that has DNS point here has no token."""
     [named] = headers["host"]
-    host = _host(f"//{named}")
+    host = host_of(f"//{named}")
     if method != "GET" and not (acts and method == "POST"):
         return "405 Method Not Allowed"
-    if host is None or not (address is None or _may_be_called(host, address)):
+    if host is None or not (address is None or is_ours(host, address.host.lower())):
         return "403 Forbidden Host"
     foreign = any(one in ("cross-site", "same-site") for one in headers.get("sec-fetch-site", []))
     navigates = headers.get("sec-fetch-mode", [""])[0] == "navigate"  # a link elsewhere may lead here
@@ -142,19 +139,3 @@ def _refusal_of_act(headers: dict[str, list[str]]) -> str:
     if len(length) != 1 or not re.fullmatch(r"[0-9]{1,9}", length[0]) or "transfer-encoding" in headers:
         return "411 Length Required"
     return "413 Content Too Large" if int(length[0]) > LONGEST_ACT else ""
-
-
-def _may_be_called(host: str, address: Address) -> bool:
-    if host in LOCAL or host in (address.host.lower(), socket.gethostname().lower()):
-        return True
-    with contextlib.suppress(ValueError):
-        ipaddress.ip_address(host)
-        return True  # a number is not asked of DNS
-    return False
-
-
-def _host(text: str) -> str | None:
-    try:
-        return urlsplit(text).hostname
-    except ValueError:
-        return None

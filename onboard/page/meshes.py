@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.dynamics.model.urdf_check import rotation
+
 MOST_BYTES = 16 << 20  # of a file
 MOST_TRIANGLES, MOST_MESHES = 3000, 60  # of a vehicle
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
@@ -54,7 +56,7 @@ def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
     given = {} if origin is None else origin.attrib
     xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
     triangles = read(_path(mesh.attrib["filename"], directory)) * scale
-    triangles = triangles @ _rotation(rpy).T + xyz
+    triangles = triangles @ rotation(np.array(rpy)).T + xyz
     if not np.isfinite(triangles).all():
         raise ValueError("its corners are no numbers")
     yield triangles
@@ -116,18 +118,6 @@ def _obj(data: bytes) -> Triangles:
         raise ValueError("it has no face")
     found: Triangles = np.array(points)[np.array(faces)]
     return found
-
-
-def _rotation(rpy: list[float]) -> NDArray[np.float64]:
-    """Fixed axes: roll, pitch, yaw, as the URDF has them."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(one), np.sin(one)) for one in rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def _fewer(triangles: Triangles, most: int) -> Triangles:
