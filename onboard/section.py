@@ -20,6 +20,12 @@ def _near_one(value: float) -> float:
     return value
 
 
+def _directed(axis: Vector3) -> Vector3:
+    if not any(axis):
+        raise ValueError("needs a direction: give at least one component")
+    return axis
+
+
 def _invertible(matrix: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
     for row, own in enumerate(matrix):
         others = sum(abs(value) for column, value in enumerate(own) if column != row)
@@ -28,6 +34,7 @@ def _invertible(matrix: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vect
     return matrix
 
 
+Direction = Annotated[Vector3, AfterValidator(_directed)]
 Gain = Annotated[float, AfterValidator(_near_one)]
 Matrix3 = Annotated[tuple[Vector3, Vector3, Vector3], AfterValidator(_invertible)]
 Sigma6 = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]

@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from drivers.records import IMU, SCALAR
 from onboard.devices import roles
 from onboard.devices.base import Channels, DeviceSection, ImuDevice, Surroundings
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, ThrusterRole, TorqueKeys
-from onboard.section import NotNegative, Positive, Real, Vector3
+from onboard.section import Direction, NotNegative, Positive, Real
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
@@ -142,20 +142,13 @@ class RecordedThruster(RecordedDevice):
     records = SCALAR
     kind: Literal["recorded_thruster"]
     frame: Annotated[str, Field(description="Of the URDF, fixed in the base; the force goes through its origin.")]
-    axis: Annotated[Vector3, Field(description="Direction of the force on the vehicle, in the frame's axes.")]
+    axis: Annotated[Direction, Field(description="Direction of the force on the vehicle, in the frame's axes.")]
     force_N: Annotated[Positive, Field(description="Its force at full level.")]  # noqa: N815
     scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its force.")] = 0.05
     reads: Annotated[
         Literal["level", "on_time"],
         Field(description="A sample is the share of the force until the next sample, or an on-time in s from then on."),
     ] = "level"
-
-    @field_validator("axis")
-    @classmethod
-    def _is_a_direction(cls, axis: Vector3) -> Vector3:
-        if not any(axis):
-            raise ValueError("needs a direction: give at least one component")
-        return axis
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``; of a body without joints (``[body]``) they are read by themselves."""

@@ -2,7 +2,7 @@
 
 from pydantic import Field, model_validator
 
-from onboard.section import NotNegative, Positive, Section, Vector3
+from onboard.section import Direction, NotNegative, Positive, Section
 
 
 class Balance(Section):
@@ -10,13 +10,7 @@ class Balance(Section):
 
     name: str
     mass_kg: Positive
-    axis: Vector3
-
-    @model_validator(mode="after")
-    def _has_a_direction(self) -> "Balance":
-        if not any(self.axis):
-            raise ValueError(f"the axis of {self.name!r} is zero; give its direction in base axes")
-        return self
+    axis: Direction
 
 
 class Pivot(Section):

@@ -2,14 +2,13 @@
 
 from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from drivers.canopen_pdo.profiles.mapped_object import CanopenObjectConfig
 from onboard.devices import roles
 from onboard.devices.can.canopen_object import MappedObjectDevice
 from onboard.devices.roles import Roles, ThrusterRole
-from onboard.section import NotNegative, Real
+from onboard.section import Direction, NotNegative, Real
 
 
 class ThrusterDevice(MappedObjectDevice):
@@ -21,20 +20,11 @@ class ThrusterDevice(MappedObjectDevice):
     about_role = "known force on a free base"
     kind: Literal["thruster"]
     frame: Annotated[str, Field(description="Of the URDF, fixed in the base; the force goes through its origin.")]
-    axis: Annotated[
-        tuple[Real, Real, Real], Field(description="Direction of the force on the vehicle, in the frame's axes.")
-    ]
+    axis: Annotated[Direction, Field(description="Direction of the force on the vehicle, in the frame's axes.")]
     scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its force.")] = 0.05
     delay_ms: Annotated[
         Real, Field(description="From the force to its record; negative where the record is first.")
     ] = 0.0
-
-    @field_validator("axis")
-    @classmethod
-    def _is_a_direction(cls, axis: tuple[float, float, float]) -> tuple[float, float, float]:
-        if not np.any(axis):
-            raise ValueError("needs a direction: give at least one component")
-        return axis
 
     def settings(self, name: str) -> CanopenObjectConfig:
         """See ``BusDevice``."""
