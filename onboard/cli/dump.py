@@ -49,8 +49,8 @@ def _dump(arguments: argparse.Namespace) -> int:
         chosen = (arguments.channel, arguments.start, arguments.until, arguments.phase, arguments.aligned)
         if target == "-" or any(chosen):
             raise ValueError("--to mcap writes whole flights as standard messages into a directory; drop the selection")
-        return _standard(arguments, Path(target))
-    opener(kind)  # an unknown format is reported before a missing log
+    else:
+        opener(kind)  # an unknown format is reported before a missing log
     channels = tuple(arguments.channel) if arguments.channel else None
     selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
     groups = flights(arguments.logs)
@@ -66,7 +66,12 @@ def _dump(arguments: argparse.Namespace) -> int:
             name = group[0].stem
             where = sys.stdout.buffer if piped else Path(target) / name if len(groups) > 1 else Path(target)
             result: DumpResult
-            if arguments.aligned is None:
+            if kind == _STANDARD:
+                from onboard.ground.log.export.standard import dump_standard
+
+                assert isinstance(where, Path)
+                result = dump_standard(log, where, force=force, progress=bar)
+            elif arguments.aligned is None:
                 result = dump(log, where, selection, kind=kind, values=arguments.values, force=force, progress=bar)
             else:
                 from onboard.ground.log.export.aligned import dump_aligned
@@ -74,26 +79,6 @@ def _dump(arguments: argparse.Namespace) -> int:
                 result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, force=force, progress=bar)
             for path in result.files:
                 print(path)
-            warn(result.damage)
-            codes.append(result.exit_code)
-    return worst(codes)
-
-
-def _standard(arguments: argparse.Namespace, target: Path) -> int:
-    from onboard.ground.log.export.standard import dump_standard
-    from onboard.ground.log.tables.flight_tables import FlightTables
-    from onboard.recording.format.segments import flights, logs
-    from onboard.recording.reader import LogReader
-
-    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
-    groups = flights(arguments.logs)
-    codes = []
-    with progress() as bar:
-        for group, given in zip(groups, logs(arguments.logs), strict=True):
-            tables = FlightTables(LogReader(given), vehicle)
-            where = target / group[0].stem if len(groups) > 1 else target
-            result = dump_standard(tables, where, force=arguments.force, progress=bar)
-            print(result.files[0])
             warn(result.damage)
             codes.append(result.exit_code)
     return worst(codes)

@@ -6,7 +6,7 @@ calibration again.
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -165,16 +165,14 @@ def run_simulated(vehicle: config.Vehicle, world: World, log: Path, watcher: Wat
     clock, looked_ns = simulated.VirtualClock(world.start_ns), 0
     with BenchRun(vehicle, log, clock) as run:
         readers = run.readers(watcher.channels)
-        pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
-        while clock.now_ns < world.end_ns and not watcher.done:
-            clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
-            world.advance(clock.now_ns)
-            run.step()
-            if clock.now_ns - looked_ns >= LOOKED_NS:
-                looked_ns = clock.now_ns
+        for now_ns in _stepped(run, world, clock):
+            if now_ns - looked_ns >= LOOKED_NS:
+                looked_ns = now_ns
                 for channel, reader in readers.items():
                     watcher.feed(channel, reader.read()[0])
-                watcher.step(clock.now_ns * 1e-9)
+                watcher.step(now_ns * 1e-9)
+            if watcher.done:
+                return
 
 
 def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress: Callable[[float], None]) -> None:
@@ -188,9 +186,15 @@ def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress:
     """
     clock = simulated.VirtualClock(world.start_ns)
     with BenchRun(vehicle, log, clock) as run:
-        pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
-        while clock.now_ns < world.end_ns:
-            clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
-            world.advance(clock.now_ns)
-            run.step()
-            progress((clock.now_ns - world.start_ns) / (world.end_ns - world.start_ns))
+        for now_ns in _stepped(run, world, clock):
+            progress((now_ns - world.start_ns) / (world.end_ns - world.start_ns))
+
+
+def _stepped(run: BenchRun, world: World, clock: simulated.VirtualClock) -> Iterator[int]:
+    """Let bench and recording go on to the world's end; each time that they have reached."""
+    pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
+    while clock.now_ns < world.end_ns:
+        clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
+        world.advance(clock.now_ns)
+        run.step()
+        yield clock.now_ns

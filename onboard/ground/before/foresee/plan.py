@@ -129,6 +129,11 @@ class Foreseen(NamedTuple):
     span_s: float
     words: tuple[str, ...]
 
+    @property
+    def answers(self) -> tuple[Expected, ...]:
+        """The quantities, or where there are none the base parameters."""
+        return self.quantities or self.parameters
+
 
 def expected(
     answers: Sequence[QuantityEstimate], values: Mapping[str, float], sigmas: Iterable[float], useful: Useful

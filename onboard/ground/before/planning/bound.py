@@ -21,7 +21,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.free import Noise, body_covariance, fly
-from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
+from onboard.ground.before.foresee.plan import MotionPlan
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.quantities import BODY
 from onboard.regressor.rows import BaseMotion, standing
@@ -150,7 +150,7 @@ class RowsBound(Bound):
         self._chi = self._model.chi.copy()
         if plan.payload is not None:
             self._chi[self._model.payload_columns()] = standard_of(plan.payload)
-        found = _answers(foresee(vehicle, plan, coarse=True))
+        found = foresee(vehicle, plan, coarse=True).answers
         self.names = tuple(one.name for one in found)
         body = dict(zip((f"{kind}_{self._model.spec.payload_link}" for kind in BODY), range(10), strict=True))
         of_payload = np.ones(10) if plan.payload is None else body_scales(plan.payload)
@@ -192,12 +192,7 @@ class RowsBound(Bound):
             signal[self._ticks] = own
         plan = self._plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
         found = foresee(self._vehicle, plan.part(slice(0, end)), coarse=True)
-        return np.array([one.sigma for one in _answers(found)])
-
-
-def _answers(found: Foreseen) -> tuple[Expected, ...]:
-    """The quantities, or where there are none the base parameters."""
-    return found.quantities or found.parameters
+        return np.array([one.sigma for one in found.answers])
 
 
 def body_scales(payload: RigidBody) -> FloatArray:

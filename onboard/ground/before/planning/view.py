@@ -10,7 +10,6 @@ from rich.text import Text
 
 from onboard.config.segments import Library
 from onboard.ground.before.foresee import foreseen
-from onboard.ground.before.foresee.plan import Expected, Foreseen
 from onboard.ground.before.planning.planning import PlannedMotion
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
 from onboard.ground.report.flight.figures import legend
@@ -22,10 +21,10 @@ def render(made: PlannedMotion | Library) -> RenderableType:
     """What is expected, how much narrower than of the swings, and what is known least; or a library's segments."""
     if isinstance(made, Library):
         return _segments(made)
-    before = {one.name: one.sigma for one in _answers(made.expected_before)}
+    before = {one.name: one.sigma for one in made.expected_before.answers}
     gains = [
         f"{one.name} {one.sigma / before[one.name]:.2f}"
-        for one in _answers(made.expected)
+        for one in made.expected.answers
         if one.name in made.asked and one.name in before and np.isfinite(before[one.name]) and before[one.name] > 0.0
     ]
     lines = [made.weakest]
@@ -53,10 +52,6 @@ def _segments(made: Library) -> RenderableType:
             cells += [f"{made.base_rate[k, m]:.3f}", f"{made.breaks[k][m]} {over:.0f} %"]
         table.add_row(name, *cells)
     return table
-
-
-def _answers(found: Foreseen) -> tuple[Expected, ...]:
-    return found.quantities or found.parameters
 
 
 def figure(made: PlannedMotion, path: Path) -> None:
