@@ -65,14 +65,16 @@ class PeerNode:
 
     Args:
         number: Node number.
-        objects: (index, subindex): bytes.
+        factory: (index, subindex): bytes.
+        objects: What is otherwise; None: it is not there.
         read_only: Objects that refuse a write.
     """
 
-    def __init__(self, number, objects, read_only=()) -> None:
+    def __init__(self, number, factory, objects=(), read_only=()) -> None:
         self.number = number
-        self.objects = dict(objects)
-        self.factory = dict(objects)
+        changed = {**factory, **dict(objects)}
+        self.factory = {key: value for key, value in changed.items() if value is not None}
+        self.objects = dict(self.factory)
         self.read_only = set(read_only) | {(0x1000, 0)}
         self.state = 0x7F
         self.deaf = False
@@ -179,8 +181,6 @@ class Encoder(PeerNode):
             (0x1A01, 0): u8(1),
             (0x1A01, 1): u32(0x6004_0020),
         }
-        for key, value in changes.pop("objects", {}).items():
-            objects.pop(key) if value is None else objects.update({key: value})
         super().__init__(number, objects, **changes)
 
     def value(self, index, number, now_ns):
@@ -205,8 +205,6 @@ class LoadCell(PeerNode):
             (0x1A00, 1): u32(0x7130_0110),
             (0x1A00, 2): u32(0),
         }
-        for key, value in changes.pop("objects", {}).items():
-            objects.pop(key) if value is None else objects.update({key: value})
         super().__init__(number, objects, **changes)
 
     def value(self, index, number, now_ns):
@@ -234,8 +232,6 @@ class Drive(PeerNode):
                 (0x1A00 + pdo, 2): u32(0),
                 (0x1A00 + pdo, 3): u32(0),
             }
-        for key, value in changes.pop("objects", {}).items():
-            objects.pop(key) if value is None else objects.update({key: value})
         super().__init__(number, objects, **changes)
 
     def value(self, index, number, now_ns):
@@ -262,7 +258,6 @@ class ArmController(PeerNode):
             (0x1A00, 1): u32(0x2000_0108),
             (0x1A00, 2): u32(0x2000_0208),
         }
-        objects |= changes.pop("objects", {})
         super().__init__(number, objects, **changes)
 
     def change(self, phase):

@@ -2,6 +2,7 @@
 
 import os
 import threading
+import time
 import tty
 from collections.abc import Callable, Iterator
 
@@ -10,7 +11,7 @@ import serial
 
 from drivers.errors import FrameError
 from drivers.records import EVENT, GAP, Batch
-from tests.drivers.batches import codes
+from tests.drivers.batches import codes, of
 
 MS = 1_000_000
 
@@ -151,6 +152,16 @@ class Pty:
         os.close(self._slave)
         self._thread.join(1.0)
         os.close(self.master)
+
+
+def run_for(device, channel: str, rows: int, each=lambda batches: None, seconds=5.0, timeout_s=0.0) -> list[Batch]:
+    """Batches of a device on the real clock, to so many rows of a channel; ``each`` has them before a pump."""
+    batches = device.start(time.monotonic_ns())
+    deadline = time.monotonic() + seconds
+    while of(batches, channel).size < rows and time.monotonic() < deadline:
+        each(batches)
+        batches += device.pump(time.monotonic_ns(), timeout_s)
+    return batches + device.stop(time.monotonic_ns())
 
 
 class SerialFlight:

@@ -11,7 +11,7 @@ from drivers.dsc_load_cell import DscLoadCell, DscLoadCellConfig, DscReply, deco
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.serial_script import MS, AskedFlight, Pty, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, Pty, fault_at_any_call, run_for
 
 S = 1_000_000_000
 
@@ -203,11 +203,7 @@ def test_it_works_on_a_pty_that_waits():
     dsc = DscModel()
     pty = Pty(dsc.receive)
     device = DscLoadCell("cell", lambda: pty.open(timeout=0.05), time.monotonic_ns, DscLoadCellConfig(poll_period_ms=0))
-    batches = device.start(time.monotonic_ns())
-    deadline = time.monotonic() + 5.0
-    while of(batches, "cell").size < 50 and time.monotonic() < deadline:
-        batches += device.pump(time.monotonic_ns())
-    batches += device.stop(time.monotonic_ns())
+    batches = run_for(device, "cell", 50)
     pty.close()
     rows = whole(batches, "cell")
     assert set(rows["value_raw"]) == {32100}

@@ -14,7 +14,7 @@ from drivers.modbus_load_cell import ModbusLoadCell, ModbusLoadCellConfig
 from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.modbus_model import TransmitterModel, framed
-from tests.drivers.serial_script import MS, AskedFlight, Pty, ScriptedSerial, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, Pty, ScriptedSerial, fault_at_any_call, run_for
 
 S = 1_000_000_000
 
@@ -277,20 +277,10 @@ def test_times_that_cannot_be_are_refused(clock, bad):
 # Real time
 
 
-def run_for(device, rows: int, channel="cell", seconds=8.0):
-    batches = device.start(time.monotonic_ns())
-    deadline = time.monotonic() + seconds
-    while of(batches, channel).size < rows and time.monotonic() < deadline:
-        batches += device.pump(time.monotonic_ns())
-        time.sleep(0.0005)
-    batches += device.stop(time.monotonic_ns())
-    return batches
-
-
 def test_it_works_on_a_pty():
     cell = TransmitterModel(gross=-42)
     pty = Pty(cell.receive)
-    batches = run_for(ModbusLoadCell("cell", pty.open, time.monotonic_ns), 20)
+    batches = run_for(ModbusLoadCell("cell", pty.open, time.monotonic_ns), "cell", 20, lambda _: time.sleep(5e-4))
     pty.close()
     rows = whole(batches, "cell")
     assert len(rows) == 20
@@ -336,7 +326,8 @@ class PymodbusServer:
 def test_pymodbus_serves_our_driver():
     server = PymodbusServer({40007: 0x0180, 40008: 0x0001, 40009: 0xE240, 40011: 77, 40014: 0x000F})
     config = ModbusLoadCellConfig(values=("gross", "net"))
-    batches = run_for(ModbusLoadCell("cell", server.toward_driver.open, time.monotonic_ns, config), 30, "cell_gross")
+    device = ModbusLoadCell("cell", server.toward_driver.open, time.monotonic_ns, config)
+    batches = run_for(device, "cell_gross", 30, lambda _: time.sleep(5e-4), seconds=8.0)
     server.close()
     gross = whole(batches, "cell_gross")
     assert len(gross) == 30
@@ -348,7 +339,8 @@ def test_pymodbus_serves_our_driver():
 
 def test_pymodbus_refuses_registers_it_has_not():
     server = PymodbusServer({}, count=10)
-    batches = run_for(ModbusLoadCell("cell", server.toward_driver.open, time.monotonic_ns), 1, seconds=1.0)
+    device = ModbusLoadCell("cell", server.toward_driver.open, time.monotonic_ns)
+    batches = run_for(device, "cell", 1, lambda _: time.sleep(5e-4), seconds=1.0)
     server.close()
     assert "exception_2" in codes(batches)
     assert of(batches, "cell").size == 0

@@ -1,5 +1,6 @@
 """The nIMU as a device: rows, gaps, events and faults of a scripted line and of a pty."""
 
+import itertools
 import time
 
 import numpy as np
@@ -9,7 +10,7 @@ from drivers.nimu import Nimu, NimuConfig
 from drivers.records import IMU, SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.nimu_model import PACKET, PERIOD, TICK_NS, NimuModel
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call, run_for
 
 
 class Flight(SerialFlight):
@@ -228,13 +229,8 @@ def test_it_works_on_a_pty():
     model = NimuModel()
     pty = Pty(lambda _: b"")
     device = Nimu("imu", pty.open, time.monotonic_ns, NimuConfig(poll_period_ms=0))
-    batches = device.start(time.monotonic_ns())
-    deadline = time.monotonic() + 5.0
-    pty.say(PACKET[9:])
-    while of(batches, "imu").size < 60 and time.monotonic() < deadline:
-        pty.say(model.packet() + model.packet() + model.packet())
-        batches += device.pump(time.monotonic_ns(), 0.02)
-    batches += device.stop(time.monotonic_ns())
+    said = itertools.chain([PACKET[9:]], iter(lambda: b"".join(model.packet() for _ in range(3)), b""))
+    batches = run_for(device, "imu", 60, lambda _: pty.say(next(said)), timeout_s=0.02)
     pty.close()
     rows = whole(batches, "imu")
     np.testing.assert_array_equal(numbers(rows), np.arange(len(rows)))

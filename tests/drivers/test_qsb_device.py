@@ -12,7 +12,7 @@ from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.qsb_flight import Flight, S, model_counts
 from tests.drivers.qsb_model import QsbModel
-from tests.drivers.serial_script import MS, Pty
+from tests.drivers.serial_script import MS, Pty, run_for
 
 
 def test_it_is_set_up_with_the_manuals_commands_and_streams(flight):
@@ -267,16 +267,15 @@ def test_it_works_on_a_pty():
     qsb = QsbModel(time.monotonic_ns, lambda ns: ns // 1_000_000)
     pty = Pty(qsb.receive)
     device = Qsb("joint", lambda: pty.open(230_400), time.monotonic_ns, QsbConfig(poll_period_ms=0))
-    batches = device.start(time.monotonic_ns())
-    deadline = time.monotonic() + 5.0
-    edge = None
-    while of(batches, "joint").size < 200 and time.monotonic() < deadline:
+    edges = []
+
+    def say(batches):
         pty.say(b"".join(qsb.due()))
-        if edge is None and of(batches, "joint").size > 50:
-            edge = qsb.edge()
-            pty.say(edge)
-        batches += device.pump(time.monotonic_ns(), 0.02)
-    batches += device.stop(time.monotonic_ns())
+        if not edges and of(batches, "joint").size > 50:
+            edges.append(qsb.edge())
+            pty.say(edges[0])
+
+    batches = run_for(device, "joint", 200, say, timeout_s=0.02)
     pty.close()
     rows = whole(batches, "joint")
     assert len(rows) >= 200
