@@ -123,3 +123,14 @@ def inverse_dynamics(model, q, dq, ddq, velocity, rate, acceleration, rate_accel
         data.qfrc_inverse[6:].copy(),
         data.sensordata.copy(),
     )
+
+
+def swung(links, rng, t, gravity_m_s2):
+    """Angles, rates, accelerations, torques, (n, 3) each, of eight random sines a joint on a base that stands."""
+    w, a, p = rng.uniform(0.5, 4.0, (8, 3)), rng.uniform(0.1, 0.3, (8, 3)), rng.uniform(0, 6.3, (8, 3))
+    phase = w * t[:, None, None] + p  # (n, 8, 3)
+    motion = [(f * a * w**k).sum(axis=1) for k, f in enumerate((np.sin(phase), np.cos(phase), -np.sin(phase)))]
+    model, still = to_mujoco(links), np.zeros(3)
+    model.opt.gravity[:] = (0, 0, -gravity_m_s2)
+    ticks = zip(*motion, strict=True)
+    return *motion, np.array([inverse_dynamics(model, *tick, still, still, still, still)[2] for tick in ticks])

@@ -14,7 +14,7 @@ from onboard.ground.identify.replay.feed import feed
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.conftest import SEED
-from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
+from tests.dynamics.mujoco_twin import random_vehicle, swung, to_urdf
 
 JOINTS = [f"joint_link_{k}" for k in (1, 2, 3)]
 GAIN_N_m_A, OFF = 40.0, 1.02  # what the file says, and by how much it is wrong
@@ -64,13 +64,7 @@ def vehicle_toml(directory: Path, urdf: str, scale_sigma: float, extra: str = ""
 def recorded(directory: Path, links: list, rng: np.random.Generator) -> Path:
     """Eight sines a joint; torques by MuJoCo; friction, rotors and the wrist's motor on top; all of it in amperes."""
     t = np.arange(0.0, END_S, 1.0 / RATE_HZ)
-    w, a, p = rng.uniform(0.5, 4.0, (8, 3)), rng.uniform(0.1, 0.3, (8, 3)), rng.uniform(0, 6.3, (8, 3))
-    phase = w * t[:, None, None] + p  # (n, 8, 3)
-    q, dq, ddq = ((f * a * w**k).sum(axis=1) for k, f in enumerate((np.sin(phase), np.cos(phase), -np.sin(phase))))
-    model, still = to_mujoco(links), np.zeros(3)
-    model.opt.gravity[:] = (0, 0, -9.81)
-    ticks = zip(q, dq, ddq, strict=True)
-    torque = np.array([inverse_dynamics(model, *tick, still, still, still, still)[2] for tick in ticks])
+    q, dq, ddq, torque = swung(links, rng, t, 9.81)
     torque += COULOMB * np.sign(dq) + VISCOUS * dq + ROTOR * ddq + OFFSET
     rate, up = dq[:, 1] + dq[:, 2], ddq[:, 1] + ddq[:, 2]
     torque[:, 1:] += (WRIST[0] * np.sign(rate) + WRIST[1] * rate + WRIST[2] * up)[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from onboard import cli
-from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
+from tests.dynamics.mujoco_twin import random_vehicle, swung, to_urdf
 
 COULOMB, VISCOUS, ROTOR = (np.array(v) for v in ([3.0, 2.0, 1.0], [4.0, 2.0, 1.5], [1.0, 0.5, 0.3]))
 RATE_HZ, END_s, NOISE_N_m = 200.0, 16.0, 0.2
@@ -33,13 +33,7 @@ def with_load(links: list) -> list:
 def moved(links: list, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time, angles and torques of sines."""
     t = np.arange(0.0, END_s, 1.0 / RATE_HZ)
-    w, a, p = rng.uniform(0.5, 4.0, (8, 3)), rng.uniform(0.1, 0.3, (8, 3)), rng.uniform(0, 6.3, (8, 3))
-    phase = w * t[:, None, None] + p
-    q, dq, ddq = ((f * a * w**k).sum(axis=1) for k, f in enumerate((np.sin(phase), np.cos(phase), -np.sin(phase))))
-    model, still = to_mujoco(links), np.zeros(3)
-    model.opt.gravity[:] = (0, 0, -9.80665)
-    ticks = zip(q, dq, ddq, strict=True)
-    torque = np.array([inverse_dynamics(model, *tick, still, still, still, still)[2] for tick in ticks])
+    q, dq, ddq, torque = swung(links, rng, t, 9.80665)
     torque += COULOMB * np.sign(dq) + VISCOUS * dq + ROTOR * ddq + NOISE_N_m * rng.normal(size=torque.shape)
     return t, q, torque
 

@@ -55,24 +55,30 @@ def made(directory, *init, edits=(), scenario=SCENARIO):
     return vehicle, plan_of(vehicle, planned)
 
 
+def by_batch(vehicle, plan, parked=None):
+    """Names, and sigmas by the information of all ticks at once, of which ``parked`` does not move in any."""
+    identifier, model = build_exiddm(vehicle)
+    q, dq, ddq = (np.array(part) for part in (plan.q, plan.dq, plan.ddq))
+    for at in [k for k, joint in enumerate(model.joints) if joint.name == parked]:
+        q[:, at], dq[:, at], ddq[:, at] = q[0, at], 0.0, 0.0
+    links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+    period_s, nothing = 1.0 / vehicle.file.estimation.row_rate_hz, np.zeros((len(q), 3))
+    noise = [np.full(3, sigma / np.sqrt(10.0)) for sigma in (1.95e-3, 0.088)]
+    signals = FlightSignals(period_s, q, dq, ddq, nothing, nothing, *noise, 10)
+    exiddm = free_exiddm(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
+    chi = model.chi.copy()
+    chi[model.payload_columns()] = standard_of(plan.payload)
+    base = predict_base_from_rate(link_motions(model, q, dq, ddq), period_s, chi, plan.rate_rad_s, ())
+    bound = exiddm.bound(exiddm.parameters(base.momentum[0], plan.payload))
+    return identifier.quantity_names, np.sqrt(np.diag(bound.covariance))
+
+
 def test_the_bound_of_a_free_flyer_is_that_of_a_batch_fit(tmp_path):
     """The filter's covariance along the motion against the information of all ticks at once; joints and place exact."""
     vehicle, plan = made(tmp_path, "--base", "free", "--joints", "2", edits=EXACT)
     found = {one.name: one for one in foresee(vehicle, plan).quantities}
-    identifier, model = build_exiddm(vehicle)
-    links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
-    period_s = 1.0 / vehicle.file.estimation.row_rate_hz
-    chi = model.chi.copy()
-    chi[model.payload_columns()] = standard_of(plan.payload)
-    motions = link_motions(model, plan.q, plan.dq, plan.ddq)
-    base = predict_base_from_rate(motions, period_s, chi, plan.rate_rad_s, ())
-    nothing = np.zeros((len(plan.q), 3))
-    noise = [np.full(3, sigma / np.sqrt(10.0)) for sigma in (1.95e-3, 0.088)]
-    signals = FlightSignals(period_s, plan.q, plan.dq, plan.ddq, nothing, nothing, *noise, 10)
-    exiddm = free_exiddm(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
-    bound = exiddm.bound(exiddm.parameters(base.momentum[0], plan.payload))
-    sigma = np.array([found[name].sigma for name in identifier.quantity_names])
-    np.testing.assert_allclose(sigma, np.sqrt(np.diag(bound.covariance)), rtol=0.03)
+    names, batch_sigma = by_batch(vehicle, plan)
+    np.testing.assert_allclose([found[name].sigma for name in names], batch_sigma, rtol=0.03)
 
 
 def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
