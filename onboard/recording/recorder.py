@@ -9,16 +9,15 @@ The recorder writes its events and gaps to two channels of its own, so that sequ
 
 import errno
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple, Protocol
-
-import numpy as np
+from typing import NamedTuple
 
 from drivers import records
 from drivers.records import Batch, Rows, Severity
 from onboard.recording.recorded import GAP_CHANNEL, ChannelProgress
-from onboard.recording.segmented import Loss
-from onboard.recording.source import OVERRUN, Ring, RingSource
+from onboard.recording.segmented import Loss, SegmentedLog
+from onboard.recording.source import OVERRUN, RingSource
 from onboard.recording.space import SpaceGuard, refusal
+from onboard.ring import RingReader
 
 EVENT_CHANNEL = "recorder_event"
 REFUSED, FULL, LOG_LOST = "disk_refused", "disk_full", "log_lost"
@@ -27,33 +26,6 @@ _SOURCE = "recorder"
 _KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
 _TELL_NS = _LOOK_NS = 1_000_000_000
 _FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
-
-
-class Log(Protocol):
-    """Interface of a log as used by the recorder; implemented by ``LogWriter`` and ``SegmentedLog``."""
-
-    @property
-    def failing(self) -> bool:
-        """Whether a write failed and no ``sync`` has succeeded since."""
-
-    @property
-    def ended(self) -> bool:
-        """Nothing more can be written."""
-
-    def register(self, channel: str, dtype: np.dtype[np.void]) -> None:
-        """Make a channel known."""
-
-    def write(self, channel: str, rows: Rows) -> None:
-        """Accept rows (n,) of a channel. OSError: the write failed, the rows are kept."""
-
-    def sync(self, now_ns: int) -> bool:
-        """Sync all data to the medium, if due."""
-
-    def close(self) -> None:
-        """End the log."""
-
-    def abandon(self) -> None:
-        """Close the file without a summary."""
 
 
 class StepReport(NamedTuple):
@@ -82,8 +54,8 @@ class Recorder:
 
     def __init__(
         self,
-        writer: Log,
-        rings: Iterable[Ring],
+        writer: SegmentedLog,
+        rings: Iterable[RingReader],
         *,
         recorded: Mapping[str, ChannelProgress] | None = None,
         space: SpaceGuard | None = None,

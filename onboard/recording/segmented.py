@@ -35,7 +35,7 @@ from onboard.recording.format.segments import (
 from onboard.recording.left import may_have_messages, recorded_at_end
 from onboard.recording.recorded import ChannelProgress, note
 from onboard.recording.seal import seal
-from onboard.recording.sink import FileSink, Sink, sync_directory
+from onboard.recording.sink import FileSink, sync_directory
 from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
 
 _UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
@@ -119,7 +119,7 @@ class SegmentedLog:
         *,
         limits: Limits = LIMITS,
         sync_interval_ns: int = SYNC_INTERVAL_NS,
-        open_sink: Callable[[Path], Sink] = FileSink,
+        open_sink: Callable[[Path], FileSink] = FileSink,
         number: int = 0,
         recorded: Mapping[str, ChannelProgress] | None = None,
         told: Callable[[Progress], object] = lambda progress: None,
@@ -150,7 +150,7 @@ class SegmentedLog:
         *,
         limits: Limits = LIMITS,
         sync_interval_ns: int = SYNC_INTERVAL_NS,
-        open_sink: Callable[[Path], Sink] = FileSink,
+        open_sink: Callable[[Path], FileSink] = FileSink,
         progress: Progress | None = None,
         told: Callable[[Progress], object] = lambda progress: None,
     ) -> Self:

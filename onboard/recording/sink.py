@@ -6,23 +6,7 @@ import fcntl
 import os
 import stat
 from pathlib import Path
-from typing import NamedTuple, Protocol
-
-
-class Sink(Protocol):
-    """Output file of the writer. Raises OSError with the kernel's errno."""
-
-    def write_at(self, offset: int, data: bytes) -> None:
-        """Put ``data`` at ``offset``; all of it, or OSError."""
-
-    def sync(self) -> None:
-        """Everything written is on the medium when this returns."""
-
-    def taken(self) -> "Taken | None":
-        """What somebody else has done to the file since it was made; None: nothing."""
-
-    def close(self) -> None:
-        """Close the file."""
+from typing import NamedTuple
 
 
 class Taken(NamedTuple):
@@ -116,7 +100,7 @@ class FileSink:
                 raise
 
     def write_at(self, offset: int, data: bytes) -> None:
-        """See ``Sink``."""
+        """Put ``data`` at ``offset``; all of it, or OSError."""
         self._look_at_size()
         view = memoryview(data)
         while view:
@@ -130,7 +114,7 @@ class FileSink:
             self._size = max(self._size, offset)
 
     def sync(self) -> None:
-        """See ``Sink``."""
+        """Everything written is on the medium when this returns. Raises OSError."""
         if self._durable:
             try:
                 os.fsync(self._descriptor)
@@ -138,7 +122,10 @@ class FileSink:
                 raise OSError(error.errno, error.strerror, str(self._path)) from error
 
     def taken(self) -> Taken | None:
-        """See ``Sink``; of a file that was cut off nothing after that is kept, so that no hole is read as rows."""
+        """What somebody else has done to the file since it was made; None: nothing.
+
+        Of a file that was cut off nothing after that is kept, so that no hole is read as rows.
+        """
         self._look_at_size()
         try:
             there = self._path.lstat()
@@ -161,5 +148,5 @@ class FileSink:
             self._cut = size
 
     def close(self) -> None:
-        """See ``Sink``."""
+        """Close the file."""
         os.close(self._descriptor)

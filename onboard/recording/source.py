@@ -1,31 +1,14 @@
 """Reads one ring for the recorder and accounts for recorded and lost sequence numbers."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from drivers.records import Rows
 from onboard.recording.recorded import ChannelProgress
+from onboard.ring import RingReader
 
 OVERRUN = "ring_overrun"
-
-
-class Ring(Protocol):
-    """Interface of a ring reader as used by the recorder."""
-
-    name: str
-    dtype: np.dtype[np.void]
-    capacity: int
-
-    @property
-    def backlog(self) -> int:
-        """Rows that ``read`` would give or count as lost."""
-
-    def read(self, limit: int | None = None) -> tuple[Rows, int]:
-        """Rows not read yet, oldest first, at most ``limit``, and how many were lost since the last call."""
-
-    def seek_after(self, sequence: int) -> bool:
-        """Go on after the row of this number; whether nothing between it and the next row read is lost."""
 
 
 class Missing(NamedTuple):
@@ -46,7 +29,7 @@ class RingSource:
         recorded: last recorded row; None if there is none.
     """
 
-    def __init__(self, ring: Ring, recorded: ChannelProgress | None = None) -> None:
+    def __init__(self, ring: RingReader, recorded: ChannelProgress | None = None) -> None:
         self.ring, self.name = ring, ring.name
         self.missing: list[Missing] = []  # not yet in a gap record
         self.unplaced = 0  # lost rows without a jump of the sequence numbers

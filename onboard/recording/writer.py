@@ -24,7 +24,7 @@ from onboard.recording.format.errors import ChannelError, RecordingError
 from onboard.recording.format.schema import message_name, ros2msg
 from onboard.recording.format.summary import SummarySection
 from onboard.recording.format.wall_clock import FLIGHT_METADATA, utc_offset_ns
-from onboard.recording.sink import FileSink, Sink, Taken
+from onboard.recording.sink import FileSink, Taken
 
 CHUNK_BYTES = 16384
 _HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
@@ -46,7 +46,9 @@ class LogWriter:
         sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.
     """
 
-    def __init__(self, sink: Sink, *, chunk_bytes: int = CHUNK_BYTES, sync_interval_ns: int = SYNC_INTERVAL_NS) -> None:
+    def __init__(
+        self, sink: FileSink, *, chunk_bytes: int = CHUNK_BYTES, sync_interval_ns: int = SYNC_INTERVAL_NS
+    ) -> None:
         self._sink, self._sync_interval_ns = sink, sync_interval_ns
         self._utc_offset_ns = 0
         self._chunk = ChunkBuilder(chunk_bytes)
@@ -265,7 +267,7 @@ class LogWriter:
         self.abandon()
 
     def taken(self) -> Taken | None:
-        """See ``Sink``."""
+        """See ``FileSink``."""
         return None if self._closed else self._sink.taken()
 
     def abandon(self) -> None:

@@ -11,7 +11,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from onboard.telemetry.packets import (
     encode,
 )
 from onboard.telemetry.values import health_values, level_of, of_answer, of_event, why_of
+
+if TYPE_CHECKING:
+    from onboard.config.telemetry import Telemetry
 
 MOST_EVENTS = 256  # that wait
 MOST_ANSWERS = 64  # quantities
@@ -53,36 +56,23 @@ _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
 
 
-class Rates(Protocol):
-    """What ``[telemetry]`` of a vehicle file says: :class:`onboard.config.telemetry.Telemetry`."""
+class Settings(NamedTuple):
+    """``[telemetry]`` of the vehicle file."""
 
-    @property
-    def bytes_s(self) -> float:
-        """Budget."""
+    bytes_s: float
+    status_hz: float
+    answers_hz: float
+    phase_hz: float
+    flight_hz: float
+    reasons_hz: float
+    apids: dict[str, int]
+    command_apid: int
+    commands: list[str]
 
-    @property
-    def status_hz(self) -> float:
-        """Of the status."""
-
-    @property
-    def answers_hz(self) -> float:
-        """Of each answer."""
-
-    @property
-    def phase_hz(self) -> float:
-        """Of mode and phase."""
-
-    @property
-    def flight_hz(self) -> float:
-        """Of what flight it is."""
-
-    @property
-    def reasons_hz(self) -> float:
-        """Of each reason."""
-
-    @property
-    def apids(self) -> dict[str, int]:
-        """By kind of packet."""
+    @classmethod
+    def of(cls, keys: "Telemetry") -> "Settings":
+        """Without what reads vehicle files: a process that only sends stays small."""
+        return cls(*(getattr(keys, name) for name in cls._fields))
 
 
 class Flight(NamedTuple):
@@ -147,7 +137,7 @@ class Downlink:
     """
 
     def __init__(
-        self, settings: Rates, session: int, flight: Flight, now_ns: int, bytes_s: float | None = None
+        self, settings: Settings, session: int, flight: Flight, now_ns: int, bytes_s: float | None = None
     ) -> None:
         self._settings, self._session, self._flight = settings, session, flight
         self._bytes_s = settings.bytes_s if bytes_s is None else min(bytes_s, settings.bytes_s)

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from drivers.records import EVENT, Batch
 from onboard import channels
@@ -20,7 +20,7 @@ from onboard.flight.store import manifest
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.ring import RingReader
 from onboard.telemetry.commanding import Commanding
-from onboard.telemetry.downlink import Downlink
+from onboard.telemetry.downlink import Downlink, Settings
 from onboard.telemetry.link import Address, Sink, parse, sink
 from onboard.telemetry.replay import STEP_NS, flight_of
 from onboard.telemetry.uplink import Uplink
@@ -31,20 +31,6 @@ if TYPE_CHECKING:
 END_S = 2.0
 _ASK_NS, _AGAIN_NS = 500_000_000, 1_000_000_000  # between two looks for the flight, and two tries of a link
 _MOST_ROWS = 4096  # of a ring in a step
-
-
-class Settings(NamedTuple):
-    """``[telemetry]`` of the vehicle file."""
-
-    bytes_s: float
-    status_hz: float
-    answers_hz: float
-    phase_hz: float
-    flight_hz: float
-    reasons_hz: float
-    apids: dict[str, int]
-    command_apid: int
-    commands: list[str]
 
 
 @contextlib.contextmanager
@@ -59,7 +45,7 @@ def sending(log: Path, link: str, settings: "Telemetry") -> Iterator[None]:
     Raises:
         ValueError: the link cannot be used; the message gives the reason.
     """
-    given = json.dumps({name: getattr(settings, name) for name in Settings._fields})
+    given = json.dumps(Settings.of(settings)._asdict())
     with beside("onboard.telemetry", [str(log), parse(link).text, given], f"--telemetry {link}"):
         yield
 

@@ -3,9 +3,10 @@
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from onboard.telemetry.downlink import Downlink, Flight, Rates
+from onboard.telemetry.downlink import Downlink, Flight, Settings
 
 if TYPE_CHECKING:  # the process that sends reads no log
+    from onboard.config.telemetry import Telemetry
     from onboard.recording.reader import LogReader
 
 STEP_NS = 50_000_000
@@ -26,7 +27,7 @@ def flight_of(metadata: Mapping[str, Mapping[str, str]], flight: str, log: str) 
     return Flight(flight, facts.get("vehicle", ""), log, wall, monotonic)
 
 
-def packets_of(log: "LogReader", settings: Rates, session: int = 0) -> Iterator[Sent]:
+def packets_of(log: "LogReader", settings: "Telemetry", session: int = 0) -> Iterator[Sent]:
     """Packets of a log, by its own time, which is not waited for.
 
     Args:
@@ -42,7 +43,7 @@ def packets_of(log: "LogReader", settings: Rates, session: int = 0) -> Iterator[
         at_ns = int(batch.rows["host_ns"][0])
         if downlink is None:
             flight = flight_of(log.metadata, log.metadata.get("flight", {}).get("flight", ""), log.path.name)
-            downlink, now_ns = Downlink(settings, session, flight, at_ns), at_ns
+            downlink, now_ns = Downlink(Settings.of(settings), session, flight, at_ns), at_ns
         while at_ns >= now_ns + STEP_NS:
             now_ns += STEP_NS
             yield from (Sent(now_ns, packet) for packet in downlink.packets(now_ns))

@@ -7,7 +7,6 @@ move the arm again.
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,15 +22,6 @@ MARK = "drive_armed"
 REQUESTS = "request.ring"  # of the estimation process
 HEAR_NS = 20_000_000  # between two looks at it
 LATE_NS = 2_000_000_000  # a request so old is not played any more
-
-
-@runtime_checkable
-class Drives(Protocol):
-    """A device that may have a player."""
-
-    @property
-    def player(self) -> DriveMaster | None:
-        """What it plays; None: nothing."""
 
 
 class Arming:
@@ -58,7 +48,7 @@ class Arming:
 
     def started(self, device: Device, now_ns: int) -> list[Batch]:
         """A device was started: its player is armed where the operator has armed; an event where it is not any more."""
-        player = device.player if isinstance(device, Drives) else None
+        player: DriveMaster | None = getattr(device, "player", None)
         if player is None:
             return []
         if self._spent:
@@ -82,7 +72,7 @@ class Arming:
 
     def hear(self, device: Device, now_ns: int) -> list[Batch]:
         """Pass on segments that the estimation asks for to the device's player; an event for each that comes late."""
-        player = device.player if self._asked_at is not None and isinstance(device, Drives) else None
+        player = getattr(device, "player", None) if self._asked_at is not None else None
         if not isinstance(player, Player) or not player.is_active or now_ns < self._hear_ns:
             return []
         self._hear_ns = now_ns + HEAR_NS
