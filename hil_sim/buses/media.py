@@ -20,7 +20,7 @@ import numpy as np
 from drivers.ports import CanFrame
 from hil_sim.devices.can_bus.can_wire import Babbler, CanTalker, CanWire, is_process_data
 from hil_sim.devices.can_bus.sync_train import WireFrame
-from hil_sim.devices.sync.sync_box import SYNC_COB_ID
+from hil_sim.devices.sync.sync_box import SYNC_COB_ID, SyncBox
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
@@ -158,15 +158,6 @@ class ReportsCanErrors(Protocol):
 
 
 @runtime_checkable
-class DrivesLine(Protocol):
-    """A node whose acts are seen elsewhere than on the bus: on the sync line."""
-
-    @property
-    def pulse_ns(self) -> int:
-        """Before when it drives no edge, CLOCK_MONOTONIC; NEVER where the line goes nowhere."""
-
-
-@runtime_checkable
 class CanBePulled(Protocol):
     """An interface on an adapter that can be pulled out; a controller on the board cannot."""
 
@@ -213,7 +204,7 @@ class CanBus:
         self._late: deque[tuple[int, WireFrame]] = deque()  # frames on their way to us, by time of arrival
         self._now_ns = self._reached_ns = 0
         self._waits = False
-        self._drivers: list[DrivesLine] = []
+        self._drivers: list[SyncBox] = []
         self._wakes_ns = 0  # when it goes on though nobody looks
         self._last_stamp_ns = 0
         self._pulled = False  # the adapter out of the flight computer
@@ -235,7 +226,7 @@ class CanBus:
     def add(self, node: CanTalker) -> None:
         """Connect a node."""
         self._wire.add(node, is_process_data)
-        if isinstance(node, DrivesLine):
+        if isinstance(node, SyncBox):
             self._drivers.append(node)
 
     def inject(self, faults: DeviceFaults) -> None:

@@ -21,7 +21,7 @@ own clock; the message leaves ``latency_ns`` later, and a random time more. Whil
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +40,6 @@ _MESSAGE: Final = 138
 _CRC_EXTRA: Final = 109
 _EPOCH_US: Final = 1_790_000_000_000_000  # of the tracker's clock at power-up
 _LONGEST: Final = 132  # bytes of a message
-
-
-class PoseAnalog(Protocol):
-    """What the cameras see."""
-
-    def poses(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Position and attitude without noise at mission times, (n, 7)."""
-
-    def noisy(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same with noise."""
 
 
 class PoseTrackerTwin(SerialTwin):
@@ -75,7 +65,7 @@ class PoseTrackerTwin(SerialTwin):
 
     def __init__(
         self,
-        analog: PoseAnalog,
+        analog: PoseSensor,
         clock: ChipClock,
         start_ns: int,
         *,
