@@ -28,13 +28,11 @@ import numpy as np
 
 from bench.honest_flights import scores
 from bench.honest_flights.drawn import HARMLESS, REDUNDANT
-from onboard.ground.campaign.instants import WIDER
+from onboard.ground.campaign.instants import off_by
 from onboard.ground.campaign.results import Outcome
 from onboard.ground.campaign.statistics import share_of
 from onboard.ground.campaign.store import Store
 from onboard.identification.standing import Level
-
-_SIGMAS = 1.9600  # of the half width of a 95 % interval
 
 
 class Flight(NamedTuple):
@@ -117,14 +115,15 @@ def counts(flights: list[Flight]) -> list[str]:
 
 def _reported(rows: list[dict[str, Any]]) -> str:
     """Numbers told, and their errors beside their intervals: of exact ones 0.1 % lie beyond that of 99.9 %."""
-    off = np.array([(row["value"] - row["truth"]) / (row["high"] - row["value"]) for row in rows])
-    off = np.abs(off[np.isfinite(off)])
-    if not off.size:
+    known = [row for row in rows if row["truth"] is not None and row["value"] is not None]
+    if not known:
         return "numbers told: none"
-    inside, beyond = f"{100.0 * (off <= 1.0).mean():.1f} %", int((off > WIDER).sum())
+    inside = np.mean([row["low"] <= row["truth"] <= row["high"] for row in known])
+    far = off_by(*([row[key] for row in known] for key in ("value", "low_999", "high_999", "truth")))
+    rms = np.sqrt(np.mean([((row["value"] - row["truth"]) / row["sigma"]) ** 2 for row in known]))
     return (
-        f"numbers told: {off.size}; inside 95 %: {inside}; beyond 99.9 %: {beyond}, "
-        f"worst {off.max() / WIDER:.2f} of its half width; rms {_SIGMAS * np.sqrt(np.mean(off * off)):.2f} sigmas"
+        f"numbers told: {len(known)}; inside 95 %: {100.0 * inside:.1f} %; beyond 99.9 %: {(far > 1.0).sum()}, "
+        f"worst {far.max():.2f} of its half width; rms {rms:.2f} sigmas"
     )
 
 

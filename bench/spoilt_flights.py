@@ -28,8 +28,9 @@ import numpy as np
 
 from drivers.records import Rows
 from onboard import config
+from onboard.channels import outer_ends
 from onboard.flight.estimate.estimator import Estimator
-from onboard.ground.campaign.instants import WIDER
+from onboard.ground.campaign.instants import off_by
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.mission.own_mission import true_values
 from onboard.ground.identify.replay.feed import feed
@@ -214,11 +215,15 @@ class Report(NamedTuple):
         return f"{self.level:11}{'WRONG ' if self.wrong else ''}{told}; {self.text}"
 
 
+def _signed(value: float, low: float, high: float, truth: float) -> float:
+    return float(np.sign(value - truth) * off_by(value, low, high, truth))
+
+
 def on_the_ground(vehicle: config.Vehicle, copy: Path, truth: dict[str, float]) -> Report:
     """What ``heft identify`` makes of a copy."""
     (found,) = identify(vehicle, [copy]).logs
     off = {
-        one.name: (one.value - truth[one.name]) / (WIDER * (one.high - one.value))
+        one.name: _signed(one.value, *one.outer, truth[one.name])
         for one in found.answers
         if one.supported and one.name in truth
     }
@@ -242,8 +247,7 @@ def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start
         now_s = 1e-9 * (float(rows["host_ns"][0]) - start_ns)
         for row in rows[rows["supported"] != 0]:
             if (name := row["name"].decode()) in truth:
-                half = WIDER * (row["high"] - row["value"])
-                away = (row["value"] - truth[name]) / half if now_s > capture_s else np.inf
+                away = _signed(row["value"], *outer_ends(row), truth[name]) if now_s > capture_s else np.inf
                 if abs(away) > abs(off):
                     worst, off, at_s = name, float(away), now_s
     answers = [row for row in last if row["name"].decode() in truth]

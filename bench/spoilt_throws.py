@@ -27,7 +27,7 @@ import numpy as np
 from drivers.records import Rows
 from onboard import config
 from onboard.dynamics.model.inertia import principal_moments
-from onboard.ground.campaign.instants import WIDER
+from onboard.estimation.policy import WIDER
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import carrier_of

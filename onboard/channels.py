@@ -32,6 +32,8 @@ QUANTITY = np.dtype(
         ("sigma", "<f8"),
         ("low", "<f8"),  # 95 % interval
         ("high", "<f8"),
+        ("low_999", "<f8"),  # 99.9 % interval
+        ("high_999", "<f8"),
         ("drawn", "<f8"),  # part of sigma that comes from the tolerances of the drawing
         ("supported", "u1"),  # 0: the data do not hold this quantity (yet), or it is not to be used: not to be shown
         ("level", "u1"),  # 0 good, 1 weak, 2 do not use
@@ -198,6 +200,14 @@ HEALTH_STREAM = np.dtype(  # a device's channel in the second before a HEALTH re
 def is_quantity(dtype: np.dtype[np.void]) -> bool:
     """Whether rows are QUANTITY, of this version or of one before it."""
     return {"value", "sigma", "low", "high", "supported", "unit", "name"} <= set(dtype.names or ())
+
+
+def outer_ends(rows: np.ndarray | np.void) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the 99.9 % intervals of QUANTITY rows; of a log of an earlier version those of a normal."""
+    if "low_999" in (rows.dtype.names or ()):
+        return rows["low_999"], rows["high_999"]
+    value, wider = rows["value"], 3.2905 / 1.9600
+    return value - wider * (value - rows["low"]), value + wider * (rows["high"] - value)
 
 
 def tick_dtype(channels: int) -> np.dtype[np.void]:

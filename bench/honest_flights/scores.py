@@ -10,7 +10,6 @@ from bench.honest_flights.classes import CLASSES
 from onboard.ground.campaign.results import Outcome
 from onboard.identification.standing import Level
 
-_SIGMAS = 1.9600  # of the half width of a 95 % interval
 _MISS = 2.0 / 0.05  # Gneiting and Raftery 2007, eq. 43: what a truth outside of a 95 % interval costs
 _UNTOLD = 2.0  # interval score of a number that is not told: as one of +-100 % that holds the truth
 _USEFUL = 0.2  # half width over value of a mass that can be used
@@ -70,8 +69,8 @@ def of_class(rows: Rows, culprits: Sequence[str]) -> Score:
     for row in rows:
         flights.setdefault(row["flight"], []).append(row)
     told = [row for row in rows if row["supported"] and row["value"] is not None and row["truth"] is not None]
-    off = np.array([(row["value"] - row["truth"]) / (row["high"] - row["value"]) for row in told])
-    off = off[np.isfinite(off)]
+    off = np.array([(row["value"] - row["truth"]) / row["sigma"] for row in told])
+    inside = [row["low"] <= row["truth"] <= row["high"] for row in told]
     sized = [row for row in rows if row["quantity"].startswith(_SIZED) and row["truth"]]
     masses = [_half(row) for row in told if row["unit"] == "kg"]
     each = list(flights.values())
@@ -81,8 +80,8 @@ def of_class(rows: Rows, culprits: Sequence[str]) -> Score:
         sum(any(row["instants_beyond"] for row in one) for one in each),
         sum(any(row["outcome"] in (Outcome.NONSENSE, Outcome.LEANS) for row in one) for one in each),
         sum(any(row["instants_good_beyond"] for row in one) for one in each),
-        float((np.abs(off) <= 1.0).mean()) if off.size else math.nan,
-        _SIGMAS * float(np.sqrt(np.mean(off * off))) if off.size else math.nan,
+        float(np.mean(inside)) if inside else math.nan,
+        float(np.sqrt(np.mean(off * off))) if off.size else math.nan,
         float(np.median(masses)) if masses else math.nan,
         float(np.mean([_interval_score(row) for row in sized])) if sized else math.nan,
         sum(_holds(one, culprits, leans=True) for one in each) if culprits else math.nan,
@@ -121,7 +120,7 @@ def _answered(flight: Rows) -> bool:
 
 
 def _half(row: dict[str, Any]) -> float:
-    return float((row["high"] - row["value"]) / abs(row["truth"])) if row["truth"] else math.inf
+    return float(0.5 * (row["high"] - row["low"]) / abs(row["truth"])) if row["truth"] else math.inf
 
 
 def _interval_score(row: dict[str, Any]) -> float:

@@ -80,3 +80,14 @@ READING = of_each(DOUBT, 1e6)
 """Chance of a single reading, tick or row by which it is left out: a million of them come in an hour, 300 a second."""
 HALF = sigmas(1.0 - INTERVAL)
 """Standard deviations in half of an interval of :data:`INTERVAL`."""
+
+
+def tails(level: float) -> tuple[float, float]:
+    """Probabilities of less than the lower and upper end of a central interval."""
+    return 0.5 - 0.5 * level, 0.5 + 0.5 * level
+
+
+OUTER = tails(1.0 - LEAST_WEIGHT)
+"""Of the ends of a 99.9 % interval."""
+WIDER = sigmas(LEAST_WEIGHT) / HALF
+"""Half a 99.9 % interval of a normal over that of 95 %: of answers that are no mixture."""

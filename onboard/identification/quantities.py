@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,12 +12,15 @@ from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import WIDER
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 
 # A rigid body's ten numbers: mass, centre of mass, inertia about it, in one frame's axes.
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
+
+Numbers = TypeVar("Numbers", float, FloatArray)
 
 MOST_ALSO = 6  # quantities of an Estimate that are not asked for
 # A quantity is reported when the data determine it:
@@ -52,6 +55,11 @@ class Quantity(NamedTuple):
     known: tuple[float, float] | None = None  # from the drawing, with its sigma: a witness, no prior
 
 
+def outer_of(mean: Numbers, low: Numbers, high: Numbers) -> tuple[Numbers, Numbers]:
+    """Ends of the 99.9 % interval of a normal by those of 95 %, a number or (n,) each."""
+    return mean - WIDER * (mean - low), mean + WIDER * (high - mean)
+
+
 class QuantityEstimate(NamedTuple):
     """A quantity with its interval; NaN where the data do not support it."""
 
@@ -66,6 +74,17 @@ class QuantityEstimate(NamedTuple):
     note: str
     drawn: float = 0.0  # part of sigma that comes from the drawing's tolerances
     leans: str = ""  # calibrations that no instrument checks, with their stated sigmas
+    own_outer: tuple[float, float] | None = None  # ends of the 99.9 % interval, where it is not that of a normal
+
+    @property
+    def half(self) -> float:
+        """The longer side of its interval."""
+        return max(self.high - self.mean, self.mean - self.low)
+
+    @property
+    def outer(self) -> tuple[float, float]:
+        """Ends of its 99.9 % interval."""
+        return outer_of(self.mean, self.low, self.high) if self.own_outer is None else self.own_outer
 
 
 class Findings(NamedTuple):

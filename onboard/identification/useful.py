@@ -64,6 +64,6 @@ def sizes(quantities: Iterable[QuantityEstimate], useful: Useful) -> dict[str, S
 
 def too_wide(one: QuantityEstimate, size: Size | None) -> str:
     """Why an answer is not known well enough; empty if it is, or has no size."""
-    if size is None or (half := max(one.high - one.mean, one.mean - one.low)) <= size.share * size.value:
+    if size is None or one.half <= size.share * size.value:
         return ""
-    return f"its interval is as wide as {half / size.value:.0%} of {size.what}"
+    return f"its interval is as wide as {one.half / size.value:.0%} of {size.what}"

@@ -361,6 +361,7 @@ def _answer(name: str, row: np.void) -> dict[str, Any]:
         "level": level,
         "why": printable(row["why"]) if has_level else "",
         **{key: _known(row[key]) for key in ("value", "low", "high")},
+        **dict(zip(("low_999", "high_999"), map(_known, channels.outer_ends(row)), strict=True)),
     }
 
 

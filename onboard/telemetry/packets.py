@@ -25,7 +25,7 @@ from spacepackets.ccsds.spacepacket import SequenceFlags, SpacePacketHeader
 from drivers.records import Severity
 from onboard.channels import Refusal
 
-VERSION = 1  # of these definitions: another one for every change of a field
+VERSION = 2  # of these definitions: another one for every change of a field
 P_FIELD = 0x2F  # 0, level 2 (010), 4 bytes of seconds (11), 3 bytes of fraction (11)
 FRACTION = 1 << 24
 COUNTS = 1 << 14  # sequence counts before they begin again
@@ -130,15 +130,17 @@ STATUS = Kind(
 )
 ANSWER = Kind(
     "answer",
-    "an estimate with its 95 % interval; NaN where it is not determined or not to be used",
+    "an estimate with its 95 and 99.9 % intervals; NaN where it is not determined or not to be used",
     (
         Field("quantity", "33s", "what it is of, as in the log"),
         Field("unit", "16s", "of the numbers"),
         Field("supported", "B", "0: not determined (yet), or not to be used", choices=((0, "no"), (1, "yes"))),
         Field("level", "B", "how good it is", choices=LEVELS),
         Field("value", "f", "estimate"),
-        Field("low", "f", "lower end of the interval"),
+        Field("low", "f", "lower end of the 95 % interval"),
         Field("high", "f", "upper end"),
+        Field("low_999", "f", "lower end of the 99.9 % interval"),
+        Field("high_999", "f", "upper end"),
         Field("sigma", "f", "standard deviation"),
     ),
 )

@@ -36,7 +36,7 @@ from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, 
 from onboard.telemetry.uplink import SERVICE
 
 ROOT = "space_packet"  # container to begin with
-_NUMBERS = ("value", "low", "high", "sigma")
+_NUMBERS = ("value", "low", "high", "low_999", "high_999", "sigma")
 _ASKED = (("source", 16, "who asks: reports go to it"), ("session", 16, "of the packets that come down"))
 _ORDERS = {  # what it is, how grave, its arguments: name, bits, meaning
     Order.MARK: ("A numbered line in the log", CommandLevel.NORMAL, [("number", 16, "of the mark")]),

@@ -6,9 +6,11 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
+from onboard.channels import outer_ends
 from onboard.cli import main
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
+from onboard.ground.campaign.instants import off_by
 from onboard.ground.identify.mission import mission_table
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay
@@ -43,7 +45,7 @@ def flown(vehicle: config.Vehicle, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def answers(flown: Result, vehicle: config.Vehicle, lengths: float) -> tuple[list[float], list[float]]:
-    """Errors of all good answers over the half widths of their 99.9 % intervals, and the last ten of those of 95 %."""
+    """Errors of all good answers over their sides of their 99.9 % intervals, and the last ten of those of 95 %."""
     truth = flown.flown.truth["quantities"]
     estimator = Estimator(vehicle)
     process, off, widths = estimator.process, list[float](), list[float]()
@@ -59,9 +61,8 @@ def answers(flown: Result, vehicle: config.Vehicle, lengths: float) -> tuple[lis
     for name, rows in feed(estimator, LogReader(flown.path)):
         for row in rows if name == "quantity" else ():
             if LEVELS[row["level"]] is Level.GOOD and (known := truth.get(row["name"].decode())) is not None:
-                half = 0.5 * (row["high"] - row["low"])
-                widths.append(half)
-                off.append(abs(row["value"] - known) / (half * 3.29 / 1.96))
+                widths.append(0.5 * (row["high"] - row["low"]))
+                off.append(float(off_by(row["value"], *outer_ends(row), known)))
     return off, widths[-10:]
 
 

@@ -44,6 +44,7 @@ def flight() -> list[Batch]:
     quantity["unit"] = [b"kg", b"m", b"N"] * 20
     quantity["value"] = np.tile([5.0198378161508, -2.5e-4, 1.0], 20)
     quantity["low"], quantity["high"] = quantity["value"] - half, quantity["value"] + half
+    quantity["low_999"], quantity["high_999"] = quantity["value"] - 2.0 * half, quantity["value"] + 3.0 * half
     quantity["level"][:30], quantity["why"][:30] = 1, b"too wide"
     quantity["supported"][6:] = 1
     health = _rows(channels.HEALTH, [START + step * SECOND for step in range(1, 11)])

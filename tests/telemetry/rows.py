@@ -30,6 +30,7 @@ def estimates(at_ns: int, names: tuple[str, ...] = NAMES, **given: Any) -> Batch
     rows["host_ns"], rows["name"], rows["unit"], rows["supported"] = at_ns, names, b"kg", 1
     rows["value"] = at_ns * 1e-9 + np.arange(len(names))
     rows["low"], rows["high"], rows["sigma"] = rows["value"] - 2.0, rows["value"] + 2.0, 1.0
+    rows["low_999"], rows["high_999"] = rows["value"] - 4.0, rows["value"] + 5.0
     for name, value in given.items():
         rows[name] = value
     return Batch("quantity", rows)

@@ -22,7 +22,7 @@ from tests.flight.missions import Result
 from tests.telemetry.rows import FLIGHT, START_NS, downlink, estimates, health, said
 from tests.telemetry.test_packets import made
 
-NUMBERS = ("value", "low", "high", "sigma")
+NUMBERS = ("value", "low", "high", "low_999", "high_999", "sigma")
 QUANTITIES = ("m_arm", "m_arm+m_tip_mass", "ZZ_joint_1_R_held")  # of RockSat's five
 
 

@@ -16,7 +16,7 @@ from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.exiddm.innovation import Told
-from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.quantities import Estimate, Findings, outer_of
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
 
@@ -66,6 +66,7 @@ class Answers:
         for field in ("low", "high", "sigma", "supported"):
             answers[field][:p] = getattr(estimate, field)
         answers["value"][:p] = estimate.mean
+        answers["low_999"][:p], answers["high_999"][:p] = outer_of(estimate.mean, estimate.low, estimate.high)
         answers["supported"][:p] &= np.array([name not in self._nuisance for name in estimate.names], np.bool_)
         answers["name"][:p] = [name.encode() for name in estimate.names]
         of_all = _of_all(findings)
@@ -78,6 +79,7 @@ class Answers:
         size = sizes(quantities, self._useful)
         for row, quantity in zip(answers[p:], quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
+            row["low_999"], row["high_999"] = quantity.outer
             row["drawn"] = quantity.drawn if quantity.supported else 0.0
             row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
             _put(row, standing(quantity, findings, size.get(quantity.name)))

@@ -197,7 +197,7 @@ class Asking:
             return _Known(self.prior, rate, (masses[0], masses[-1]), self._asked(payload), 1.0)
         covariance = exiddm.predictor.aged(exiddm.covariance, round(3.0 / exiddm.predictor.period_s))
         spread = float(np.sqrt(exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
-        wide = (body.sigma / spread) ** 2 if body.supported else 1.0
+        wide = (body.half / HALF / spread) ** 2 if body.supported else 1.0
         between = (max(body.low, 0.0), body.high) if body.supported else (masses[0], masses[-1])
         return _Known(covariance, rate, between, self._asked(exiddm.state[PAYLOAD]), wide)
 
@@ -223,7 +223,8 @@ class Asking:
         own = dict(zip(self._names, estimate.quantities, strict=True))
         names = [name for goal in self._goals for name in goal.names(self._names)]
         return all(
-            own[name].supported and own[name].sigma <= target for name, target in zip(names, asked.targets, strict=True)
+            own[name].supported and own[name].half <= HALF * target
+            for name, target in zip(names, asked.targets, strict=True)
         )
 
     def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:

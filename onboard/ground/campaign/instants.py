@@ -9,8 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from onboard import config
+from onboard.channels import outer_ends
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.mission import own_mission
 from onboard.ground.log.tables.truth import Truth
@@ -18,7 +20,6 @@ from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
 CHANGING_S = 1.0  # lag_ms and smoothing_ms of the packaged vehicles, twice
-WIDER = 3.2905 / 1.9600  # a 99.9 % interval, of a 95 % one
 _GOOD = 0  # QUANTITY.level
 
 
@@ -29,7 +30,7 @@ class Instants(NamedTuple):
         told: estimates that were supported and have a truth.
         beyond: those of them whose truth lies beyond their 99.9 % interval.
         good_beyond: those of these that were good.
-        farthest: largest error in half widths of the 99.9 % interval; NaN where none was told.
+        farthest: largest error over its side of the 99.9 % interval; NaN where none was told.
     """
 
     told: int = 0
@@ -38,7 +39,7 @@ class Instants(NamedTuple):
     farthest: float = math.nan
 
     def add(self, off: FloatArray, good: FloatArray) -> "Instants":
-        """With more of them: errors in half widths of the 99.9 % interval (n,), and whether each was good (n,)."""
+        """With more of them: errors by :func:`off_by` of the 99.9 % intervals (n,), and whether each was good (n,)."""
         if not off.size:
             return self
         wrong = off > 1.0
@@ -72,13 +73,18 @@ def of_flight(log: LogReader, vehicle: config.Vehicle, truth: Truth) -> dict[str
             own = shown[shown["name"] == raw]
             at_s = 1e-9 * (own["vehicle_ns"].astype(np.float64) - float(truth["start_ns"]))
             value = _true_at(at_s, name, true[name], held, str(truth["payload_link"]))
-            half = WIDER * (own["high"] - own["value"])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                off = np.abs(own["value"] - value) / half
+            off = off_by(own["value"], *outer_ends(own), value)
             known = np.isfinite(value) & ~np.isnan(off)
             good = (own["level"] == _GOOD).astype(np.float64)
             found[name] = found.get(name, Instants()).add(off[known], good[known])
     return found
+
+
+def off_by(value: ArrayLike, low: ArrayLike, high: ArrayLike, truth: ArrayLike) -> FloatArray:
+    """Errors (n,) over the sides of their intervals on which the truths lie: above one the truth is beyond."""
+    off, sides = np.subtract(truth, value), (np.subtract(value, low), np.subtract(high, value))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.abs(off) / np.where(off < 0.0, *sides), np.float64)
 
 
 def _held(truth: Truth) -> tuple[float, float]:

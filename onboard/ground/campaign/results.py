@@ -5,8 +5,10 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from onboard.ground.campaign.instants import WIDER, Instants
+from onboard.ground.campaign.instants import Instants, off_by
 from onboard.ground.log.tables.truth import Truth
+from onboard.ground.log.views.standing import NUMBERS
+from onboard.identification.quantities import outer_of
 from onboard.identification.standing import Level, Standing
 
 if TYPE_CHECKING:
@@ -44,6 +46,15 @@ class Answer(NamedTuple):
     why: str = ""
     leans: str = ""
     instants: Instants = Instants()
+    low_999: float = math.nan  # 99.9 % interval; NaN: that of a normal
+    high_999: float = math.nan
+
+    @property
+    def outer(self) -> tuple[float, float]:
+        """Ends of its 99.9 % interval."""
+        if math.isnan(self.low_999):
+            return outer_of(self.value, self.low, self.high)
+        return self.low_999, self.high_999
 
     def outcome(self, *, unseen: bool = False) -> Outcome:
         """Confident nonsense is an answer that is supported while its truth lies beyond its 99.9 % interval.
@@ -51,7 +62,7 @@ class Answer(NamedTuple):
         Args:
             unseen: no instrument on board can show what is wrong; the answer leans on a calibration.
         """
-        if self.supported and abs(self.value - self.truth) > WIDER * (self.high - self.value):
+        if self.supported and off_by(self.value, *self.outer, self.truth) > 1.0:
             return Outcome.LEANS if unseen else Outcome.NONSENSE
         if self.level == Level.DO_NOT_USE:
             return Outcome.DO_NOT_USE
@@ -128,8 +139,8 @@ def _answer(row: Mapping[str, Any], unit: str) -> Answer:
     made = Answer(str(row["quantity"]), unit, float(row["truth"]), level=level, why=why, leans=str(row["leans"]))
     if not row["supported"]:
         return made
-    value, low, high, sigma, drawn = (float(row[key]) for key in ("value", "low", "high", "sigma", "drawn"))
-    return made._replace(supported=math.isfinite(value), value=value, low=low, high=high, sigma=sigma, drawn=drawn)
+    numbers: dict[str, Any] = {key: float(row[key]) for key in (*NUMBERS, "drawn")}
+    return made._replace(supported=math.isfinite(numbers["value"]), **numbers)
 
 
 def _standing(text: str) -> tuple[str, str]:

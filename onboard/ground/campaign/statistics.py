@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from onboard.estimation.arrays import FloatArray
-from onboard.ground.campaign.instants import WIDER
+from onboard.ground.campaign.instants import off_by
 from onboard.ground.campaign.results import Outcome, kinds
 from onboard.ground.campaign.store import FACTOR
 from onboard.identification.useful import is_positive
@@ -97,7 +97,7 @@ class Worst(NamedTuple):
     quantity: str
     error: float
     shown_in: str
-    half_widths: float  # of the 99.9 % interval
+    half_widths: float  # error over its side of the 99.9 % interval
     outcome: str
     faults: tuple[str, ...]
     leans: str
@@ -238,7 +238,7 @@ def _errors(rows: Sequence[Row]) -> Errors | None:
     factor = np.array([_scale(row)[1] for row in known])
     plain, sigma = _column(known, "value") - _column(known, "truth"), _column(known, "sigma")
     error, bound = factor * plain, _column(known, "bound")
-    inside = np.abs(plain) <= _column(known, "high") - _column(known, "value")
+    inside = (_column(known, "low") <= _column(known, "truth")) & (_column(known, "truth") <= _column(known, "high"))
     return Errors(
         quantity,
         _scale(known[0])[0],
@@ -267,10 +267,15 @@ def _rms(values: FloatArray) -> float:
 
 def _worst(row: Row) -> Worst:
     unit, factor = _scale(row)
-    off, half = row["value"] - row["truth"], WIDER * (row["high"] - row["value"])
     return Worst(
-        *(row["flight"], f"{row['what']} seed {row['seed']}", row["quantity"], factor * off, unit),
-        abs(off) / half if half else math.inf,
+        *(
+            row["flight"],
+            f"{row['what']} seed {row['seed']}",
+            row["quantity"],
+            factor * (row["value"] - row["truth"]),
+            unit,
+        ),
+        float(off_by(row["value"], row["low_999"], row["high_999"], row["truth"])),
         *(row["outcome"], tuple(row["faults"]), row["leans"]),
     )
 

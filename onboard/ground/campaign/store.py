@@ -19,12 +19,13 @@ import pyarrow.parquet as pq
 
 from onboard.ground.campaign.design import Item
 from onboard.ground.campaign.results import Answer, Done, FlightResult
+from onboard.ground.log.views.standing import NUMBERS
 
 FACTOR = "factor "  # begins the name of a factor's column
 _COLUMNS: dict[str, Any] = {
     **{"flight": pa.string(), "revision": pa.string(), "what": pa.string(), "seed": pa.int64(), "log": pa.string()},
     **{"faults": pa.list_(pa.string()), "quantity": pa.string(), "unit": pa.string()},
-    **dict.fromkeys(("truth", "value", "low", "high", "sigma", "bound", "drawn"), pa.float64()),
+    **dict.fromkeys(("truth", *NUMBERS, "bound", "drawn"), pa.float64()),
     **{"supported": pa.bool_(), "level": pa.string(), "why": pa.string(), "leans": pa.string()},
     **{"outcome": pa.string(), "unseen": pa.bool_(), "accounted": pa.bool_(), "capture_s": pa.float64()},
     **{"detected_s": pa.float64(), "detections": pa.int64(), "events": pa.list_(pa.string())},
@@ -157,8 +158,11 @@ def _table(address: str, item: Item, revision: str, result: FlightResult) -> pa.
     for one in result.answers or (Answer(""),):
         outcome = str(one.outcome(unseen=result.unseen)) if one.quantity else ""
         told, beyond, good_beyond, farthest = one.instants
+        outer = dict(zip(("low_999", "high_999"), one.outer, strict=True))
         seen = {"instants": told, "instants_beyond": beyond, "instants_good_beyond": good_beyond}
-        rows.append(_plain({**common, **one._asdict(), "outcome": outcome, **seen, "instants_farthest": farthest}))
+        rows.append(
+            _plain({**common, **one._asdict(), **outer, "outcome": outcome, **seen, "instants_farthest": farthest})
+        )
     return pa.Table.from_pylist(rows, schema=pa.schema(list(columns.items())))
 
 

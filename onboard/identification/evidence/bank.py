@@ -22,13 +22,14 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER, OUTER
 
-_HALVINGS = 12  # of an interval's half: to a few thousandths of it
+_HALVINGS = 12  # of what a quantile lies in
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
 
 
@@ -168,59 +169,52 @@ class Mixture(NamedTuple):
         apart = self.means - mean
         return mean, np.tensordot(self.weights, self.covariances, 1) + (self.weights * apart.T) @ apart
 
+    def ends(self, along: FloatArray, below: ArrayLike) -> FloatArray:
+        """Quantiles of linear functions of it, (q, m), about their means.
+
+        Args:
+            along: the functions, (m, p).
+            below: probability of less than each quantile, (q,); rounded away from the median by a few thousandths of
+                the distance between the same quantiles of the Gaussians.
+        """
+        apart, sigma = self._of(along)
+        share = np.asarray(below, np.float64)[:, None]
+        each = apart + ndtri(share)[..., None] * sigma  # (q, k, m)
+        low, high = each.min(axis=1), each.max(axis=1)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            less = np.einsum("k,qkm->qm", self.weights, ndtr((middle[:, None] - apart) / sigma)) < share
+            low, high = np.where(less, [middle, high], [low, middle])
+        return np.asarray(np.where(share < 0.5, low, high), np.float64)
+
     def covering(self, along: FloatArray) -> FloatArray:
-        """Sigmas of linear functions of it, whose 99.9 % intervals (3.29 sigmas) contain 99.9 % of the mixture.
+        """Sigmas of linear functions of it, (m,), of which 3.29 contain its 99.9 % intervals; no less than its own.
 
         A large error of low probability hardly changes the variance, but determines the 99.9 % interval: of two
-        Gaussians of one sigma, the second with weight 0.01 and ten sigmas away, 99.9 % lie within 11.3 sigmas of the
+        Gaussians of one sigma, the second with weight 0.01 and ten sigmas away, 99.9 % lie within 11.5 sigmas of the
         mean, and 3.29 times the root of the variance is 4.6.
 
         Args:
             along: the functions, (m, p).
-
-        Returns:
-            (m,): half the interval about the mean that leaves :data:`.LEAST_WEIGHT` out, over 3.29; no less than the
-            root of the variance.
         """
-        return covering(self.weights, *self._of(along))
+        far = np.abs(self.ends(along, OUTER)).max(axis=0) / -ndtri(OUTER[0])
+        return np.asarray(np.maximum(far, np.sqrt(np.einsum("ij,jk,ik->i", along, self.known[1], along))), np.float64)
 
-    def shares(self, along: FloatArray, covering: FloatArray) -> FloatArray:
-        """Of what lies beyond the 99.9 % intervals of linear functions, the share of each Gaussian, (k, m).
+    def shares(self, along: FloatArray, ends: FloatArray) -> FloatArray:
+        """Of what lies beyond intervals of linear functions, the share of each Gaussian, (k, m).
 
         Args:
             along: the functions, (m, p).
-            covering: their sigmas, (m,).
+            ends: lower and upper ends about their means, (2, m).
         """
-        each = self.weights[:, None] * _beyond(*self._of(along), -ndtri(0.5 * LEAST_WEIGHT) * covering)
+        apart, sigma = self._of(along)
+        each = self.weights[:, None] * (ndtr((ends[0] - apart) / sigma) + ndtr((apart - ends[1]) / sigma))
         return np.asarray(each / each.sum(axis=0), np.float64)
 
     def _of(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Means about that of the mixture, and sigmas, of the functions under each Gaussian, (k, m)."""
         apart = (self.means - self.weights @ self.means) @ along.T
         return apart, np.sqrt(np.einsum("ij,kjl,il->ki", along, self.covariances, along))
-
-
-def covering(weights: FloatArray, apart: FloatArray, sigma: FloatArray) -> FloatArray:
-    """:meth:`Mixture.covering` of k Gaussians of m numbers each.
-
-    Args:
-        weights: (k,), of sum one.
-        apart: means about that of the mixture, (k, m).
-        sigma: (k, m).
-    """
-    low = np.sqrt(weights @ (apart * apart + sigma * sigma))
-    far = -ndtri(0.5 * LEAST_WEIGHT)
-    within, beyond = low * far, np.abs(apart).max(axis=0) + far * sigma.max(axis=0)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (within + beyond)
-        outside = weights @ _beyond(apart, sigma, middle)
-        within, beyond = np.where(outside > LEAST_WEIGHT, [middle, beyond], [within, middle])
-    return np.asarray(within / far, np.float64)
-
-
-def _beyond(apart: FloatArray, sigma: FloatArray, half: FloatArray) -> FloatArray:
-    """Probability of more than half an interval on either side."""
-    return np.asarray(ndtr((apart - half) / sigma) + ndtr((-apart - half) / sigma), np.float64)
 
 
 class Bank:

@@ -14,7 +14,7 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MOST_CONTRADICTED, REFUSE
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MOST_CONTRADICTED, OUTER, REFUSE, tails
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
@@ -172,8 +172,9 @@ class ExiddmIdentifier:
         An estimate that no body has is moved to the most likely one that can exist. Noise that is large against a light
         payload's inertia makes that one heavier: how far a quantity was moved is a part of its sigma.
         """
-        nothing = np.full(10, np.nan)
+        nothing, chances = np.full(10, np.nan), np.array([*tails(level), *OUTER])
         mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
+        ends, z = np.full((4, 10), np.nan), ndtri(chances)[:, None]
         exiddm = self.exiddm
         note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
         fine = np.zeros(10, np.bool_)
@@ -192,27 +193,28 @@ class ExiddmIdentifier:
                 note = str(error)
             else:
                 body, estimated = numbers_of(possible), numbers_of(body_of(mean))
-                covering = mixture.covering(D)
-                spread = np.hypot(widening**0.5 * covering, body - estimated)
-                shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
+                own, moved, side = mixture.ends(D, chances), body - estimated, np.sign(z)
+                ends = side * np.hypot(widening**0.5 * np.maximum(side * own, 0.0), z * moved)  # the mean is inside
+                spread = np.hypot(np.sqrt(np.einsum("ij,jk,ik->i", D, P, D)), moved)
+                wide = np.maximum(spread, (ends[3] - ends[2]) / (z[3] - z[2]))
+                shrinkage = wide / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
-                fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
-                effects = self._effects(D, mixture.shares(D, covering))
-                leans = self._causes.said(effects, spread, np.abs(body), _LEANINGS)
-        z = float(ndtri(0.5 + 0.5 * level))
+                fine[1:] &= wide[0] <= SUPPORTED_SHRINKAGE * mean[0]
+                leans = self._causes.said(self._effects(D, mixture.shares(D, own[2:])), wide, np.abs(body), _LEANINGS)
+        ends += body
         quantities = []
         for k, name in enumerate(self.quantity_names):
-            at, wide = (float(body[k]), float(spread[k])) if fine[k] else (np.nan, np.nan)
-            why = "" if fine[k] else note
-            told = at, wide, at - z * wide, at + z * wide, float(shrinkage[k]), bool(fine[k]), why
-            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k]))
+            numbers = np.array([body[k], spread[k], *ends[:, k]]) if fine[k] else np.full(6, np.nan)
+            value, around, low, high, lowest, highest = numbers.tolist()
+            told = value, around, low, high, float(shrinkage[k]), bool(fine[k]), "" if fine[k] else note
+            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k], own_outer=(lowest, highest)))
         supported = sigma <= SUPPORTED_SHRINKAGE * exiddm.payload_sigma
         return Estimate(
             self.parameter_names,
             mean,
             sigma,
-            mean - z * sigma,
-            mean + z * sigma,
+            mean + z[0] * sigma,
+            mean + z[1] * sigma,
             supported,
             tuple(quantities),
             self.rows_used,

@@ -76,7 +76,7 @@ function asked(one) {
 
 function answer(one, now) {
   if (!cards.has(one.name)) cards.set(one.name, card(one));
-  const its = cards.get(one.name), half = (one.high - one.low) / 2;
+  const its = cards.get(one.name), half = Math.max(one.high - one.value, one.value - one.low);
   const told = one.supported && one.value !== null && one.low !== null && one.high !== null;
   put(its.level, one.level);
   its.level.className = `level ${one.level === "do not use" ? "not" : one.level}`;
@@ -91,6 +91,7 @@ function answer(one, now) {
   const [value, interval] = told ? withInterval(one.value, half) : [one.level === "do not use" ? one.level : none, ""];
   put(its.value, value);
   put(its.interval, told ? ` ${interval} ${unitText(one.unit)}` : "");
+  its.interval.title = told ? `95 %: ${one.low.toPrecision(6)} to ${one.high.toPrecision(6)}; 99.9 %: ${one.low_999?.toPrecision(6)} to ${one.high_999?.toPrecision(6)}` : "";
   const plan = told && flight.plan[one.name];
   its.plan.hidden = !plan;
   if (plan) put(its.plan, `plan ${withInterval(one.value, plan.half, Math.max(Math.abs(one.value), half))[1]} ${unitText(plan.unit)}`);

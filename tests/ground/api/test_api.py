@@ -6,7 +6,7 @@ import pytest
 
 import heft
 from drivers import records
-from onboard.channels import QUANTITY
+from onboard.channels import QUANTITY, outer_ends
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.writer import LogWriter
 
@@ -18,6 +18,7 @@ def quantities():
     rows["host_ns"], rows["vehicle_ns"] = 5_000_000_000, [5_000_000_000, 6_000_000_000, 7_000_000_000]
     rows["name"], rows["unit"], rows["supported"] = b"mass", b"kg", [0, 1, 1]
     rows["value"] = [np.nan, 4.5, 5.0]
+    rows["low"], rows["high"], rows["low_999"], rows["high_999"] = 4.0, 4.8, 3.0, 6.0
     return rows
 
 
@@ -52,7 +53,8 @@ def test_what_was_told_on_board_by_utc(told):
 def test_an_estimate_that_was_withdrawn_is_no_number(tmp_path):
     rows = np.concatenate([quantities(), quantities()[:1]])
     rows["value"][3], rows["vehicle_ns"][3] = 77.0, 8_000_000_000
-    older = np.dtype([(name, QUANTITY[name]) for name in QUANTITY.names if name not in ("drawn", "level", "why")])
+    since = ("low_999", "high_999", "drawn", "level", "why")
+    older = np.dtype([(name, QUANTITY[name]) for name in QUANTITY.names if name not in since])
     before = np.zeros(4, np.dtype(older.descr, align=True))
     for name in before.dtype.names:
         before[name] = rows[name]
@@ -60,6 +62,11 @@ def test_an_estimate_that_was_withdrawn_is_no_number(tmp_path):
         said = heft.open(log_of(tmp_path / f"{number}.mcap", {"quantity": made})).estimates.to_numpy()
         assert said["supported"].tolist() == [1, 1, 0]
         assert np.array_equal(said["value"], [4.5, 5.0, np.nan], equal_nan=True)
+        low, high = outer_ends(said)
+        if number:  # an older log: of a normal
+            assert np.allclose([low[0], high[0]], 4.5 + np.array([-0.5, 0.3]) * 3.2905 / 1.96)
+        else:
+            assert (low[0], high[0]) == (3.0, 6.0)
 
 
 def test_without_a_wall_clock_time_counts_from_the_first_record(tmp_path):

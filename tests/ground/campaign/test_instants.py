@@ -24,11 +24,12 @@ def truth(**more: float | None) -> dict[str, Any]:
 
 
 def told(path: Path, *estimates: tuple[str, float, float, float], level: int = 0, supported: int = 1) -> LogReader:
-    """A log of estimates: name, mission time s, value, half width of 95 %."""
+    """A log of estimates: name, mission time s, value, half width of 95 %; 99.9 % is 2 of them below, 3 above."""
     rows = np.zeros(len(estimates), channels.QUANTITY)
     for row, (name, at_s, value, half) in zip(rows, estimates, strict=True):
         row["name"], row["vehicle_ns"] = name.encode(), START_NS + round(1e9 * at_s)
         row["value"], row["low"], row["high"] = value, value - half, value + half
+        row["low_999"], row["high_999"] = value - 2.0 * half, value + 3.0 * half
         row["level"], row["supported"] = level, supported
     rows["sequence"] = np.arange(len(rows))
     return LogReader(make_log(path, {"quantity": rows}))
@@ -38,7 +39,12 @@ def test_an_estimate_that_was_wrong_for_a_while_counts(tmp_path: Path) -> None:
     log = told(tmp_path / "a.mcap", ("m_payload", 12.0, 5.6, 0.1), ("m_payload", 13.0, 5.05, 0.1))
     found = of_flight(log, VEHICLE, truth())["m_payload"]
     assert (found.told, found.beyond, found.good_beyond) == (2, 1, 1)
-    assert found.farthest == pytest.approx(0.6 / 0.1 * 1.9600 / 3.2905)
+    assert found.farthest == pytest.approx(0.6 / 0.2)  # its lower side is twice that of 95 %
+
+
+def test_an_interval_is_longer_on_one_side(tmp_path: Path) -> None:
+    log = told(tmp_path / "a.mcap", ("m_payload", 12.0, 4.75, 0.1), ("m_payload", 13.0, 5.25, 0.1))
+    assert of_flight(log, VEHICLE, truth())["m_payload"].beyond == 1
 
 
 def test_what_is_weak_and_wrong_is_wrong_but_not_good(tmp_path: Path) -> None:

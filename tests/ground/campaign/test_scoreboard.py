@@ -20,6 +20,7 @@ from onboard.ground.campaign.store import Content, Store
 def row(flight: str = "a", **fields: Any) -> dict[str, Any]:
     """A mass of 1 kg, told as 1.0 +- 0.1 kg (95 %), good."""
     told = {"quantity": "m_payload", "unit": "kg", "truth": 1.0, "value": 1.0, "low": 0.9, "high": 1.1}
+    told |= {"sigma": 0.04, "low_999": 0.5, "high_999": 1.2}
     said = {"supported": True, "level": "good", "why": "", "leans": "", "outcome": "right", "events": []}
     instants = {"instants_beyond": 0, "instants_good_beyond": 0}
     return {"flight": flight, **told, **said, **instants, **fields}
@@ -36,7 +37,7 @@ def test_a_right_answer_scores_its_width() -> None:
 def test_a_truth_outside_costs_forty_times_what_it_is_outside_by() -> None:
     score = scores.of_class([row(value=1.2, low=1.1, high=1.3)], ())
     assert score.score == pytest.approx(0.2 + 40.0 * 0.1)
-    assert score.rms == pytest.approx(1.96 * 2.0)
+    assert score.rms == pytest.approx(0.2 / 0.04)
     assert score.inside == 0.0
 
 

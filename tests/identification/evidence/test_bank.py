@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from onboard.estimation import policy
+from onboard.estimation.policy import INTERVAL, OUTER, tails
 from onboard.identification.evidence import bank as bank_module
 from onboard.identification.evidence.bank import Bank, Hypothesis, Mixture, Suspect, Weighed
 
@@ -132,29 +133,39 @@ def test_an_answer_is_the_mixture_over_what_counts() -> None:
     assert covariance == pytest.approx(1.25, abs=1e-3)
 
 
-def test_an_unlikely_error_that_is_large_is_in_a_99_9_percent_interval() -> None:
-    """Of two Gaussians of one sigma ten sigmas apart, the second of weight 0.01; and of one alone."""
-    means, covariances = np.array([[0.0], [10.0]]), np.ones((2, 1, 1))
-    mixture = Mixture(np.array([0.99, 0.01]), means, covariances)
-    (mean,), ((variance,),) = mixture.known
-    (sigma,) = mixture.covering(np.eye(1))
-    half = 3.2905 * sigma
-    outside = mixture.weights @ (norm.cdf(mean - half, means[:, 0]) + norm.sf(mean + half, means[:, 0]))
-    assert outside == pytest.approx(1e-3, rel=0.02)
-    assert half == pytest.approx(11.18, abs=0.01)
-    assert 3.2905 * variance**0.5 == pytest.approx(4.64, abs=0.01)
-    (alone,) = Mixture(np.ones(1), means[:1], covariances[:1]).covering(2.0 * np.eye(1))
-    assert alone == pytest.approx(2.0)
+TWO = np.array([[0.0], [10.0]]), np.ones((2, 1, 1))  # Gaussians of one sigma ten sigmas apart
+TAILS = *tails(INTERVAL), *OUTER
+
+
+def test_ends_leave_out_as_much_of_the_mixture_on_each_side_as_they_say() -> None:
+    mixture = Mixture(
+        np.array([0.7, 0.2, 0.1]), np.array([[0.0], [1.0], [-6.0]]), np.array([[[1.0]], [[4.0]], [[0.3]]])
+    )
+    mean, sigma = 3.0 * (mixture.means[:, 0] - mixture.known[0]), 3.0 * np.sqrt(mixture.covariances[:, 0, 0])
+    for share, (at,) in zip(TAILS, mixture.ends(3.0 * np.eye(1), TAILS), strict=True):
+        assert mixture.weights @ norm.cdf(at, mean, sigma) == pytest.approx(share, rel=0.05 if share < 0.5 else 1e-4)
+    np.testing.assert_allclose(
+        Mixture(np.ones(1), *(x[:1] for x in TWO)).ends(2.0 * np.eye(1), TAILS), 2.0 * norm.ppf(TAILS)[:, None]
+    )
+
+
+def test_an_unlikely_error_that_is_large_is_in_a_99_9_percent_interval_and_not_in_that_of_95() -> None:
+    """The second of two has a weight of 0.01: about the mean, 0.1."""
+    mixture = Mixture(np.array([0.99, 0.01]), *TWO)
+    low, high, lowest, highest = mixture.ends(np.eye(1), TAILS)[:, 0]
+    np.testing.assert_allclose([low, high], -0.1 + norm.ppf([0.025 / 0.99, 0.975 / 0.99]), atol=0.03)
+    np.testing.assert_allclose([lowest, highest], [-0.1 - 3.29, 9.9 + norm.ppf(0.95)], atol=0.03)
+    assert mixture.covering(np.eye(1))[0] == pytest.approx(highest / 3.2905, rel=1e-4)
+    assert 3.2905 * mixture.known[1][0, 0] ** 0.5 == pytest.approx(4.64, abs=0.01)
 
 
 def test_what_lies_beyond_an_interval_is_due_to_the_unlikely_one() -> None:
     means, covariances = np.array([[0.0], [10.0], [0.0]]), np.ones((3, 1, 1))
-    mixture = Mixture(np.array([0.6, 0.01, 0.39]), means, covariances)
-    along = np.eye(1)
-    shares = mixture.shares(along, mixture.covering(along))[:, 0]
-    np.testing.assert_allclose(shares, [0.0, 1.0, 0.0], atol=1e-6)
+    mixture, along = Mixture(np.array([0.6, 0.01, 0.39]), means, covariances), np.eye(1)
     alone = Mixture(np.array([0.6, 0.4]), means[[0, 2]], covariances[:2])
-    np.testing.assert_allclose(alone.shares(along, alone.covering(along))[:, 0], [0.6, 0.4])
+    shares = mixture.shares(along, mixture.ends(along, OUTER))[:, 0]
+    np.testing.assert_allclose(shares, [0.3, 0.5, 0.2], atol=0.02)  # below the interval it has none
+    np.testing.assert_allclose(alone.shares(along, alone.ends(along, OUTER))[:, 0], [0.6, 0.4])
 
 
 def test_of_two_that_are_as_likely_no_less_than_the_variance_is_covered() -> None:

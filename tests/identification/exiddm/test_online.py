@@ -4,12 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.estimation.gates import GateReason
 from onboard.identification.corrections import DOUBTFUL, contradicted, expected_sigma
-from onboard.identification.evidence.bank import Hypothesis, Weighed
+from onboard.identification.evidence.bank import Hypothesis, Mixture, Weighed
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -170,6 +171,34 @@ def test_a_payload_that_cannot_exist_is_moved_to_one_that_can_and_its_intervals_
     np.testing.assert_allclose([one.sigma for one in answers], np.hypot(spread, moved))
     possible = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
     assert unsure(possible, sigma).estimate().quantities[0].sigma == pytest.approx(0.02)
+
+
+def test_an_answer_has_the_mixtures_own_intervals_and_is_supported_by_the_wider_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A mass that is 2 kg +- 10 g, or with a weight of one in a hundred 2.1 kg +- 50 g; variances times four."""
+    mean = np.array([2.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
+    far, sigma = mean + 0.1 * (np.arange(10) == 0), np.array([0.01, *[1e-5] * 9])
+    covariances = np.array([np.diag(sigma**2), np.diag((sigma * [5.0, *[1.0] * 9]) ** 2)])
+    weights = np.array([0.99, 0.01])
+    mixture = Mixture(weights, np.array([mean, far]), covariances)
+    monkeypatch.setattr(ExiddmIdentifier, "_payload", lambda *_: (mixture, 4.0))
+    monkeypatch.setattr(ExiddmIdentifier, "_effects", lambda *_: np.zeros((10, 0)))
+    online = unsure(mean, sigma)
+    mass = online.estimate().quantities[0]
+    assert mass.mean == pytest.approx(2.001)
+    assert mass.sigma == pytest.approx(2.0 * np.sqrt(weights @ [0.01**2, 0.05**2] + 0.99 * 0.01 * 0.1**2))
+    both = norm([0.0, 0.1], [0.01, 0.05])
+    for end, share in zip((mass.low, mass.high, *mass.outer), (0.025, 0.975, 0.0005, 0.9995), strict=True):
+        at = 0.001 + (end - 2.001) / 2.0
+        assert weights @ (both.cdf(at) if share < 0.5 else both.sf(at)) == pytest.approx(
+            min(share, 1.0 - share), rel=0.1
+        )
+    half = 0.5 * (mass.outer[1] - mass.outer[0]) / 3.2905
+    assert half > 2.0 * mass.half / 1.96
+    for prior, supported in ((4.9 * half, False), (5.1 * half, True)):
+        online.exiddm.payload_sigma = np.full(10, prior)
+        assert online.estimate().quantities[0].supported is supported
 
 
 def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doubt_where_it_is_not() -> None:

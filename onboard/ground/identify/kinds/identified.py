@@ -12,7 +12,7 @@ from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
 from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.exiddm.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
-from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.quantities import Findings, QuantityEstimate, outer_of
 from onboard.identification.rows.budget import Contribution
 from onboard.identification.rows.fitted_drawing import FittedLink
 from onboard.identification.rows.held_out import HeldOut
@@ -37,7 +37,13 @@ class Answer(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, None for NaN."""
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
+        told = self._asdict() | dict(zip(("low_999", "high_999"), self.outer, strict=True))
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
+
+    @property
+    def outer(self) -> tuple[float, float]:
+        """Ends of its 99.9 % interval."""
+        return outer_of(self.value, self.low, self.high)
 
 
 def standings(answers: Iterable[Answer], useful: Useful) -> dict[str, Standing]:

@@ -17,6 +17,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
 from onboard.ground.identify.identify import BY_LIKELIHOOD
 from onboard.ground.log.tables.truth import Truth
+from onboard.ground.log.views.standing import NUMBERS
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.free_body import FREE_BODY
@@ -69,7 +70,7 @@ def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Ro
         told = one.supported and not refused
         standing = found.standings[one.name].text if told else refused or _UNDETERMINED
         rows[one.name] = _answer(one.unit, standing, told=told)
-        rows[one.name] |= {"value": one.value, "low": one.low, "high": one.high, "sigma": one.sigma}
+        rows[one.name] |= {key: one.as_json()[key] for key in NUMBERS}
     return rows, [run.as_json() for run in found.runs]
 
 

@@ -9,7 +9,15 @@ from drivers.records import Rows
 from onboard.channels import is_quantity
 
 _AT_ONCE = 4096  # rows that are compared at once
-_SCALED = ("value", "sigma", "low", "high", "drawn")  # fields of QUANTITY in the unit of its sigma
+_SCALED = (
+    "value",
+    "sigma",
+    "low",
+    "high",
+    "low_999",
+    "high_999",
+    "drawn",
+)  # fields of QUANTITY in the unit of its sigma
 
 
 class Comparison:

@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from onboard.channels import outer_ends
 from onboard.identification.standing import LEVELS, Level, Standing
 from onboard.recording.format.texts import printable
+
+NUMBERS = ("value", "low", "high", "sigma", "low_999", "high_999")
 
 
 def standing_of(row: np.void) -> Standing | None:
@@ -48,7 +51,7 @@ def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:
     """Last QUANTITY rows by name as plain values, SI, with what each is good for."""
     return {
         name: {
-            **{key: float(row[key]) for key in ("value", "low", "high", "sigma")},
+            **dict(zip(NUMBERS, map(float, (*(row[key] for key in NUMBERS[:4]), *outer_ends(row))), strict=True)),
             "unit": printable(row["unit"]),
             "supported": bool(row["supported"]),
             "standing": shown(row),

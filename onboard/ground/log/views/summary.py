@@ -107,6 +107,8 @@ def _state(row: np.void) -> str:
 def _answer_json(row: np.void) -> dict[str, Any]:
     supported = bool(row["supported"])
     numbers = {name: float(row[name]) if supported else None for name in ("value", "sigma", "low", "high")}
+    ends = zip(("low_999", "high_999"), channels.outer_ends(row), strict=True)
+    numbers |= {name: float(end) if supported else None for name, end in ends}
     found = standing_of(row)
     level, why = (None, "") if found is None else (str(found.level), found.why)
     return {"supported": supported, "level": level, "why": why, "unit": printable(row["unit"]), **numbers}
@@ -165,12 +167,13 @@ def _answers(found: LogOverview) -> RenderableType | None:
     withdrawn = {name: row for name, row in found.answers.items() if row["unit"] and is_withdrawn(row)}
     if not supported and not withdrawn:
         return None
-    table = _table("identified", "value", "95 % interval", "unit", "level")
+    table = _table("identified", "value", "95 % interval", "99.9 % interval", "unit", "level")
     for name, row in supported.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
-        table.add_row(name, value, f"{low} .. {high}", printable(row["unit"]), _level(row))
+        outer = " .. ".join(f"{end:.6g}" for end in channels.outer_ends(row))
+        table.add_row(name, value, f"{low} .. {high}", outer, printable(row["unit"]), _level(row))
     for name, row in withdrawn.items():
-        table.add_row(name, "-", "-", printable(row["unit"]), Text(_level(row), "red"))
+        table.add_row(name, "-", "-", "-", printable(row["unit"]), Text(_level(row), "red"))
     reasons: dict[str, list[str]] = {}
     for name, row in {**supported, **withdrawn}.items():
         if shown(row) != _level(row):

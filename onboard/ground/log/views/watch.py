@@ -242,8 +242,8 @@ class Board:
         ]
 
     def _answer_table(self) -> Table:
-        table = _table("estimate", "value", "95 % ±", "", "", "so far")
-        table.columns[5].no_wrap, table.columns[5].overflow = False, "crop"  # numbers are never cut
+        table = _table("estimate", "value", "95 % ±", "", "", "99.9 % ±", "so far")
+        table.columns[6].no_wrap, table.columns[6].overflow = False, "crop"  # numbers are never cut
         for name, answer in self.answers.items():
             row = answer.last
             unit = printable(row["unit"])
@@ -251,10 +251,10 @@ class Board:
                 continue  # undetermined base parameters are left out to save space
             if not row["supported"]:
                 text = str(Level.DO_NOT_USE) if is_withdrawn(row) else "not determined yet"
-                table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "")
+                table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "", "")
                 continue
             said = standing_of(row)
-            half = 0.5 * float(row["high"] - row["low"])
+            half, outer = (_half(row["value"], *ends) for ends in ((row["low"], row["high"]), channels.outer_ends(row)))
             relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
             table.add_row(
                 Text(name, "" if said is None or said.level is Level.GOOD else "yellow"),
@@ -262,6 +262,7 @@ class Board:
                 f"{half:.2g}",
                 unit,
                 relative,
+                f"{outer:.2g}",
                 Text(trend(answer.widths), "cyan"),
             )
         return table
@@ -287,6 +288,11 @@ class Board:
             when = (at_ns - (self.start_ns or at_ns)) * 1e-9
             lines.append(Text(f"{when:9.3f} s  {said}", style, no_wrap=True, overflow="ellipsis"))
         return lines
+
+
+def _half(value: float, low: float, high: float) -> float:
+    """The longer side of an interval."""
+    return float(max(high - value, value - low))
 
 
 def trend(values: Iterable[float]) -> str:

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from onboard.ground.identify.mission.answered import SECTIONS, answered, error, error_told, published_of
-from onboard.ground.log.views.standing import answers_of
+from onboard.ground.log.views.standing import NUMBERS, answers_of
 from onboard.ground.report.flight.flight_data import FlightData
 
 
@@ -17,6 +17,8 @@ class Compared(NamedTuple):
     low: float
     high: float
     sigma: float
+    low_999: float
+    high_999: float
     supported: bool
     truth: float | None
     published: float | None
@@ -45,7 +47,7 @@ def compared(flight: FlightData) -> list[Compared]:
         one = answers[row["quantity"]]
         published = row["identified_g"] * 1e-3 if "identified_g" in row else None
         standing = "; ".join(part for part in (one["standing"], one["leans"]) if part)
-        numbers = {key: one[key] for key in ("value", "low", "high", "sigma", "supported")}
+        numbers = {key: one[key] for key in (*NUMBERS, "supported")}
         names = {"name": row["quantity"], "label": row["label"], "unit": one["unit"] or row["shown_in"]}
         found.append(Compared(**names, **numbers, truth=row["value"], published=published, standing=standing))
     return found

@@ -98,7 +98,8 @@ def _card(one: Compared) -> str:
     unit, factor = answers.shown_unit(one.unit, one.value)
     width = factor * (one.high - one.low)
     value, low, high = (answers.digits(factor * x, width) for x in (one.value, one.low, one.high))
-    more = [f"95 %: {low} … {high} {unit}"]
+    lowest, highest = (answers.digits(factor * x, width) for x in (one.low_999, one.high_999))
+    more = [f"95 %: {low} … {high} {unit}", f"99.9 %: {lowest} … {highest} {unit}"]
     if one.truth is not None:
         truth = answers.digits(factor * one.truth, width)
         more.append(f"truth {truth} {unit}, error {one.error(' %')}")

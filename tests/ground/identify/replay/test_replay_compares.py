@@ -70,6 +70,7 @@ def quantities(count=3):
     made = np.zeros(count, QUANTITY)
     made["sequence"], made["value"], made["sigma"] = np.arange(count), 5.0, 0.02
     made["low"], made["high"], made["supported"], made["name"] = 4.96, 5.04, 1, b"m_payload"
+    made["low_999"], made["high_999"] = 4.9, 5.1
     return made
 
 
@@ -87,6 +88,7 @@ def apart(field, value, row=1, supported=1):
 def test_answers_that_differ_by_rounding_are_so_many_sigmas_apart():
     assert apart("value", 5.0 + 2e-9) == pytest.approx(1e-7, rel=1e-6)
     assert apart("high", 5.04 - 2e-6) == pytest.approx(1e-4, rel=1e-6)
+    assert apart("low_999", 4.9 - 2e-6) == pytest.approx(1e-4, rel=1e-6)
     assert apart("value", 7.0, supported=0) == 0.0  # no answer
 
 

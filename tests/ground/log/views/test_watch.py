@@ -63,6 +63,7 @@ def test_a_reason_stands_once_and_cuts_no_name_and_no_number(width):
     names = [f"a_quantity_of_payload_{n}" for n in range(12)]
     rows["host_ns"], rows["sequence"], rows["name"], rows["unit"] = SECOND, np.arange(12), names, b"kg m^2"
     rows["value"], rows["low"], rows["high"] = 1.23456e-3, 1.2e-3, 1.3e-3
+    rows["low_999"], rows["high_999"] = 1.1e-3, 1.4e-3
     rows["supported"][10:] = 1
     rows["level"][:10], rows["why"] = (
         2,
@@ -116,9 +117,10 @@ def test_clocks_gates_and_answers():
     said = np.zeros(2, channels.QUANTITY)
     said["host_ns"], said["name"], said["unit"], said["sequence"] = SECOND, [b"m_arm", b"m_tip"], b"kg", [0, 1]
     said["value"], said["low"], said["high"], said["supported"] = 0.25, 0.2, 0.3, [1, 0]
+    said["low_999"], said["high_999"] = 0.05, 0.42
     board.add(Batch("quantity", said))
     text = shown(board)
-    for part in ("flywheel", "1000.00", "rows used 3 of 4", "75 %", "25 % drag", "25 % phase", "20.00 %"):
+    for part in ("flywheel", "1000.00", "rows used 3 of 4", "75 %", "25 % drag", "25 % phase", "20.00 %", " 0.2 "):
         assert part in text
     assert "not determined yet" in next(one for one in text.splitlines() if one.startswith("m_tip"))
 
