@@ -36,9 +36,8 @@ _ORIENTATION = (
     ("quaternion?", r"(?:.*quat(?:ernion)?|q)([1-4])$", "1234"),  # ABB
     ("matrix", r"(?:.*rot(?:ation)?(?:matrix|mat)?|r|m)([0-3][0-3])$", ""),
     ("rotvec", r".*(?:rotvec|rotationvector|axisangle|rotvector)([xyz])$", "xyz"),
-    ("xyz", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
-    ("xyz", r"(?:.*)(?:rpy)([xyz])$", "xyz"),
-    ("angles", r"(?:.*euler)([xyz])$", "xyz"),
+    ("angles", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
+    ("angles", r"(?:.*(?:rpy|euler))([xyz])$", "xyz"),
     ("sequence", r"(?:.*[^a-z])?(phi|theta|psi)$", ("phi", "theta", "psi")),
     ("sequence", r"(?:.*[^a-z])?(alpha|beta|gamma)$", ("alpha", "beta", "gamma")),
     ("angles?", r"(?:.*[^a-z])?r([xyz])$", "xyz"),

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.quantities import Findings
 from onboard.identification.standing import Level, Standing, standing
@@ -90,6 +90,13 @@ def _findings(answer: Answer) -> Findings:
             f"the centre of mass would be {far:.3g} m from the sensor: its moments are in another unit than N m "
             "(--moment-unit Nmm, mNm ...)"
         )
+    left = answer.left_over.relative_error
+    if left**2 > MOSTLY and not against:
+        against.append(
+            f"no body explains the readings: {left:.0%} of what they change by from pose to pose is left over; rows of "
+            "poses and of wrenches that do not belong together (shifted, sorted), another kind of orientation "
+            "(--orientation), or noise larger than the weight"
+        )
     if answer.outliers:
         doubts.append(f"{len(answer.outliers)} of {answer.count['poses']} poses contradict the others: left out")
     if odd := _odd(answer):
@@ -150,6 +157,8 @@ def _notes(answer: Answer) -> list[str]:
         said.append(f"left out as outliers: rows {', '.join(str(row + 1) for row in answer.outliers[:10])}")
     if answer.quantities[0].supported:
         said.append(fitted(answer))
+    if answer.quantities[3].supported and answer.quantities[3].high < 0.0:
+        said.append("the centre of mass is on the side of the sensor's -z: if the tool is not, all moments are turned")
     if answer.quantities[0].leans:
         said.append(f"the mass {answer.quantities[0].leans}: what the scales of all axes share, no pose shows")
     return said

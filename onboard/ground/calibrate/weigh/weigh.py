@@ -112,6 +112,7 @@ class Answer:
     others: tuple[tuple[Any, float], ...]  # conventions and their evidence less that of the chosen one, nats
     wrong: Wrong | None
     held_out: HeldOut | None
+    left_over: HeldOutFit  # of all readings, zeros apart
     moments_named: bool
 
 
@@ -163,6 +164,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
         others,
         wrong,
         _held_out(poses, prior, weighing.best),
+        _left_over(poses, prior, weighing.best.noise, weighing.best.state),
         meaning.moments_named,
     )
 
@@ -387,12 +389,16 @@ def _held_out(poses: Poses, prior: wrist.Prior, one: wrist.Fit) -> HeldOut | Non
     states = [wrist.fit(poses.R[half], poses.wrench[half], prior).state for half in halves]
 
     def error(part: slice, state: wrist.State) -> HeldOutFit:
-        read = poses.wrench[part]
-        whitened = [
-            dct(each, axis=0, norm="ortho")[1:] / np.sqrt(wrist.variances(one.noise, len(read)))
-            for each in (read - wrist.predicted(poses.R[part], state, prior), read)
-        ]
-        left, whole = (float((each**2).sum()) for each in whitened)
-        return HeldOutFit(float(np.sqrt(left / max(whole, 1e-300))), left / whitened[0].size)
+        return _left_over(poses._replace(R=poses.R[part], wrench=poses.wrench[part]), prior, one.noise, state)
 
     return HeldOut(error(halves[1], states[0]), error(halves[0], states[1]), error(slice(0, n), one.state))
+
+
+def _left_over(poses: Poses, prior: wrist.Prior, noise: wrist.Noise, state: wrist.State) -> HeldOutFit:
+    """Of what readings change by from pose to pose, and of their noise."""
+    whitened = [
+        dct(each, axis=0, norm="ortho")[1:] / np.sqrt(wrist.variances(noise, len(each)))
+        for each in (poses.wrench - wrist.predicted(poses.R, state, prior), poses.wrench)
+    ]
+    left, whole = (float((each**2).sum()) for each in whitened)
+    return HeldOutFit(float(np.sqrt(left / max(whole, 1e-300))), left / whitened[0].size)

@@ -494,3 +494,39 @@ def test_recorded_poses_of_another_laboratory(datasets, tmp_path):
         assert mass["low"] < axis["mass_kg"] < mass["high"]
     assert (mass["high"] - mass["low"]) / 2.0 < 0.02 * mass["value"]
     assert told["convention"]["axes"] == "base"
+
+
+@pytest.mark.parametrize(("shifted", "level"), [(0, "good"), (1, "do not use"), (4, "do not use")])
+def test_rows_of_poses_and_wrenches_that_do_not_belong_together_are_refused(one, tmp_path, shifted, level):
+    """The mass of what is left was 0.2 to 0.6 of the true one, weak."""
+    rows = np.hstack([np.roll(one.rows[:, :4], shifted, axis=0), one.wrench])
+    _, answer = weighed(tmp_path, rows)
+    assert answer["verdict"]["level"] == level
+    assert ("is left over" in answer["verdict"]["text"]) == (level != "good")
+
+
+def test_noise_as_large_as_most_of_the_weight_is_wide_and_not_refused(one, tmp_path):
+    """A light tool: a quarter of what the readings change by is noise."""
+    rng, weight = np.random.default_rng(3), one.true.mass_kg * GRAVITY
+    sigma = 0.25 * weight * np.repeat([1.0, 0.1], 3)
+    code, answer = weighed(
+        tmp_path, np.hstack([one.rows[:, :4], one.wrench + sigma * rng.normal(size=one.wrench.shape)])
+    )
+    assert (code, answer["verdict"]["level"]) == (OK, "weak")
+    assert all(holds(answer, one.true).values())
+
+
+@pytest.mark.parametrize("order", ["xyz", "XYZ"])
+def test_roll_pitch_yaw_may_be_about_fixed_or_moving_axes(one, tmp_path, order):
+    angles = Rotation.from_matrix(one.R).as_euler(order, degrees=True)
+    code, answer = weighed(tmp_path, np.hstack([angles, one.wrench]), header=("roll", "pitch", "yaw", *HEADER[4:]))
+    assert (code, answer["verdict"]["level"]) == (OK, "good")
+    assert all(holds(answer, one.true).values())
+
+
+def test_a_centre_behind_the_sensor_is_said(one, tmp_path, capsys):
+    """Moments that are all of the other sign are those of a tool on the other side."""
+    turned = np.hstack([one.rows[:, :4], one.wrench * [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]])
+    for rows, said in ((one.rows, False), (turned, True)):
+        assert weighed(tmp_path, rows)[0] == OK
+        assert ("if the tool is not, all moments are turned" in " ".join(capsys.readouterr().out.split())) == said
