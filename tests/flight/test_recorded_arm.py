@@ -217,6 +217,31 @@ def test_recordings_that_do_not_follow_each_other_are_refused(
         assert not (tmp_path / "out.mcap").exists()
 
 
+def test_recordings_that_are_exchanged_are_said(lab: Path, tmp_path: Path) -> None:
+    """The payload is then what the arm holds less."""
+    both, report = str(tmp_path / "both.mcap"), tmp_path / "both.json"
+    exchanged = [str(lab / "logs" / f"{name}.mcap") for name in ("loaded", "empty")]
+    assert cli.main(["merge", "--in-turn", "recording", *exchanged, "-o", both]) == cli.OK
+    vehicle = str(lab / "v" / "vehicle.toml")
+    assert cli.main(["identify", "--vehicle", vehicle, both, "--json", str(report)]) == cli.FAILED
+    said = json.loads(report.read_text())["logs"][0]["verdict"]["text"]
+    assert re.search(r"mass would be -\S+ to -\S+ kg: a recording without it comes first", said)
+
+
+def test_a_unit_that_the_vehicle_file_does_not_take_is_refused(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All rows were "saturated", after a minute."""
+    mapping = tmp_path / "a.toml"
+    mapping.write_text((lab / "v" / "import.toml").read_text().replace('unit = "N m"', 'unit = "A"'))
+    assert cli.main(["import", str(mapping), str(lab / "empty.csv"), "-o", str(tmp_path)]) == cli.OK
+    log = str(tmp_path / "empty.mcap")
+    assert cli.main(["identify", "--vehicle", str(lab / "v" / "vehicle.toml"), log]) == cli.BAD_INPUT
+    said = "joint_link_1_torque are in A where the vehicle file takes N or N m; correct the unit in the mapping"
+    assert said in (told := capsys.readouterr().err)
+    assert "heft init --gains" in told
+
+
 def test_what_is_recorded_in_part_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for given in (["--encoder", "recorded", "--imu", "nimu"], ["--load-cell", "recorded"]):
         assert cli.main(["init", str(tmp_path / "v"), "--base", "prescribed", *given]) == cli.BAD_INPUT

@@ -33,7 +33,7 @@ from onboard.ground.identify.kinds.planar_log import identify_planar
 from onboard.ground.identify.kinds.residuals import keep_rows
 from onboard.ground.identify.kinds.throws import Calibration, LoadSummary, Throw
 from onboard.ground.identify.replay.as_recorded import as_recorded
-from onboard.ground.identify.replay.feed import check_channels, check_times, feed
+from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
@@ -133,6 +133,8 @@ def identify(
         ConfigError: the vehicle file does not fit its URDF.
     """
     readers = [log if isinstance(log, LogReader) else LogReader(log) for log in logs]
+    for reader in readers:
+        check_units(vehicle, reader)
     vehicle, said = as_recorded(vehicle, readers[0])
     for reader in readers:
         check_channels(vehicle, reader)

@@ -86,6 +86,9 @@ class GraspedPayload:
         why = self._refused(used, refused) or why
         if not why and (weak[0] or standard.low[0] <= 0.0):
             why = "the data do not determine a mass apart from zero; move more, or against gravity"
+            if not weak[0] and standard.high[0] < 0.0:
+                mass = f"its mass would be {standard.low[0]:.3g} to {standard.high[0]:.3g} kg"
+                why = f"{mass}: a recording without it comes first, and signs are those of what holds the links"
         if why:
             return tuple(
                 QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, float(s), False, why)

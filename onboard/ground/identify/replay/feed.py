@@ -39,6 +39,25 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
     require_kinds(log, vehicle)
 
 
+def check_units(vehicle: config.Vehicle, log: LogReader) -> None:
+    """Check that the first samples of each channel that a log has are in a unit that the vehicle file takes.
+
+    Raises:
+        ChannelError: they are not, so that none of them could be used.
+    """
+    for name, signal in roles_of(vehicle).signals.items():
+        rows = next((rows for _, rows in log.batches([name])), None) if name in log.channels else None
+        if rows is None or not signal.si or "unit" not in (rows.dtype.names or ()):
+            continue
+        if others := {*rows["unit"].tolist()} - {*signal.si}:
+            read, taken = (" or ".join(sorted(unit.decode() for unit in some)) for some in (others, signal.si))
+            by_gain = "; motors' currents need gain_N_m_A (heft init --gains)" if b"A" in others else ""
+            raise ChannelError(
+                f"{log.path}: samples of {name} are in {read or 'no unit'} where the vehicle file takes {taken}; "
+                f"correct the unit in the mapping, or the device{by_gain}"
+            )
+
+
 def _pause_ns(source: Interleaved, now_ns: int) -> int:
     """How long nothing was recorded from a time on, less ``_LONGEST_PAUSE_NS`` on both sides; 0 for short pauses."""
     next_ns = source.next_ns
