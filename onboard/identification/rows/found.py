@@ -8,7 +8,7 @@ from onboard.estimation.policy import MOST_CONTRADICTED
 from onboard.estimation.recursive.memory import FOR_EVER
 from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import Findings
-from onboard.identification.rows.checks.agreement import judged_fit
+from onboard.identification.rows.checks.agreement import judged_between, judged_fit
 from onboard.identification.rows.stated_errors.drawing import judged_drawing
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ def found(of: "Identifier") -> Findings:
     jackknife = of.block_jackknife()
     judged: list[tuple[Sequence[str], ...]]
     if of.suspects is None:
-        judged = [judged_fit(fit, of.correlation) for fit in of.fits(jackknife.mean)]
+        fits = of.fits(jackknife.mean)
+        judged = [*(judged_fit(fit, of.correlation) for fit in fits), judged_between(fits)]
     else:
         judged = [of.suspects.judged()]
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]

@@ -62,6 +62,11 @@ class GainStep(NamedTuple):
     stated: float = 0.0  # sigma of such a step that the vehicle file states, and that intervals hold
 
     @property
+    def is_one(self) -> bool:
+        """Whether it is larger than what intervals contain, and not by chance."""
+        return self.chance < of_each(DOUBT) and abs(self.size) > LEAST_STEP
+
+    @property
     def is_as_stated(self) -> bool:
         """Whether it lies between the recordings, and within two of the sigmas stated for that."""
         return self.between and abs(self.size) <= HALF * self.stated
@@ -282,19 +287,25 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
             said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
-    if step is not None and step.chance < of_each(DOUBT) and abs(step.size) > LEAST_STEP:
-        if step.between:
-            said = (
-                f"{name} reads {step.size:+.0%} of the motion in the recording with the payload against that without it"
-                f", from {step.since_s:.1f} s after its first row on"
-            )
-            if step.is_as_stated:
-                told.append(f"{said}: within what is stated between recordings")
-                return against, doubts, told
-            said += ": its gain or friction has changed between them, and the intervals hold what that does"
-            (doubts if abs(step.size) > LARGE_STEP else told).append(said)
-            return against, doubts, told
+    if step is not None and step.is_one and not step.between:
         said = f"{name} reads {step.size:+.0%} of the motion from {step.since_s:.1f} s after its first row on"
         said += ": it or a joint's sensor has changed"
         (against if step.chance < of_each(REFUSE) else doubts).append(said)
     return against, doubts, told
+
+
+def judged_between(fits: Sequence[InstrumentFit]) -> tuple[list[str], list[str], list[str]]:
+    """The same of what differs between the recordings, in one sentence for instruments of which it is as bad."""
+    doubts, told, alike = list[str](), list[str](), dict[tuple[bool, bool], list[tuple[str, GainStep]]]()
+    for fit in fits:
+        if (step := fit.step) is not None and step.is_one and step.between:
+            alike.setdefault((step.is_as_stated, abs(step.size) > LARGE_STEP), []).append((fit.instrument, step))
+    for (as_stated, large), some in alike.items():
+        names = ", ".join(f"{name} {step.size:+.0%}" for name, step in some)
+        said = f"of the same motion the recording with the payload, from {some[0][1].since_s:.1f} s on, reads {names}"
+        if as_stated:
+            told.append(f"{said}: within what is stated between recordings")
+            continue
+        said += ": gains or friction have changed between the recordings, and the intervals hold what that does"
+        (doubts if large else told).append(said)
+    return [], doubts, told

@@ -8,7 +8,7 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.identification.quantities import Findings, mass_quantities
-from onboard.identification.rows.checks.agreement import instrument_fits, judged_fit
+from onboard.identification.rows.checks.agreement import instrument_fits, judged_between, judged_fit
 from onboard.identification.rows.hypotheses import Hypotheses, Member, has_happened
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -117,21 +117,26 @@ def test_a_gain_that_changed_between_two_recordings_is_told_and_refuses_nothing(
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
     asked = mean, mean, mean, np.zeros(2), np.ones(2, np.bool_), 1e-6 * np.eye(2), 1.0
     fits = instrument_fits(seen, *asked, recorded_apart=True)
-    against, doubts, told = judged_fit(fits[1], 1.0)
+    against, doubts, told = judged_between(fits) if between else judged_fit(fits[1], 1.0)
     assert fits[1].step is not None
     assert fits[1].step.between is between
     assert bool(against or doubts) is not between
     if between:
-        assert told[0].startswith("joint_2 reads +5% of the motion in the recording with the payload")
+        assert judged_fit(fits[1], 1.0) == ([], [], [])
+        assert told == [
+            "of the same motion the recording with the payload, from 10.0 s on, reads joint_2 +5%: gains or friction "
+            "have changed between the recordings, and the intervals hold what that does"
+        ]
+        twice = judged_between([*fits, fits[1]._replace(instrument="joint_4")])[2]
+        assert [said.count("reads joint_2 +5%, joint_4 +5%: ") for said in twice] == [1]
+        large = fits[1]._replace(step=fits[1].step._replace(size=-0.2))
+        assert ["joint_2 -20%: gains or" in said for said in judged_between([large])[1]] == [True]
         assert fits[1].step.suspected.any()  # which intervals contain
         for stated, as_stated in ((0.01, False), (0.03, True)):
             step = fits[1].step._replace(stated=stated)
             assert step.suspected.any() is not as_stated  # they contain it already
-            said = judged_fit(fits[1]._replace(step=step), 1.0)[2][0]
-            assert (
-                said.endswith("from 10.0 s after its first row on: within what is stated between recordings")
-                is as_stated
-            )
+            said = judged_between([fits[1]._replace(step=step)])[2][0]
+            assert said.endswith("joint_2 +5%: within what is stated between recordings") is as_stated
     else:
         assert f"from {cut_s:.1f} s after its first row on" in (*against, *doubts)[0]
 
