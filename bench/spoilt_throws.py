@@ -27,7 +27,7 @@ import numpy as np
 from drivers.records import Rows
 from onboard import config
 from onboard.dynamics.model.inertia import principal_moments
-from onboard.estimation.policy import WIDER
+from onboard.estimation.policy import wider
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import carrier_of
@@ -153,7 +153,7 @@ def said(vehicle: config.Vehicle, found: Identified) -> Said:
         carrier = carrier_of(vehicle)
         assert carrier is not None
         moments = principal_moments(carrier.body) if truth is None else np.sort(truth)
-        half = WIDER * (throw.principal.high - throw.principal.moments)
+        half = wider() * (throw.principal.high - throw.principal.moments)
         off = float((np.abs(throw.principal.moments - moments) / half).max())
     return Said(found.log.stem, found.verdict.level, off, found.verdict.text)
 

@@ -82,12 +82,11 @@ HALF = sigmas(1.0 - INTERVAL)
 """Standard deviations in half of an interval of :data:`INTERVAL`."""
 
 
-def tails(level: float) -> tuple[float, float]:
-    """Probabilities of less than the lower and upper end of a central interval."""
-    return 0.5 - 0.5 * level, 0.5 + 0.5 * level
+def tails(outside: float) -> tuple[float, float]:
+    """Probabilities of less than the lower and upper end of a central interval that leaves so much out."""
+    return 0.5 * outside, 1.0 - 0.5 * outside
 
 
-OUTER = tails(1.0 - LEAST_WEIGHT)
-"""Of the ends of a 99.9 % interval."""
-WIDER = sigmas(LEAST_WEIGHT) / HALF
-"""Half a 99.9 % interval of a normal over that of 95 %: of answers that are no mixture."""
+def wider() -> float:
+    """Half a 99.9 % interval of a normal over that of 95 %."""
+    return sigmas(LEAST_WEIGHT) / HALF

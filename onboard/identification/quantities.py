@@ -12,7 +12,7 @@ from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason
-from onboard.estimation.policy import WIDER
+from onboard.estimation.policy import wider
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 
@@ -57,7 +57,7 @@ class Quantity(NamedTuple):
 
 def outer_of(mean: Numbers, low: Numbers, high: Numbers) -> tuple[Numbers, Numbers]:
     """Ends of the 99.9 % interval of a normal by those of 95 %, a number or (n,) each."""
-    return mean - WIDER * (mean - low), mean + WIDER * (high - mean)
+    return mean - wider() * (mean - low), mean + wider() * (high - mean)
 
 
 class QuantityEstimate(NamedTuple):

@@ -25,7 +25,6 @@ from onboard.identification.standing import LEVELS, Level
 EVERY_NS = 1_000_000_000  # between two files
 STEADY_NS = 1_000_000_000  # for which an answer has been good before it is handed over
 _MARK = "<identified "
-_NUMBERS = ("value", "low", "high", "low_999", "high_999", "sigma")
 
 
 class HandOver:
@@ -164,8 +163,9 @@ def _with_answers(urdf: str, link: str, now_ns: int, ten: Rows) -> str:
     from xml.sax.saxutils import quoteattr  # noqa: PLC0415 - brings an HTTP client to every start
 
     lines = [f'  {_MARK}link={quoteattr(link)} level="good" host_ns="{now_ns}" vehicle_ns="{ten["vehicle_ns"][0]}">']
+    fields = "value", "low", "high", "low_999", "high_999", "sigma"
     for one in ten:
-        numbers = " ".join(f'{field}="{float(one[field])!r}"' for field in _NUMBERS)
+        numbers = " ".join(f'{field}="{float(one[field])!r}"' for field in fields)
         name, unit = quoteattr(one["name"].decode()), quoteattr(one["unit"].decode())
         lines.append(f"    <quantity name={name} unit={unit} {numbers}/>")
     end = [found.start() for found in re.finditer(r"</robot\s*>", urdf)][-1]

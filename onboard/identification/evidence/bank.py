@@ -27,7 +27,7 @@ from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER, OUTER
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER, sigmas, tails
 
 _HALVINGS = 12  # of what a quantile lies in
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
@@ -197,7 +197,7 @@ class Mixture(NamedTuple):
         Args:
             along: the functions, (m, p).
         """
-        far = np.abs(self.ends(along, OUTER)).max(axis=0) / -ndtri(OUTER[0])
+        far = np.abs(self.ends(along, tails(LEAST_WEIGHT))).max(axis=0) / sigmas(LEAST_WEIGHT)
         return np.asarray(np.maximum(far, np.sqrt(np.einsum("ij,jk,ik->i", along, self.known[1], along))), np.float64)
 
     def shares(self, along: FloatArray, ends: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MOST_CONTRADICTED, OUTER, REFUSE, tails
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, MOST_CONTRADICTED, REFUSE, tails
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
@@ -172,7 +172,7 @@ class ExiddmIdentifier:
         An estimate that no body has is moved to the most likely one that can exist. Noise that is large against a light
         payload's inertia makes that one heavier: how far a quantity was moved is a part of its sigma.
         """
-        nothing, chances = np.full(10, np.nan), np.array([*tails(level), *OUTER])
+        nothing, chances = np.full(10, np.nan), np.array([*tails(1.0 - level), *tails(LEAST_WEIGHT)])
         mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
         ends, z = np.full((4, 10), np.nan), ndtri(chances)[:, None]
         exiddm = self.exiddm

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from onboard.estimation import policy
-from onboard.estimation.policy import INTERVAL, OUTER, tails
+from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, tails
 from onboard.identification.evidence import bank as bank_module
 from onboard.identification.evidence.bank import Bank, Hypothesis, Mixture, Suspect, Weighed
 
@@ -134,7 +134,8 @@ def test_an_answer_is_the_mixture_over_what_counts() -> None:
 
 
 TWO = np.array([[0.0], [10.0]]), np.ones((2, 1, 1))  # Gaussians of one sigma ten sigmas apart
-TAILS = *tails(INTERVAL), *OUTER
+OUTER = tails(LEAST_WEIGHT)
+TAILS = *tails(1.0 - INTERVAL), *OUTER
 
 
 def test_ends_leave_out_as_much_of_the_mixture_on_each_side_as_they_say() -> None:
