@@ -44,7 +44,7 @@ def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor
     """
     drawing = urdf_drawing.read((path.parent / file["vehicle"]["urdf"]).read_text(encoding="utf-8"), "the URDF")
     stands = motion_starts(path, file) | at
-    found = []
+    joints = []
     for name, device in file.get("device", {}).items():
         if device.get("kind") != "cia402" or not device.get("driven"):
             continue
@@ -55,10 +55,10 @@ def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor
         counts, zero = int(device["counts_per_revolution"]), int(device.get("zero_count", 0))
         reverse = device.get("gain", 1.0) < 0.0
         angle = stands.get(joint.name, 0.0)
-        found.append(Motor(name, int(device["node"]), angle, counts, zero, reverse, effort, _PER_EFFORT * effort))
-    if not found:
+        joints.append(Motor(name, int(device["node"]), angle, counts, zero, reverse, effort, _PER_EFFORT * effort))
+    if not joints:
         raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
-    return found
+    return joints
 
 
 def _buses(file: dict[str, Any]) -> tuple[dict[str, BusTable], str, str | None, float]:

@@ -48,7 +48,7 @@ def world(
     """
     file = tomllib.loads(path.read_text(encoding="utf-8"))
     devices = file.get("device", {})
-    wired = [_wired(name, one) for name, one in devices.items() if _DEVICE.items() <= one.items()]
+    wired = [_wired(name, device) for name, device in devices.items() if _DEVICE.items() <= device.items()]
     if not wired:
         raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
     motion = _starts(path, file, segments)

@@ -42,8 +42,8 @@ class RecordedImu(RecordedDevice, ImuDevice):
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        found = super().roles(name, period_s)
-        return found._replace(signals={key: one._replace(repeats=self.repeats) for key, one in found.signals.items()})
+        read = super().roles(name, period_s)
+        return read._replace(signals={key: of._replace(repeats=self.repeats) for key, of in read.signals.items()})
 
 
 class RecordedAngle(RecordedDevice):
@@ -207,7 +207,7 @@ PoseKeys = RecordedPose
 
 def thrusters_among(devices: Mapping[str, object]) -> dict[str, ThrusterKeys]:
     """The thrusters whose commands were recorded, by name."""
-    return {name: one for name, one in devices.items() if isinstance(one, RecordedThruster)}
+    return {name: device for name, device in devices.items() if isinstance(device, RecordedThruster)}
 
 
 def tracked_among(devices: Mapping[str, object]) -> tuple[str, PoseKeys]:
@@ -216,4 +216,4 @@ def tracked_among(devices: Mapping[str, object]) -> tuple[str, PoseKeys]:
     Raises:
         StopIteration: there is none.
     """
-    return next((name, one) for name, one in devices.items() if isinstance(one, RecordedPose))
+    return next((name, device) for name, device in devices.items() if isinstance(device, RecordedPose))

@@ -38,14 +38,14 @@ def only(vehicle: config.Vehicle, devices: Iterable[str]) -> config.Vehicle:
         ConfigError: a device that is on no bus.
     """
     wanted = set(devices)
-    on_bus = {name: one for name, one in vehicle.file.device.items() if isinstance(one, BusDevice)}
+    on_bus = {name: device for name, device in vehicle.file.device.items() if isinstance(device, BusDevice)}
     if missing := sorted(wanted - set(on_bus)):
         raise config.ConfigError(f"device {missing[0]!r} is a recording's: it cannot be run; give --log")
     buses = {on_bus[name].bus for name in wanted}
     kept = {
-        name: one
-        for name, one in on_bus.items()
-        if name in wanted or one.sync_line(name) is not None or (one.records == CAN_SYNC and one.bus in buses)
+        name: device
+        for name, device in on_bus.items()
+        if name in wanted or device.sync_line(name) is not None or (device.records == CAN_SYNC and device.bus in buses)
     }
     return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"device": kept})})
 
@@ -85,8 +85,8 @@ class BenchRun:
     def readers(self, channels: Iterable[str]) -> dict[str, RingReader]:
         """Reading ends of channels, from their first row."""
         opened = rings.readers(self._directory, channels)
-        for one in opened.values():
-            self._stack.callback(one.close)
+        for reader in opened.values():
+            self._stack.callback(reader.close)
         return opened
 
     def step(self) -> None:

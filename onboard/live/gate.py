@@ -140,7 +140,7 @@ async def _request(reader: asyncio.StreamReader, clients: int) -> tuple[str, byt
         return "403 Forbidden Host", b""
     if origins and not allowed(origins[0], host):
         return "403 Forbidden Origin", b""
-    offered = {one.strip() for line in headers.get("sec-websocket-protocol", []) for one in line.split(",")}
+    offered = {name.strip() for line in headers.get("sec-websocket-protocol", []) for name in line.split(",")}
     known = (NEW.decode(), OLD.decode())
     return "" if offered.intersection(known) else f"400 Offer Subprotocol {known[0]} Or {known[1]}", request
 

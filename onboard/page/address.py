@@ -40,11 +40,11 @@ def parse(text: str) -> Address:
     Raises:
         ValueError: not an address.
     """
-    found = re.fullmatch(r"(\[[0-9a-fA-F:.]+\]|[^:\[\]\s/]*)(?::(\d{1,5}))?", text)
-    if found is None or (found[2] is not None and int(found[2]) > 65535):
+    match = re.fullmatch(r"(\[[0-9a-fA-F:.]+\]|[^:\[\]\s/]*)(?::(\d{1,5}))?", text)
+    if match is None or (match[2] is not None and int(match[2]) > 65535):
         raise ValueError(f"--page-address {text}: write HOST:PORT, e.g. {DEFAULT_HOST}:{DEFAULT_PORT}")
-    port = DEFAULT_PORT if found[2] is None else int(found[2])
-    return Address(found[1].strip("[]") or DEFAULT_HOST, port, fixed=found[2] is not None)
+    port = DEFAULT_PORT if match[2] is None else int(match[2])
+    return Address(match[1].strip("[]") or DEFAULT_HOST, port, fixed=match[2] is not None)
 
 
 def token_for(address: Address, *, acts: bool = False) -> str:
@@ -64,9 +64,9 @@ def url(address: Address, port: int, token: str) -> str:
 def _outward(version: int) -> str:
     """This computer's address on the interface of its default route; its name where it has none. Sends nothing."""
     family, elsewhere = (socket.AF_INET, "192.0.2.1") if version == 4 else (socket.AF_INET6, "2001:db8::1")
-    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as one:
-        one.connect((elsewhere, 9))
-        return str(one.getsockname()[0])
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect((elsewhere, 9))
+        return str(probe.getsockname()[0])
     return socket.gethostname()
 
 
@@ -122,9 +122,9 @@ def _refusal(method: str, headers: dict[str, list[str]], address: Address | None
         return "405 Method Not Allowed"
     if host is None or not (address is None or is_ours(host, address.host.lower())):
         return "403 Forbidden Host"
-    foreign = any(one in ("cross-site", "same-site") for one in headers.get("sec-fetch-site", []))
+    foreign = any(site in ("cross-site", "same-site") for site in headers.get("sec-fetch-site", []))
     navigates = headers.get("sec-fetch-mode", [""])[0] == "navigate"  # a link elsewhere may lead here
-    if any(one != f"http://{named}" for one in headers.get("origin", [])) or (foreign and not navigates):
+    if any(origin != f"http://{named}" for origin in headers.get("origin", [])) or (foreign and not navigates):
         return "403 Forbidden Origin"
     return _refusal_of_act(headers) if method == "POST" else ""
 
@@ -133,7 +133,7 @@ def _refusal_of_act(headers: dict[str, list[str]]) -> str:
     """A form of another page can send neither this type nor, in a browser, no Origin."""
     if not headers.get("origin") or headers.get("sec-fetch-site", ["same-origin"]) != ["same-origin"]:
         return "403 Forbidden Origin"
-    if [one.partition(";")[0].strip().lower() for one in headers.get("content-type", [])] != ["application/json"]:
+    if [kind.partition(";")[0].strip().lower() for kind in headers.get("content-type", [])] != ["application/json"]:
         return "415 Unsupported Media Type"
     length = headers.get("content-length", [])
     if len(length) != 1 or not re.fullmatch(r"[0-9]{1,9}", length[0]) or "transfer-encoding" in headers:

@@ -34,17 +34,17 @@ def meshes_of(urdf: bytes, directory: Path) -> dict[str, list[float]]:
         links = ET.fromstring(urdf).findall("link")
     except ET.ParseError:
         return {}
-    found = [(link.attrib.get("name", ""), visual) for link in links for visual in link.findall("visual")]
+    visuals = [(link.attrib.get("name", ""), visual) for link in links for visual in link.findall("visual")]
     of_link: dict[str, list[Triangles]] = {}
-    for name, visual in found[:MOST_MESHES]:
+    for name, visual in visuals[:MOST_MESHES]:
         try:
             of_link.setdefault(name, []).extend(_placed(visual, directory))
         except (OSError, ValueError, KeyError):
             continue  # not there, or not to be read
     whole = {name: np.concatenate(parts) for name, parts in of_link.items() if parts}
     total = sum(map(len, whole.values()))
-    kept = {name: _fewer(one, max(12, MOST_TRIANGLES * len(one) // total)) for name, one in whole.items()}
-    return {name: _short(one) for name, one in kept.items()}
+    kept = {name: _fewer(mesh, max(12, MOST_TRIANGLES * len(mesh) // total)) for name, mesh in whole.items()}
+    return {name: _short(mesh) for name, mesh in kept.items()}
 
 
 def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
@@ -71,7 +71,7 @@ def _path(name: str, directory: Path) -> Path:
     package, _, rest = name.removeprefix("package://").partition("/")
     tried = [directory / rest, directory / package / rest] if name.startswith("package://") else []
     tried = tried or [directory / name.removeprefix("file://")]
-    path = next((one for one in tried if one.is_file()), tried[0]).resolve()
+    path = next((place for place in tried if place.is_file()), tried[0]).resolve()
     if not path.is_relative_to(directory.resolve()):
         raise ValueError(f"{name} does not lie beside the URDF")
     return path
@@ -107,17 +107,17 @@ def _obj(data: bytes) -> Triangles:
     for line in data.split(b"\n"):
         word, *rest = line.split() or [b""]
         if word == b"v":
-            points.append([float(one) for one in rest[:3]])
+            points.append([float(word) for word in rest[:3]])
         elif word == b"f":
-            at = [int(one.partition(b"/")[0]) for one in rest]
-            at = [one - 1 if one > 0 else len(points) + one for one in at]
-            if not all(0 <= one < len(points) for one in at):
+            at = [int(corner.partition(b"/")[0]) for corner in rest]
+            at = [corner - 1 if corner > 0 else len(points) + corner for corner in at]
+            if not all(0 <= corner < len(points) for corner in at):
                 raise ValueError("a face has a corner that is not there")
             faces += [(at[0], at[k], at[k + 1]) for k in range(1, len(at) - 1)]
     if not faces:
         raise ValueError("it has no face")
-    found: Triangles = np.array(points)[np.array(faces)]
-    return found
+    triangles: Triangles = np.array(points)[np.array(faces)]
+    return triangles
 
 
 def _fewer(triangles: Triangles, most: int) -> Triangles:
@@ -140,4 +140,4 @@ def _fewer(triangles: Triangles, most: int) -> Triangles:
 def _short(triangles: Triangles) -> list[float]:
     """Rounded to a ten-thousandth of their reach: a third of the bytes."""
     reach = float(np.abs(triangles).max(initial=1e-9))
-    return [float(one) for one in np.round(triangles.ravel(), 4 - int(np.floor(np.log10(reach))))]
+    return [float(number) for number in np.round(triangles.ravel(), 4 - int(np.floor(np.log10(reach))))]

@@ -65,8 +65,8 @@ class Recorder:
         recorded = recorded or {}
         self._writer, self._space, self._said, self._losses = writer, space, said, losses
         self._sources = [RingSource(ring, recorded.get(ring.name)) for ring in rings]
-        own = (GAP_CHANNEL, EVENT_CHANNEL)
-        self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
+        channels = (GAP_CHANNEL, EVENT_CHANNEL)
+        self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in channels}
         self.lost = 0  # rows, since the start
         self._failing_since_ns: int | None = None
         self._refusal = REFUSED
@@ -133,9 +133,9 @@ class Recorder:
 
     def say(self, now_ns: int, severity: Severity, code: str, text: str) -> None:
         """Write an event of the recorder to the log."""
-        told = records.event(now_ns, severity, code, _SOURCE, text)
-        self._own(EVENT_CHANNEL, told)
-        self._said(told.rows)
+        batch = records.event(now_ns, severity, code, _SOURCE, text)
+        self._own(EVENT_CHANNEL, batch)
+        self._said(batch.rows)
 
     def _drain(self, now_ns: int) -> StepReport:
         taken = lost = 0

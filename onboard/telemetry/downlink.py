@@ -180,7 +180,7 @@ class Downlink:
             self._waiting_events
             + self._changed
             + len(self._reports)
-            + sum(not one.sent for one in self._answers.values())
+            + sum(not answer.sent for answer in self._answers.values())
         )
 
     @property
@@ -218,8 +218,8 @@ class Downlink:
         mode, phase = self._mode, self._phase
         if code == b"mode":
             mode = _MODES.get(text.partition(":")[0], UNKNOWN_MODE)
-        elif code == b"phase" and (found := _PHASE.match(text)):
-            phase = int(found[1])
+        elif code == b"phase" and (match := _PHASE.match(text)):
+            phase = int(match[1])
         if (mode, phase) != (self._mode, self._phase):
             self._mode, self._phase, self._changed_ns = mode, phase, int(row["host_ns"])
             self._unsent["phases"] += self._changed  # the change before it was not sent
@@ -257,16 +257,16 @@ class Downlink:
         """Packets that are due at ``now_ns`` and fit the budget; those not taken are not sent."""
         self._room = min(self._most, self._room + (now_ns - self._at_ns) * 1e-9 * self._bytes_s)
         self._at_ns = now_ns
-        while (found := next(self._wanted(now_ns), None)) is not None and KINDS[found[0]].length <= self._room:
-            kind, what = found
+        while (wanted := next(self._wanted(now_ns), None)) is not None and KINDS[wanted[0]].length <= self._room:
+            kind, what = wanted
             packet = self._make(kind, what, now_ns)
             self._room -= len(packet)
             yield packet
 
     def finish(self, now_ns: int) -> None:
         """The flight is over: what is newest is due."""
-        for one in self._answers.values():
-            one.due_ns = now_ns
+        for answer in self._answers.values():
+            answer.due_ns = now_ns
 
     def last(self, now_ns: int) -> Iterator[bytes]:
         """The last packet, which says how it ended: the status."""
@@ -284,14 +284,14 @@ class Downlink:
         events = self._waiting_events
         if events and now_ns - self._event_ns >= self._event_period_ns:
             yield "event", None
-        fresh = [one for one in self._answers.values() if not one.sent and one.due_ns <= now_ns]
+        fresh = [answer for answer in self._answers.values() if not answer.sent and answer.due_ns <= now_ns]
         if fresh:
-            yield "answer", min(fresh, key=lambda one: one.due_ns)
+            yield "answer", min(fresh, key=lambda answer: answer.due_ns)
         if events:
             yield "event", None
-        untold = [one for one in self._answers.values() if one.untold(now_ns)]
+        untold = [answer for answer in self._answers.values() if answer.untold(now_ns)]
         if untold:
-            yield "reason", min(untold, key=lambda one: (one.told, one.told_ns))
+            yield "reason", min(untold, key=lambda answer: (answer.told, answer.told_ns))
         if self._again:
             yield "event" if self._again[0].dtype == EVENT_ROW else "answer", self._again
 
@@ -308,8 +308,8 @@ class Downlink:
         elif kind == "status":
             values = self._status(now_ns)
         elif kind == "flight":
-            one = self._flight
-            values = one._asdict() | {"wall_clock": one.wall_clock_ns, "monotonic": one.monotonic_ns}
+            flight = self._flight
+            values = flight._asdict() | {"wall_clock": flight.wall_clock_ns, "monotonic": flight.monotonic_ns}
         elif kind == "phase":
             self._changed, self._phase_ns = 0, now_ns
             age_s = (now_ns - self._changed_ns) * 1e-9 if self._known_phase else _NAN

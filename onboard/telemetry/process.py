@@ -90,17 +90,17 @@ class _Sender:
             if now_ns >= ask_ns:
                 ask_ns = now_ns + _ASK_NS
                 try:
-                    found = next((flight for flight in manifest.running() if flight.log == self._log), None)
+                    running = next((flight for flight in manifest.running() if flight.log == self._log), None)
                 except (
                     OSError,
                     ValueError,
                 ):  # of another flight, which is just being made or removed: looked for again
                     continue
-                if found is None and directory is not None:
+                if running is None and directory is not None:
                     break
-                if found is not None and directory is None:
-                    directory = found.directory
-                    self._begin(found.preamble.metadata, found.preamble.flight, now_ns)
+                if running is not None and directory is None:
+                    directory = running.directory
+                    self._begin(running.preamble.metadata, running.preamble.flight, now_ns)
                 if directory is not None:
                     self._discover(directory)
             self._step(now_ns)

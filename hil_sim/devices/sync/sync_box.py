@@ -161,13 +161,13 @@ class SyncBox:
 
     def next_syncs(self, before_ns: int, most: int) -> list[tuple[int, bytes]]:
         """Times and data of the SYNCs after the last one sent, before ``before_ns``; none where a fault is to come."""
-        found: list[tuple[int, bytes]] = []
+        syncs: list[tuple[int, bytes]] = []
         for sync in range(self._sync, self._sync if self._is_faulty else self._sync + most):
             time_ns = self._sync_time_ns(sync)
             if time_ns >= before_ns:
                 break
-            found.append((time_ns, bytes([sync % _COUNTER_MAX + 1])))
-        return found
+            syncs.append((time_ns, bytes([sync % _COUNTER_MAX + 1])))
+        return syncs
 
     def have_sent(self, count: int) -> None:
         """So many SYNCs were sent as ``next_syncs`` said; drives the edges that belong to them."""

@@ -146,17 +146,17 @@ def expected(
         sigmas: expected, also of one that is not supported.
         useful: how narrow an interval is that is good.
     """
-    found = list[Expected]()
-    told = [
-        one._replace(mean=values[one.name], sigma=s, low=values[one.name] - HALF * s, high=values[one.name] + HALF * s)
-        for one, s in zip(answers, sigmas, strict=True)
+    quantities = list[Expected]()
+    estimates = [
+        answer._replace(mean=mean, sigma=s, low=mean - HALF * s, high=mean + HALF * s)
+        for answer, s, mean in zip(answers, sigmas, [values[answer.name] for answer in answers], strict=True)
     ]
-    size = sizes(told, useful)
-    for one in told:
-        said = standing(one, Findings(), size.get(one.name))
-        why = said.why if one.supported else UNDETERMINED
-        found.append(Expected(*one[:4], said.level, why if said.level is Level.WEAK else ""))
-    return found
+    size = sizes(estimates, useful)
+    for estimate in estimates:
+        said = standing(estimate, Findings(), size.get(estimate.name))
+        why = said.why if estimate.supported else UNDETERMINED
+        quantities.append(Expected(*estimate[:4], said.level, why if said.level is Level.WEAK else ""))
+    return quantities
 
 
 def body_values(model: VehicleModel, body: RigidBody | None) -> dict[str, float]:

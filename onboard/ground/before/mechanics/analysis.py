@@ -60,7 +60,7 @@ class Mechanics:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, SI units."""
-        found: dict[str, Any] = {
+        document: dict[str, Any] = {
             "vehicle": self.name,
             "tip": self.tip,
             "joints": dict(zip(self.joints, self.q.tolist(), strict=True)),
@@ -75,7 +75,7 @@ class Mechanics:
             "base_parameters": self.counts,
         }
         if self.line is not None:
-            found["line"] = {
+            document["line"] = {
                 "error_m": self.line.error_m,
                 "base_turn_rad": self.line.base_turn_rad,
                 "joint_rate_rad_s": self.line.joint_rate_rad_s,
@@ -85,20 +85,20 @@ class Mechanics:
                 "q": self.line.motion.q.tolist(),
             }
         if self.turn is not None:
-            found["turn"] = {
+            document["turn"] = {
                 "cycles": self.turn.cycles,
                 "error_rad": self.turn.error_rad,
                 "swing_rad": self.turn.swing_rad.tolist(),
                 "cycle": [self.turn.path(s)[0].tolist() for s in np.linspace(0.0, 1.0, 101)],
             }
         if self.map is not None:
-            found["workspace"] = {
+            document["workspace"] = {
                 "joints": self.map_joints,
                 "reachable_m": self.map.reachable,
                 "path_dependent_m": self.map.dependent,
                 "path_independent_m": self.map.independent,
             }
-        return found
+        return document
 
 
 def arm_of(vehicle: config.Vehicle, tip: str | None) -> FloatingArm:
@@ -133,7 +133,7 @@ def analyse(name: str, arm: FloatingArm, tip: str, q: FloatArray) -> Mechanics:
         SignalError: joint positions of another shape.
     """
     D, D_q, _ = arm.reduced_inertia(q)
-    found = Mechanics(
+    mechanics = Mechanics(
         name,
         tip,
         q,
@@ -149,11 +149,11 @@ def analyse(name: str, arm: FloatingArm, tip: str, q: FloatArray) -> Mechanics:
     try:
         chain = chain_of(arm)
     except ValueError:  # a tree: the tables that need a chain stay out
-        return found
-    found.virtual_links_m = virtual_manipulator.virtual_links(chain, q)
+        return mechanics
+    mechanics.virtual_links_m = virtual_manipulator.virtual_links(chain, q)
     closed = closed_forms(chain, arm.vehicle.spec.gravity_m_s2)
-    found.counts = {str(base): f"{count.parameters} = {count.formula}" for base, count in closed.items()}
-    return found
+    mechanics.counts = {str(base): f"{count.parameters} = {count.formula}" for base, count in closed.items()}
+    return mechanics
 
 
 def line(arm: FloatingArm, q: FloatArray, step_m: FloatArray, duration_s: float) -> LineMotion:

@@ -104,8 +104,8 @@ class FreeBound(Bound):
         """See the base class."""
         rows, at = self._rows(moved), np.unique(np.linspace(0, len(moved[0]) - 2, 60).astype(np.intp))
         sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
-        found = [self._body(self._prior + (sums[k - 1] if k else 0.0)) for k in at.tolist()]
-        return at, np.sqrt(np.stack([np.diag(one) for one in found]))
+        covariances = [self._body(self._prior + (sums[k - 1] if k else 0.0)) for k in at.tolist()]
+        return at, np.sqrt(np.stack([np.diag(covariance) for covariance in covariances]))
 
     def base(self, moved: FloatArray, period_s: float) -> BaseMotion:
         """See the base class."""
@@ -150,12 +150,12 @@ class RowsBound(Bound):
         self._chi = self._model.chi.copy()
         if plan.payload is not None:
             self._chi[self._model.payload_columns()] = standard_of(plan.payload)
-        found = foresee(vehicle, plan, coarse=True).answers
-        self.names = tuple(one.name for one in found)
+        answers = foresee(vehicle, plan, coarse=True).answers
+        self.names = tuple(answer.name for answer in answers)
         body = dict(zip((f"{kind}_{self._model.spec.payload_link}" for kind in BODY), range(10), strict=True))
         of_payload = np.ones(10) if plan.payload is None else body_scales(plan.payload)
         self.scales = np.array(
-            [of_payload[body[one.name]] if one.name in body else max(abs(one.value), one.sigma) for one in found]
+            [of_payload[body[a.name]] if a.name in body else max(abs(a.value), a.sigma) for a in answers]
         )
 
     def of(self, moved: FloatArray) -> MotionBound:
@@ -188,11 +188,11 @@ class RowsBound(Bound):
     def _sigma(self, moved: FloatArray, end: int) -> FloatArray:
         """Of the quantities when the flight ended at a tick."""
         signals = [signal.copy() for signal in (self._plan.q, self._plan.dq, self._plan.ddq)]
-        for signal, own in zip(signals, moved, strict=True):
-            signal[self._ticks] = own
+        for signal, values in zip(signals, moved, strict=True):
+            signal[self._ticks] = values
         plan = self._plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
-        found = foresee(self._vehicle, plan.part(slice(0, end)), coarse=True)
-        return np.array([one.sigma for one in found.answers])
+        foreseen = foresee(self._vehicle, plan.part(slice(0, end)), coarse=True)
+        return np.array([answer.sigma for answer in foreseen.answers])
 
 
 def body_scales(payload: RigidBody) -> FloatArray:
@@ -204,5 +204,5 @@ def body_scales(payload: RigidBody) -> FloatArray:
 
 def _floating(model: VehicleModel, moved: FloatArray, period_s: float, chi: FloatArray, rate: FloatArray) -> BaseMotion:
     """What the joints make of a base that starts with a rate, (3,)."""
-    found = predict_base_from_rate(link_motions(model, *moved), period_s, chi, rate, ())
-    return BaseMotion(found.rate, found.acceleration, found.specific_force)
+    base = predict_base_from_rate(link_motions(model, *moved), period_s, chi, rate, ())
+    return BaseMotion(base.rate, base.acceleration, base.specific_force)

@@ -21,11 +21,11 @@ def render(made: PlannedMotion | Library) -> RenderableType:
     """What is expected, how much narrower than of the swings, and what is known least; or a library's segments."""
     if isinstance(made, Library):
         return _segments(made)
-    before = {one.name: one.sigma for one in made.expected_before.answers}
+    before = {answer.name: answer.sigma for answer in made.expected_before.answers}
     gains = [
-        f"{one.name} {one.sigma / before[one.name]:.2f}"
-        for one in made.expected.answers
-        if one.name in made.asked and one.name in before and np.isfinite(before[one.name]) and before[one.name] > 0.0
+        f"{answer.name} {answer.sigma / before[answer.name]:.2f}"
+        for answer in made.expected.answers
+        if answer.name in made.asked and 0.0 < before.get(answer.name, 0.0) < np.inf
     ]
     lines = [made.weakest]
     if made.untold:
