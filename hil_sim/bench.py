@@ -22,7 +22,7 @@ from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.sensor_tables import ForceCellTable
-from hil_sim.scenario.vehicle_tables import SequenceStep, VehicleScenario
+from hil_sim.scenario.vehicle_tables import SequenceStep
 
 KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance", "weigh")
 LATITUDE_deg = bench.LATITUDE_deg
@@ -75,7 +75,7 @@ class Bench(Mission):
 
     def _in_poses(self, rng: np.random.Generator, poses: int = 60, move_s: float = 2.5, rest_s: float = 4.0) -> Plant:
         """The arm with what it holds goes from pose to pose, and rests in each."""
-        if not isinstance(self.scenario, VehicleScenario) or self.scenario.vehicle.base != "fixed":
+        if self.scenario.vehicle.base != "fixed":
             raise ScenarioError(f"{self.scenario.scenario.name} has no arm on a fixed base that could turn a wrist")
         joints = urdf_drawing.read(self.scenario.vehicle.urdf, self.scenario.vehicle.label).joints
         motion = self.scenario.motion.model_copy(update={"posture": dict.fromkeys(joints, 0.0), "posture_spread": 0.0})
@@ -97,7 +97,7 @@ class Bench(Mission):
 
     def _standing(self) -> VehiclePlant:
         """The vehicle that flies with this seed, as it is built: it is not flown."""
-        if not isinstance(self.scenario, VehicleScenario) or self.scenario.vehicle.base != "free":
+        if self.scenario.vehicle.base != "free":
             raise ScenarioError(f"{self.scenario.scenario.name} has no free base that could be swung or weighed")
         still = {"sequence": (_STILL,), "capture": None, "ejection": None, "burn": (), "wrench": (), "parabolas": None}
         return VehiclePlant(self.scenario.model_copy(update=still), self._rng("vehicle"))
@@ -118,13 +118,11 @@ def part_readings(scenario: str | Scenario, seed: int, link: str, rig: Mapping[s
         rig: see :func:`hil_sim.plants.bench.part`.
 
     Raises:
-        ScenarioError: no such link, or no vehicle's scenario.
+        ScenarioError: no such link.
     """
     whole = scenario_of(scenario) if isinstance(scenario, str) else scenario
-    if not isinstance(whole, VehicleScenario):
-        raise ScenarioError(f"{whole.scenario.name} has no links that could be weighed")
     plant = Mission(whole, seed).plant
-    assert isinstance(plant, VehiclePlant)  # that of a vehicle's scenario
+    assert isinstance(plant, VehiclePlant)
     bodies = plant.bodies | ({} if plant.payload is None else {str(whole.vehicle.payload_link): plant.payload})
     if link not in bodies:
         raise ScenarioError(f"{whole.scenario.name} has no link {link!r}; it has {', '.join(bodies)}")

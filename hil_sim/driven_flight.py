@@ -15,7 +15,6 @@ from hil_sim.plants.drives.servo_axis import STEP_S
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 
 class DrivenFlight(Mission):
@@ -39,8 +38,6 @@ class DrivenFlight(Mission):
     def __init__(
         self, scenario: Scenario, seed: int, wired: Sequence[Wired], can: str, faults: Iterable[Fault] = ()
     ) -> None:
-        if not isinstance(scenario, VehicleScenario):
-            raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; give a vehicle.toml")
         self._wired, self._can, names = tuple(wired), can, {drive.name for drive in wired}
         all_faults = tuple(faults)
         self._of_drives = [fault for fault in all_faults if fault.device in names]
@@ -50,7 +47,6 @@ class DrivenFlight(Mission):
         self.drives: dict[str, ServoDrive402] = {}
 
     def _plant(self) -> Plant:
-        assert isinstance(self.scenario, VehicleScenario)
         return DrivenPlant(self.scenario, self._rng("vehicle"))
 
     def ask(self, segment: str) -> bool:

@@ -15,7 +15,7 @@ from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenJoint, DrivenVe
 from hil_sim.plants.drives.servo_axis import STEP_S, Controller
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 LATE_S = 5.0 * STEP_S  # the plant is four to five rows ahead of the devices: no loop may act before it is told
 
@@ -65,7 +65,7 @@ class DrivenPlant(VehiclePlant):
         ScenarioError: a base that moves as it is told, or a number that cannot be simulated.
     """
 
-    def __init__(self, scenario: VehicleScenario, rng: np.random.Generator) -> None:
+    def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
         if scenario.capture is not None or scenario.ejection is not None or scenario.servo:
             raise ScenarioError("drives move a vehicle that holds its payload: take capture, ejection and servo out")
         physics = scenario.physics.model_copy(update={"step_us": 1e6 * STEP_S, "chunk_steps": 1})

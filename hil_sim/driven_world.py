@@ -31,7 +31,7 @@ class DrivenWorld(ArmRig):
         vehicle: The plant.
 
     Raises:
-        ScenarioError: a scenario without an arm that drives could move, or a joint without a drive.
+        ScenarioError: a joint without a drive.
         FaultError: a fault that its device cannot have.
     """
 
@@ -46,10 +46,7 @@ class DrivenWorld(ArmRig):
         noise_rad: float = 0.0,
     ) -> None:
         plant = Mission(scenario, seed).plant
-        if not isinstance(plant, VehiclePlant):
-            raise ScenarioError(
-                f"{scenario.scenario.name} has no arm that drives move; give a vehicle.toml that has one"
-            )
+        assert isinstance(plant, VehiclePlant)
         self._truth = plant.truth()
         built = plant.driven()
         missing = sorted(set(built.joints) ^ {drive.joint for drive in wired})

@@ -22,7 +22,7 @@ from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
-from hil_sim.scenario.vehicle_tables import SequenceStep, VehicleScenario
+from hil_sim.scenario.vehicle_tables import SequenceStep
 from hil_sim.sensing.sensors import DriftingClock, ImuSensor, LoadCellSensor
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
@@ -89,9 +89,7 @@ class Mission:
                 raise FaultError(f"{said}, and the mission ends at {duration_s:g} s; give an earlier start.")
 
     def _plant(self) -> Plant:
-        if isinstance(self.scenario, VehicleScenario):
-            return VehiclePlant(self.scenario, self._rng("vehicle"))
-        raise TypeError(f"there is no plant for a {type(self.scenario).__name__}")
+        return VehiclePlant(self.scenario, self._rng("vehicle"))
 
     def _rng(self, subsystem: str) -> np.random.Generator:
         """A stream of its own per subsystem: adding one leaves the others as they are."""
@@ -215,14 +213,12 @@ class Mission:
         }
 
     def planned(self, period_s: float) -> Planned | None:
-        """What is known of the motion before it is flown, on a grid; None of a packaged mission, and of parabolas.
+        """What is known of the motion before it is flown, on a grid; None of a bench, and of parabolas.
 
         Args:
             period_s: of the grid.
         """
-        if not isinstance(self.scenario, VehicleScenario) or not isinstance(self.plant, VehiclePlant):
-            return None
-        if self.scenario.parabolas is not None:  # when it is let go is not planned
+        if not isinstance(self.plant, VehiclePlant) or self.scenario.parabolas is not None:  # let go at an unknown time
             return None
         joints = tuple(joint.name for joint in self.plant.joints)
         return planned(self.scenario, self.plant.program, joints, period_s)
@@ -275,8 +271,6 @@ def open_in_process(
 
 
 def _lingering(scenario: Scenario, linger_s: float) -> Scenario:
-    if not isinstance(scenario, VehicleScenario):
-        return scenario
     rest = SequenceStep(phase=scenario.sequence[-1].phase, action="hold", duration_s=linger_s)
     return scenario.model_copy(update={"sequence": (*scenario.sequence, rest)})
 

@@ -17,7 +17,6 @@ from bench.identification import free_flyer as case
 from bench.identification.recursive import ticks_of
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import free_flyer
-from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
@@ -99,7 +98,6 @@ def flown(box: free_flyer.Body, lies: Lies, seed: int, stated: Mapping[str, Any]
     """One flight through the estimator of the vehicle file, with what is stated over it."""
     rng = np.random.default_rng([seed, 0xC0])
     scenario = scenario_of("dymaflex")
-    assert isinstance(scenario, VehicleScenario)
     base_built, link_built = scenario.as_built["base"], scenario.as_built["link_1"]
     base, *arm = (
         case.as_built(

@@ -18,7 +18,8 @@ from hil_sim.plants.urdf_drawing import Drawing
 from hil_sim.scenario import bed
 from hil_sim.scenario.load import load, merged, names, parse
 from hil_sim.scenario.sheets import Sheets, sheet
-from hil_sim.scenario.tables import Files, Scenario, ScenarioError
+from hil_sim.scenario.tables import Files, ScenarioError
+from hil_sim.scenario.vehicle_tables import Scenario
 
 Table = dict[str, Any]
 Over = str | Path | Mapping[str, Any]  # the path of a scenario file, or its tables

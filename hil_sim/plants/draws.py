@@ -8,14 +8,14 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body, built
 from hil_sim.plants.urdf_model import rotation
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Tolerance, VehicleScenario
+from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Scenario, Tolerance
 
 _EXACT = Tolerance(mass_relative=0.0, centre_mm=0.0, inertia_relative=0.0)
 _DRAWS = 1000  # of a part until it is one that can exist
 
 
 def as_built(
-    scenario: VehicleScenario, drawn: dict[str, Body], rotors: Collection[str], rng: np.random.Generator
+    scenario: Scenario, drawn: dict[str, Body], rotors: Collection[str], rng: np.random.Generator
 ) -> dict[str, Body]:
     """Every link within its tolerance of the drawing; drawn again until it is a body that can exist.
 
@@ -52,9 +52,7 @@ def _made(link: str, drawn: Body, sigma: Tolerance, rng: np.random.Generator) ->
     raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
 
 
-def off_the_drawing(
-    scenario: VehicleScenario, links: Collection[str], rng: np.random.Generator
-) -> dict[str, FloatArray]:
+def off_the_drawing(scenario: Scenario, links: Collection[str], rng: np.random.Generator) -> dict[str, FloatArray]:
     """Places of frames off their drawing, (3,) each."""
     sigma_m = {link: 1e-3 * table.place_mm for link, table in scenario.as_built.items() if table.place_mm}
     fixed = sorted(sigma_m.keys() - (set(links) - {scenario.vehicle.base_link}))

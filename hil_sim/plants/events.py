@@ -11,7 +11,7 @@ from hil_sim.plants.parts.exchange import Jolt, Released
 from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 
 class Event(NamedTuple):
@@ -47,7 +47,7 @@ class Event(NamedTuple):
 
 
 def events(
-    scenario: VehicleScenario, payload: Body | None, step_s: float, steps: int, rng: np.random.Generator
+    scenario: Scenario, payload: Body | None, step_s: float, steps: int, rng: np.random.Generator
 ) -> list[Event]:
     """Of a mission, in their order.
 

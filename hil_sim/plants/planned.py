@@ -18,8 +18,8 @@ from hil_sim.plants.body import Body
 from hil_sim.plants.motions.carrier import carried
 from hil_sim.plants.motions.joint_swings import JointSwings
 from hil_sim.plants.urdf_model import rotation
-from hil_sim.scenario.tables import Scenario, ScenarioError
-from hil_sim.scenario.vehicle_tables import PayloadTable, VehicleScenario
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import PayloadTable, Scenario
 
 _RMS = 3.0**-0.5  # of a number drawn between -1 and 1
 _SWAYS = 8  # motions of a prescribed base
@@ -60,10 +60,8 @@ def default_plan(scenario: Scenario, period_s: float) -> Planned:
         period_s: of the grid.
 
     Raises:
-        ScenarioError: a packaged mission, or a drawing that cannot be moved.
+        ScenarioError: a drawing that cannot be moved.
     """
-    if not isinstance(scenario, VehicleScenario):
-        raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; its motion is in its scenario file")
     joints = tuple(urdf_drawing.read(scenario.vehicle.urdf, scenario.vehicle.label).joints.values())
     program = JointSwings(scenario, joints, np.random.default_rng(1))
     return planned(scenario, program, tuple(joint.name for joint in joints), period_s)
@@ -72,7 +70,7 @@ def default_plan(scenario: Scenario, period_s: float) -> Planned:
 class Room(NamedTuple):
     """Where in a rehearsal another motion of the joints fits: its longest swing with the payload held at its start."""
 
-    scenario: VehicleScenario  # with the swing as long as was asked for
+    scenario: Scenario  # with the swing as long as was asked for
     start_s: float
     end_s: float
 
@@ -85,10 +83,8 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
         duration_s: of the new motion; the swing's where None.
 
     Raises:
-        ScenarioError: a packaged mission, a scenario with a motion of its own, or without such a swing.
+        ScenarioError: a scenario with a motion of its own, or without such a swing.
     """
-    if not isinstance(scenario, VehicleScenario):
-        raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; give the path of a vehicle.toml")
     if scenario.motion.csv is not None:
         raise ScenarioError("the scenario has a motion (motion.csv); take it out to plan another")
     starts = np.cumsum([0.0, *(step.duration_s for step in scenario.sequence)])
@@ -106,7 +102,7 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
     return Room(scenario.model_copy(update={"sequence": sequence}), start_s, start_s + length)
 
 
-def with_segments(scenario: Scenario, segments: Path, duration_s: float) -> VehicleScenario:
+def with_segments(scenario: Scenario, segments: Path, duration_s: float) -> Scenario:
     """A rehearsal in which the flight computer asks for motions in place of the swing of :func:`room_for_motion`.
 
     What would follow that swing is left out, but for a release by time.
@@ -130,7 +126,7 @@ def with_segments(scenario: Scenario, segments: Path, duration_s: float) -> Vehi
     return room.scenario.model_copy(update={"sequence": tuple(sequence), "motion": motion})
 
 
-def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[str], period_s: float) -> Planned:
+def planned(scenario: Scenario, program: JointSwings, joints: Sequence[str], period_s: float) -> Planned:
     """A rehearsal as planned.
 
     Args:
@@ -156,7 +152,7 @@ def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[st
     )
 
 
-def _held(scenario: VehicleScenario, time_s: FloatArray) -> BoolArray:
+def _held(scenario: Scenario, time_s: FloatArray) -> BoolArray:
     if scenario.payload is None:
         return np.zeros(len(time_s), bool)
     from_s, until_s, caught, gone = -np.inf, np.inf, scenario.capture, scenario.ejection
@@ -184,7 +180,7 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
     return body, table.size_mm is None and table.centre_of_mass_mm is None
 
 
-def _sways(scenario: VehicleScenario, time_s: FloatArray) -> tuple[BaseReadings, ...]:
+def _sways(scenario: Scenario, time_s: FloatArray) -> tuple[BaseReadings, ...]:
     """Several, or one where all are alike: a base that is carried as it is told."""
     count = max(2, min(_SWAYS, _MOST_ROWS // len(time_s)))  # of a long motion each is as telling as the next
     found = [_readings(scenario, time_s, seed) for seed in range(1, count + 1)]
@@ -192,7 +188,7 @@ def _sways(scenario: VehicleScenario, time_s: FloatArray) -> tuple[BaseReadings,
     return tuple(found[:1] if alike else found)
 
 
-def _readings(scenario: VehicleScenario, time_s: FloatArray, seed: int) -> BaseReadings:
+def _readings(scenario: Scenario, time_s: FloatArray, seed: int) -> BaseReadings:
     rigid = scenario.model_copy(update={"vibration": None})  # too fast for the grid, and nothing that is planned
     path = carried(rigid, float(time_s[1] - time_s[0]), len(time_s), np.random.default_rng(seed))
     felt = path.acceleration[:, :3] - np.asarray(scenario.physics.gravity_m_s2)

@@ -10,7 +10,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
 from hil_sim.plants.urdf_drawing import PREFIX, Drawing
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3, "pivot": 3}
 _POSE = {"free": 7, "prescribed": 7, "fixed": 0, "planar": 3, "pivot": 4}  # numbers of the base's pose
@@ -38,7 +38,7 @@ class Places(NamedTuple):
     tracked: tuple[str, ...] = ()
 
 
-def places(scenario: VehicleScenario, drawing: Drawing) -> Places:
+def places(scenario: Scenario, drawing: Drawing) -> Places:
     """Links at which the devices measure motion or loads."""
     imus: dict[str, None] = {}
     cells: dict[str, None] = {}

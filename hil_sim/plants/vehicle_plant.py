@@ -33,7 +33,7 @@ from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.urdf_model import UrdfModel, places
 from hil_sim.plants.vehicle_flight import Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _APPROACH = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
@@ -75,7 +75,7 @@ class VehiclePlant(world.Plant):
         ScenarioError: a drawing, a link or a number that cannot be simulated.
     """
 
-    def __init__(self, scenario: VehicleScenario, rng: np.random.Generator) -> None:
+    def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
         physics, said = scenario.physics, scenario.vehicle
         self._scenario = scenario
         self.drawing = urdf_drawing.read(said.urdf, said.label)

@@ -17,8 +17,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil_sim.scenario import bed
-from hil_sim.scenario.tables import Files, Refused, Scenario, ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.tables import Files, Refused, ScenarioError
+from hil_sim.scenario.vehicle_tables import Scenario
 
 __all__ = ["Scenario", "ScenarioError", "load", "merged", "names", "parse"]
 
@@ -94,12 +94,12 @@ def parse(table: Mapping[str, Any], label: str = "scenario", files: Files = ()) 
         ScenarioError: naming each wrong key by its dotted path.
     """
     try:
-        return VehicleScenario.model_validate(table).of(files)
+        return Scenario.model_validate(table).of(files)
     except ValidationError as error:
         problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors())
         raise ScenarioError(
             f"{label} cannot be used: {problems}. Correct these keys",
-            (Refused(error, VehicleScenario, dict(table)),),
+            (Refused(error, Scenario, dict(table)),),
             label,
             files,
         ) from error

@@ -1,11 +1,10 @@
-"""Tables of every scenario: header, sensors, clocks, buses, devices, faults."""
+"""Header of a scenario, and what is raised where one cannot be used."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError
+from pydantic import BaseModel, ValidationError
 
-from hil_sim.scenario.bus_tables import BusTable, DeviceTable
-from hil_sim.scenario.sensor_tables import ClockTable, SensorTable, Table
+from hil_sim.scenario.sensor_tables import Table
 
 Files = tuple[tuple[str, str], ...]  # path and text of each, laid over those before it
 
@@ -43,29 +42,3 @@ class ScenarioHeader(Table):
     description: str
     based_on: str | None = None
     published: bool = False
-
-
-class Scenario(Table):
-    """A whole mission but for its bodies.
-
-    ``device`` tables are read by ``hil_sim.devices``, and ``fault`` tables by ``hil_sim.faults``, where a mission is
-    made of them.
-    """
-
-    scenario: ScenarioHeader
-    sensor: dict[str, SensorTable]
-    clock: dict[str, ClockTable]
-    bus: dict[str, BusTable]
-    device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
-    fault: tuple[dict[str, Any], ...] = ()
-    _files: Files = PrivateAttr(default=())
-
-    @property
-    def files(self) -> Files:
-        """That it was made of."""
-        return self._files
-
-    def of(self, files: Files) -> "Scenario":
-        """The same, made of these files."""
-        self._files = files
-        return self

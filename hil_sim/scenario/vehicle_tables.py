@@ -8,12 +8,13 @@ clocks, buses and devices.
 from math import isclose
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, model_validator
 
+from hil_sim.scenario.bus_tables import BusTable, DeviceTable
 from hil_sim.scenario.parabolic_tables import Parabolas
 from hil_sim.scenario.part_tables import AirTable, ConingTable, DragTable, ServoTable, StopTable, Vibration
-from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
-from hil_sim.scenario.tables import Scenario
+from hil_sim.scenario.sensor_tables import ClockTable, Fraction, NonNegative, SensorTable, Table, Vector
+from hil_sim.scenario.tables import Files, ScenarioHeader
 
 PhaseCode = Annotated[int, Field(ge=0, le=255)]
 Span = tuple[float, float]
@@ -316,9 +317,20 @@ class BearingTable(Table):
     turning_N_m: float = 0.0
 
 
-class VehicleScenario(Scenario):
-    """A whole mission of a vehicle of one's own."""
+class Scenario(Table):
+    """A whole mission.
 
+    ``device`` tables are read by ``hil_sim.devices``, and ``fault`` tables by ``hil_sim.faults``, where a mission is
+    made of them.
+    """
+
+    scenario: ScenarioHeader
+    sensor: dict[str, SensorTable]
+    clock: dict[str, ClockTable]
+    bus: dict[str, BusTable]
+    device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
+    fault: tuple[dict[str, Any], ...] = ()
+    _files: Files = PrivateAttr(default=())
     vehicle: VehicleTable
     physics: WorldPhysics = Field(default_factory=WorldPhysics.model_construct)
     as_built: dict[str, Tolerance] = Field(default_factory=dict)
@@ -346,6 +358,16 @@ class VehicleScenario(Scenario):
     drag: tuple[DragTable, ...] = ()
     sequence: Annotated[tuple[SequenceStep, ...], Field(min_length=1)]
 
+    @property
+    def files(self) -> Files:
+        """That it was made of."""
+        return self._files
+
+    def of(self, files: Files) -> "Scenario":
+        """The same, made of these files."""
+        self._files = files
+        return self
+
     @model_validator(mode="before")
     @classmethod
     def _of_parabolas(cls, tables: Any) -> Any:
@@ -354,7 +376,7 @@ class VehicleScenario(Scenario):
         return tables if given is None else {**tables, "sequence": Parabolas.model_validate(given).sequence()}
 
     @model_validator(mode="after")
-    def _payload_is_there(self) -> "VehicleScenario":
+    def _payload_is_there(self) -> "Scenario":
         if self.parabolas is not None and self.vehicle.base != "free":
             raise ValueError('parabolas are flown with base = "free"')
         if self.parabolas is not None and (self.capture is not None or self.ejection is not None):

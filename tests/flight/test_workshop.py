@@ -11,7 +11,6 @@ from bench.identification.workshop import payload
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.body import Body
 from hil_sim.plants.vehicle_plant import VehiclePlant
-from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
 from onboard.dynamics.model.inertia import elements
 from onboard.identification.quantities import BODY
@@ -86,7 +85,6 @@ def test_at_rest_the_wrist_carries_the_weight_where_it_is() -> None:
     over = {"as_built": {"gripper": exact}, "payload": payload(TOOL), "sequence": still}
     upright = {"posture": dict.fromkeys([f"joint_{k}" for k in range(1, 6)], 0.0), "posture_spread": 0.0}
     scenario = scenario_of("workshop", {**over, "motion": upright})
-    assert isinstance(scenario, VehicleScenario)
     plant = VehiclePlant(scenario, np.random.default_rng(1))
     g = 9.80665
     gripper, mass = np.array([0.003, -0.002, 0.040]), 0.45  # workshop.urdf

@@ -12,7 +12,7 @@ from hil_sim.plants.urdf_drawing import PREFIX, Drawing
 from hil_sim.plants.urdf_model import matrix_of
 from hil_sim.scenario.part_tables import ServoTable, StopTable
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 _IMPEDANCE = 0.05  # of stops: small, so that they act as spring-dampers with little added inertia (5 %)
 _DRY = (0.99, 0.99, 0.001)  # solver impedance of Coulomb friction
@@ -42,7 +42,7 @@ class OfAll(NamedTuple):
     cycles: FloatArray
 
 
-def fit(scenario: VehicleScenario, drawing: Drawing) -> Callable[[mujoco.MjSpec, mujoco.MjModel], None]:
+def fit(scenario: Scenario, drawing: Drawing) -> Callable[[mujoco.MjSpec, mujoco.MjModel], None]:
     """What puts servos and stops into a model that is being made.
 
     Raises:

@@ -13,7 +13,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.motions.joint_swings import wheels
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import AttitudeTable, VehicleScenario
+from hil_sim.scenario.vehicle_tables import AttitudeTable, Scenario
 
 
 class Wheels(NamedTuple):
@@ -42,7 +42,7 @@ class Wheels(NamedTuple):
         return np.asarray(self.law.torque_N_m * np.tanh(wanted / self.law.torque_N_m))
 
 
-def holding(scenario: VehicleScenario, model: UrdfModel, joints: Sequence[str]) -> Wheels | None:
+def holding(scenario: Scenario, model: UrdfModel, joints: Sequence[str]) -> Wheels | None:
     """The wheels that hold the attitude; None without ``[attitude]``.
 
     Raises:

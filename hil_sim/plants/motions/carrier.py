@@ -14,7 +14,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray, cross
 from hil_sim.plants.motions.base_sway import BasePath, Sway, attitudes
 from hil_sim.plants.motions.motion import Gusts, Shaking, coning, dynamic_pressure, rate_before, wind_direction
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 CHUNK = 3840  # rows, whole blocks of the filters (64) and of attitudes (96)
 _NOTHING = np.zeros(0), np.zeros((0, 3))
@@ -62,7 +62,7 @@ class Carrier:
         rng: draws the sway, then the parts in the order named.
     """
 
-    def __init__(self, scenario: VehicleScenario, step_s: float, count: int, rng: np.random.Generator) -> None:
+    def __init__(self, scenario: Scenario, step_s: float, count: int, rng: np.random.Generator) -> None:
         self._scenario, self._step_s, self._count = scenario, step_s, count
         self._sway = Sway(scenario.base_motion, rng)
         self._phase = rng.uniform(0.0, 2.0 * np.pi) if scenario.coning is not None else 0.0
@@ -170,7 +170,7 @@ def _mean_twist(shaking: Shaking, step_s: float, count: int) -> FloatArray:
     return np.asarray(found[-1] / count)
 
 
-def carried(scenario: VehicleScenario, step_s: float, count: int, rng: np.random.Generator) -> Carried:
+def carried(scenario: Scenario, step_s: float, count: int, rng: np.random.Generator) -> Carried:
     """The whole of a motion; see ``Carrier``."""
     return Carrier(scenario, step_s, count, rng).rows(0, count)
 

@@ -16,7 +16,7 @@ from hil_sim.plants.motions.motion import PhaseSpan, Program, minimum_jerk
 from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import Motion, SequenceStep, VehicleScenario
+from hil_sim.scenario.vehicle_tables import Motion, Scenario, SequenceStep
 
 _FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
 _MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
@@ -100,7 +100,7 @@ class JointSwings(Program):
         ScenarioError: a posture outside the limits, of a joint that is not there, or a CSV that does not fit.
     """
 
-    def __init__(self, scenario: VehicleScenario, joints: Sequence[DrawnJoint], rng: np.random.Generator) -> None:
+    def __init__(self, scenario: Scenario, joints: Sequence[DrawnJoint], rng: np.random.Generator) -> None:
         names = [joint.name for joint in joints]
         unknown = sorted(scenario.motion.posture.keys() - set(names))
         if unknown:
@@ -219,7 +219,7 @@ class JointSwings(Program):
         return q, dq, ddq
 
 
-def wheels(scenario: VehicleScenario) -> frozenset[str]:
+def wheels(scenario: Scenario) -> frozenset[str]:
     """The joints whose speed alone is measured: wheels, which run by ``sweep`` and do not swing."""
     tables = [device.model_dump() for device in scenario.device.values()]
     sensors = {name for name, sensor in scenario.sensor.items() if sensor.quantity == "wheel_rate"}

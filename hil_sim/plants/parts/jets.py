@@ -12,7 +12,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 RISE_s = 0.02
 _ACCELERATION_m_s2 = 0.01  # of the whole vehicle, where no force is given
@@ -72,7 +72,7 @@ class Jets:
         ScenarioError: a burn of a frame that no thruster has, or of one that is not fixed to the base.
     """
 
-    def __init__(self, scenario: VehicleScenario, model: UrdfModel, bodies: Mapping[str, Body]) -> None:
+    def __init__(self, scenario: Scenario, model: UrdfModel, bodies: Mapping[str, Body]) -> None:
         mass_kg = sum(body.mass_kg for body in bodies.values())
         axes = dict[str, FloatArray]()
         for device in scenario.device.values():

@@ -9,7 +9,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import BearingTable, VehicleScenario
+from hil_sim.scenario.vehicle_tables import BearingTable, Scenario
 
 _ROUNDING_m_s = 2e-3  # of Coulomb drag
 
@@ -22,7 +22,7 @@ class Puck(NamedTuple):
     coulomb_N: float  # noqa: N815
 
 
-def pucks(scenario: VehicleScenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
+def pucks(scenario: Scenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
     """Every puck of the table, its drag drawn."""
     found = []
     for frame in scenario.table.pucks:

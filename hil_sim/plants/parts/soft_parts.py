@@ -15,7 +15,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 
 _LARGEST_STEP = 2.2  # of a Runge-Kutta scheme of fourth order, in radians of the fastest mode; 2.8 is its limit
 _STIFF_Hz, _STIFF_RATIO = 20.0, 0.1  # of joints that have play and are not said to be flexible
@@ -124,7 +124,7 @@ class SoftParts:
 
 
 def springs(
-    scenario: VehicleScenario, bodies: Mapping[str, Body], joints: Sequence[str], rng: np.random.Generator
+    scenario: Scenario, bodies: Mapping[str, Body], joints: Sequence[str], rng: np.random.Generator
 ) -> tuple[SoftParts | None, dict[str, Body]]:
     """What of a scenario is not stiff, and its base without the mass that swings.
 

@@ -13,7 +13,7 @@ from hil_sim.plants.parts.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
+from hil_sim.scenario.vehicle_tables import Scenario
 from tests.hil_sim.plants.test_soft_parts import Still
 from tests.hil_sim.plants.test_vehicle_plant import BOX, DYMAFLEX, PLACES, RATE
 
@@ -144,11 +144,11 @@ def test_a_grip_that_cannot_close_in_the_mission_is_refused(rng):
         **{name: {} for name in ("sensor", "clock", "bus")},
         "device": {"x": {"kind": "x"}},
     }
-    scenario = VehicleScenario.model_validate(tables)
+    scenario = Scenario.model_validate(tables)
     with pytest.raises(ScenarioError, match="ends before the grip closes: give capture a higher contact_Hz"):
         events(scenario, BOX, STEP_s, 1000, rng)
     found = events(scenario, BOX, STEP_s, 1500, rng)
     assert [event.name for event in found] == ["capture", "grip"]
     assert found[1].row - found[0].row == pytest.approx(6.0 / (0.5 * 2.0 * np.pi) / STEP_s, abs=1.0)
     with pytest.raises(ValueError, match='held by a spring first with base = "free" alone'):
-        VehicleScenario.model_validate({**tables, "vehicle": {**tables["vehicle"], "base": "planar"}})
+        Scenario.model_validate({**tables, "vehicle": {**tables["vehicle"], "base": "planar"}})

@@ -8,7 +8,6 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.planned import default_plan
 from hil_sim.scenario import bed
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import config
 from onboard.cli import main
 
@@ -32,7 +31,6 @@ def test_a_bed_is_the_rehearsal_of_a_packaged_vehicle(name: str) -> None:
     assert found is not None
     assert found.vehicle.samefile(config.packaged(name))
     scenario = scenario_of(name)
-    assert isinstance(scenario, VehicleScenario)
     assert scenario.vehicle.base == BASES[name]
     assert not scenario.scenario.description.startswith("the rehearsal of")
     if name == "tumble":  # nothing is held: the body itself is drawn
@@ -50,7 +48,6 @@ def test_a_bed_is_the_rehearsal_of_a_packaged_vehicle(name: str) -> None:
 
 def test_a_payload_that_is_captured_tumbles() -> None:
     scenario = scenario_of("capture")
-    assert isinstance(scenario, VehicleScenario)
     assert scenario.capture is not None
     assert scenario.capture.rate_sigma_rad_s == 0.1
     assert scenario.capture.earliest_s < scenario.capture.latest_s
@@ -59,7 +56,6 @@ def test_a_payload_that_is_captured_tumbles() -> None:
 @pytest.mark.parametrize(("day", "runs", "slow"), [("day1", 32, 13), ("day2", 33, 0)])
 def test_a_day_has_the_runs_of_table_4_4(day: str, runs: int, slow: int) -> None:
     scenario = scenario_of("parabolic", campaign=day)
-    assert isinstance(scenario, VehicleScenario)
     assert scenario.parabolas is not None
     strapped, *flown = scenario.parabolas.flown
     assert strapped is None
@@ -75,7 +71,6 @@ def test_a_day_has_the_runs_of_table_4_4(day: str, runs: int, slow: int) -> None
 @pytest.mark.parametrize("joints", ["pitch", "yaw", "both"])
 def test_the_table_is_run_at_three_speeds(joints: str) -> None:
     scenario = scenario_of("air_bearing", campaign=joints)
-    assert isinstance(scenario, VehicleScenario)
     assert scenario.backlash is not None
     moved = [step.rates for step in scenario.sequence if step.action == "sweep"]
     assert len(moved) == 3
@@ -88,14 +83,12 @@ def test_the_table_is_run_at_three_speeds(joints: str) -> None:
 
 def test_a_wheel_runs_by_its_sweep_and_does_not_swing(tmp_path: Path) -> None:
     scenario = scenario_of("tumble")
-    assert isinstance(scenario, VehicleScenario)
     plan = default_plan(scenario, 0.01)
     assert abs(plan.dq).max() == pytest.approx(1250.0)
     assert abs(plan.q[0] - plan.q[-1]).max() < 1e-9
     over = tmp_path / "over.toml"
     over.write_text('[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 5.0\n')
     swinging = scenario_of("tumble", over)
-    assert isinstance(swinging, VehicleScenario)
     assert not default_plan(swinging, 0.01).dq.any()
 
 
@@ -108,7 +101,6 @@ def test_a_scenario_file_lies_over_a_bed(tmp_path: Path) -> None:
     over = tmp_path / "over.toml"
     over.write_text("payload.mass_kg = [2.5, 2.5]\n")
     scenario = scenario_of("fixed_arm", over)
-    assert isinstance(scenario, VehicleScenario)
     assert scenario.payload is not None
     assert scenario.payload.mass_kg == (2.5, 2.5)
     over.write_text("[vehicle]\nbase = 'free'\n")

@@ -8,7 +8,7 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import planned
 from hil_sim.plants.planned import default_plan
-from hil_sim.scenario.tables import Scenario
+from hil_sim.scenario.vehicle_tables import Scenario
 from onboard import config
 from onboard.ground.before.foresee import rows
 from onboard.ground.before.foresee.foresee import foresee
