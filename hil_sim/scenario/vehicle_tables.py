@@ -17,7 +17,6 @@ from hil_sim.scenario.sensor_tables import ClockTable, Fraction, NonNegative, Se
 from hil_sim.scenario.tables import Files, ScenarioHeader
 
 PhaseCode = Annotated[int, Field(ge=0, le=255)]
-Span = tuple[float, float]
 
 
 class VehicleTable(Table):

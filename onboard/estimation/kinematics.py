@@ -1,4 +1,4 @@
-"""Kernels equivalent to a steady-state Kalman filter and its smoother; kinematics of sampled positions.
+"""Kernels equivalent to a steady-state Kalman filter and its smoother.
 
 The signal model is four integrators driven by white noise (snap of a joint). The steady-state Kalman filter is a fixed
 linear filter; from its poles D two kernels for :class:`onboard.estimation.smoothing.SmoothingWindow` are made:
@@ -19,17 +19,15 @@ power.
 """
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from onboard.estimation.arrays import ComplexArray, FloatArray
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import Kernel, SmoothingWindow
+from onboard.estimation.smoothing import Kernel
 
 ORDER = 4  # integrators
 FILTER_BAND, SMOOTHER_BAND = 32.0, 56.0  # the filter's natural frequency times the window's width
@@ -117,33 +115,3 @@ def smoother_kernel() -> Kernel:
     poles, factors = _poles(SMOOTHER_BAND)
     # the autocorrelation of the filter's response
     return _kernel(factors * (factors / -(poles[:, None] + poles)).sum(axis=1), poles, True)
-
-
-class Kinematics(NamedTuple):
-    """Position, rate and acceleration at n ticks, NaN where a window is not valid."""
-
-    q: FloatArray  # (n, c)
-    dq: FloatArray
-    ddq: FloatArray
-    covariance: FloatArray  # (n, 3, 3) of the three, per variance of white sample noise
-
-
-def kinematics(times_s: ArrayLike, q: ArrayLike, at_s: ArrayLike, width_s: float, kernel: Kernel) -> Kinematics:
-    """Kinematics of sampled positions.
-
-    Args:
-        times_s: (k,) strictly increasing.
-        q: (k,) or (k, c).
-        at_s: ticks, (n,).
-        width_s: of the window.
-        kernel: :func:`filter_kernel`, :func:`smoother_kernel` or the spline.
-
-    Raises:
-        RowError: see :class:`SmoothingWindow`.
-    """
-    window = SmoothingWindow(times_s, at_s, width_s, kernel=kernel)
-    position, rate, acceleration = (window.apply(q, derivative).values for derivative in range(3))
-    weights = np.stack([window.weights(derivative) for derivative in range(3)], axis=1)  # (n, 3, l)
-    covariance = weights @ weights.swapaxes(1, 2)
-    covariance[~window.valid] = np.nan
-    return Kinematics(position, rate, acceleration, covariance)

@@ -48,13 +48,6 @@ class Source(Protocol):
         """What the page needs once."""
 
 
-class Frames(Source, Protocol):
-    """A log."""
-
-    def frame(self, number: int) -> bytes:
-        """Frame ``number``; IndexError where there is none."""
-
-
 class _Viewer:
     """Of a flight: what it was sent and what it was not."""
 

@@ -68,11 +68,6 @@ def moved(
     return out[1 : 1 + 2 * int(out[0])].reshape(-1, 2)
 
 
-def clip(polygon: Polygon, a: float, b: float, c: float) -> Polygon:
-    """The part of ``polygon`` with ``a x + b y <= c``, possibly without corners."""
-    return moved(polygon, lines=[(a, b, c)])
-
-
 def widen(polygon: Polygon, x: float, y: float) -> Polygon:
     """Minkowski sum with the segment from (-x, -y) to (x, y)."""
     return moved(polygon, segments=[(x, y)])

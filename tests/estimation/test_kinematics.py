@@ -12,7 +12,6 @@ from onboard.estimation.kinematics import (
     ORDER,
     SMOOTHER_BAND,
     filter_kernel,
-    kinematics,
     smoother_kernel,
     steady_gain,
 )
@@ -55,8 +54,8 @@ def test_the_filters_third_derivative_is_the_kalman_filters_jerk(angle):
     jerk = means[:, 3, 0]
     newest = np.arange(1200, 2400)
     between = t[newest] + 0.5 * PERIOD_S  # a sample's hold
-    found = kinematics(t, q, between - 0.5 * WIDTH_S, WIDTH_S, filter_kernel())
-    by_differences = np.gradient(found.ddq[:, 0], PERIOD_S)[2:-2]
+    ddq = SmoothingWindow(t, between - 0.5 * WIDTH_S, WIDTH_S, kernel=filter_kernel()).apply(q, 2).values
+    by_differences = np.gradient(ddq[:, 0], PERIOD_S)[2:-2]
     assert (
         np.abs(by_differences - jerk[newest][2:-2]).max() < 0.04 * np.abs(jerk[newest]).max()
     )  # band times period: 0.08
@@ -68,10 +67,10 @@ def test_the_smoother_is_rauch_tung_striebels(angle):
     means, covariances, *_ = kalman.batch_filter(q)
     smoothed, *_ = kalman.rts_smoother(means, covariances)
     some = np.arange(600, 1900)
-    found = kinematics(t, q, t[some], WIDTH_S, smoother_kernel())
-    for ours, state, close in ((found.q, 0, 3e-4), (found.dq, 1, 1e-3), (found.ddq, 2, 1e-2)):
+    window = SmoothingWindow(t, t[some], WIDTH_S, kernel=smoother_kernel())
+    for state, close in enumerate((3e-4, 1e-3, 1e-2)):
         theirs = smoothed[some, state, 0]
-        assert np.abs(ours[:, 0] - theirs).max() < close * np.abs(theirs).max()
+        assert np.abs(window.apply(q, state).values[:, 0] - theirs).max() < close * np.abs(theirs).max()
 
 
 @pytest.mark.parametrize("kernel", [SPLINE, filter_kernel(), smoother_kernel()])
@@ -105,14 +104,12 @@ def test_covariance_is_that_of_the_noise(rng):
     t, at = np.arange(0.0, 1.0, PERIOD_S), np.array([0.5])
     draws = rng.normal(size=(t.size, 3000))
     for kernel in (filter_kernel(), smoother_kernel()):
-        found = kinematics(t, draws, at, WIDTH_S, kernel)
-        sample = np.cov(np.stack([found.q[0], found.dq[0], found.ddq[0]]))
-        scale = np.sqrt(np.diag(sample))
-        np.testing.assert_allclose(
-            found.covariance[0] / np.outer(scale, scale), sample / np.outer(scale, scale), atol=0.1
-        )
-    holey = kinematics(np.delete(t, slice(400, 600)), np.zeros(t.size - 200), at, WIDTH_S, filter_kernel())
-    assert np.isnan(holey.covariance).all()
+        window = SmoothingWindow(t, at, WIDTH_S, kernel=kernel)
+        sample = np.cov(np.stack([window.apply(draws, derivative).values[0] for derivative in range(3)]))
+        weights = np.stack([window.weights(derivative)[0] for derivative in range(3)])
+        scale = np.outer(*[np.sqrt(np.diag(sample))] * 2)
+        np.testing.assert_allclose(weights @ weights.T / scale, sample / scale, atol=0.1)
+    assert not SmoothingWindow(np.delete(t, slice(400, 600)), at, WIDTH_S, kernel=filter_kernel()).valid.any()
 
 
 def test_a_wider_band_correlates_neighbouring_rows_less():

@@ -26,7 +26,7 @@ def test_a_point_is_left_exactly_when_it_satisfies_every_cut(
 ) -> None:
     polygon = geometry.box(-10.0, 10.0, -10.0, 10.0)
     for a, b, c in cuts:
-        polygon = geometry.clip(polygon, a, b, c) if len(polygon) else polygon
+        polygon = geometry.moved(polygon, lines=[(a, b, c)]) if len(polygon) else polygon
     margins = [(c - a * x - b * y) / np.hypot(a, b) for a, b, c in cuts]
     if all(margin > 1e-3 for margin in margins) and max(abs(x), abs(y)) < 9.99:
         assert inside(polygon, x, y, 1e-9)
@@ -35,7 +35,7 @@ def test_a_point_is_left_exactly_when_it_satisfies_every_cut(
 
 
 def test_a_cut_meets_the_sides_where_the_line_does() -> None:
-    found = geometry.clip(geometry.box(0.0, 4.0, 0.0, 2.0), 1.0, 0.0, 1.0)
+    found = geometry.moved(geometry.box(0.0, 4.0, 0.0, 2.0), lines=[(1.0, 0.0, 1.0)])
     assert set(map(tuple, found.tolist())) == {(0, 0), (1, 0), (1, 2), (0, 2)}
 
 
@@ -45,7 +45,7 @@ def test_widening_holds_every_point_moved_along_the_segment(
 ) -> None:
     polygon = geometry.box(-10.0, 10.0, -10.0, 10.0)
     for a, b, c in cuts:
-        left = geometry.clip(polygon, a, b, c)
+        left = geometry.moved(polygon, lines=[(a, b, c)])
         polygon = left if len(left) else polygon
     wide = geometry.widen(polygon, *segment)
     for x, y in polygon:
@@ -65,7 +65,7 @@ def test_fewer_corners_never_lose_a_point(rng: np.random.Generator) -> None:
 def test_moments_are_those_of_points_spread_evenly(rng: np.random.Generator) -> None:
     polygon = geometry.box(-3.0, 5.0, 2.0, 4.0)
     for a, b, c in ((1.0, 1.0, 7.0), (-1.0, 2.0, 9.0), (0.3, -1.0, -1.9)):
-        polygon = geometry.clip(polygon, a, b, c)
+        polygon = geometry.moved(polygon, lines=[(a, b, c)])
     points = rng.uniform([-3.0, 2.0], [5.0, 4.0], (200_000, 2))
     points = points[[inside(polygon, x, y, 0.0) for x, y in points[:20_000]] + [False] * 180_000]
     assert len(points) > 5_000

@@ -67,11 +67,6 @@ class Sway:
         return BasePath(pose, velocity, acceleration)
 
 
-def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BasePath:
-    """A drawn motion at evenly spaced times (n,), all at once."""
-    return Sway(table, rng).take(time_s)
-
-
 def _grown(table: BaseSway, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Share of the motion at times (n,) and its rate of change, (n, 1) each: a quintic after ``still_s``."""
     if table.still_s == 0.0:
