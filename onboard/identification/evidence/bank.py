@@ -54,34 +54,57 @@ class Hypothesis(NamedTuple):
     slopes: FloatArray  # (k, r) U at the suspect's constants
     whiten: FloatArray  # (r, r) of which the product with its transpose is M^-1
     g: FloatArray  # (r,) its gradient, so whitened
-    moves: FloatArray | None = None  # (p, 1) root of what a step adds to the covariance; None: it is no step
+    moves: FloatArray | None = None  # (p, r) root of what steps add to the covariance; None: it is no step
+    steps: tuple[int, ...] = ()  # numbers of these
 
 
 class Changed(NamedTuple):
-    """Steps in flight of one sigma each: the change of the state by each, and its evidence in the innovations."""
+    """Steps in flight of one sigma each: the change of the state by each, and their evidence in the innovations."""
 
     D: FloatArray  # (p, m) true state less the filter's
-    d: FloatArray  # (m,) gradient of the evidence by its size
-    J: FloatArray  # (m,) information of that
+    d: FloatArray  # (m,) gradient of the evidence by their sizes
+    J: FloatArray  # (m, m) information of these
 
     @staticmethod
     def none(size: int) -> "Changed":
         """No steps, of a state of this size."""
-        return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros(0))
+        return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros((0, 0)))
 
     @property
     def nats(self) -> FloatArray:
-        """Evidence over that of no step, (m,)."""
-        M = 1.0 + np.maximum(self.J, 0.0)
-        return np.asarray(0.5 * self.d**2 / M - 0.5 * np.log(M), np.float64)
+        """Evidence of each two over that of none, (m, m); on the diagonal that of each alone."""
+        M = 1.0 + np.maximum(self.J.diagonal(), 0.0)
+        alone, slope = 0.5 * self.d**2 / M - 0.5 * np.log(M), self.J / M[:, None]
+        left = np.maximum(M - self.J * slope, 1.0)  # of the second, given the first
+        both = alone[:, None] + 0.5 * (self.d - self.d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
+        np.fill_diagonal(both, alone)
+        return np.asarray(both, np.float64)
+
+    def logs(self, suspects: Sequence[Suspect]) -> FloatArray:
+        """Logarithms of the weights of each two, and of each alone, over that of none, (m, m)."""
+        odds = np.log([one.odds for one in suspects])
+        return np.asarray(self.nats + odds + odds[:, None] * ~np.eye(len(odds), dtype=np.bool_), np.float64)
+
+    def sizes(self, which: Sequence[int]) -> Known:
+        """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
+        at = np.asarray(which)
+        P = np.linalg.inv(np.eye(len(at)) + self.J[np.ix_(at, at)])
+        return P @ self.d[at], np.linalg.cholesky(P)
 
     def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
-        """One hypothesis for each step, of the given suspects; weights are one."""
-        M, found = 1.0 + np.maximum(self.J, 0.0), list[Hypothesis]()
-        for k, (suspect, nats) in enumerate(zip(suspects, self.nats.tolist(), strict=True)):
-            root, size = np.sqrt(M[k]), abs(float(self.d[k] / M[k]))
-            of = *_NONE[:2], self.d[k : k + 1] / root, self.D[:, k : k + 1] / root
-            found.append(Hypothesis(suspect, (), 1.0, nats, size, *of))
+        """Each step, and each two that are likelier than either and half of what follows; weights are one."""
+        nats, logs, found = self.nats, self.logs(suspects), list[Hypothesis]()
+        alone, roots = logs.diagonal(), (1.0 + np.maximum(self.J.diagonal(), 0.0)) ** -0.5
+        for k, (suspect, root) in enumerate(zip(suspects, roots[:, None, None], strict=True)):
+            g = self.d[k : k + 1] * root[0]
+            parts = float(nats[k, k]), abs(float(g[0] * root[0, 0])), _NONE[0], root, g, self.D[:, k : k + 1] * root
+            found.append(Hypothesis(suspect, (), 1.0, *parts, (k,)))
+        second = logs - np.maximum(alone, alone[:, None]) > np.log(LIKELIER)
+        likely = np.triu(second & (logs > max(0.0, logs.max(initial=0.0)) + np.log(LEAST_WEIGHT)), 1)
+        for k, other in np.argwhere(likely).tolist():
+            (mean, half), both = self.sizes((k, other)), _both(suspects[k], suspects[other])
+            told = float(nats[k, other]), float(np.abs(mean).max()), _NONE[0], half, half.T @ self.d[[k, other]]
+            found.append(Hypothesis(both, (), 1.0, *told, self.D[:, [k, other]] @ half, (k, other)))
         return found
 
 
@@ -286,7 +309,7 @@ class Bank:
         solved = np.linalg.solve(inner + sign * (U.T @ PU[self.at]), np.column_stack([PU.T, along]))
         gain, of_steps = solved[:, : len(x)], sign * solved[:, len(x) :]
         now = x - sign * (own @ gain), P - sign * (PU @ gain)
-        return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + (along * of_steps).sum(axis=0))
+        return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + along.T @ of_steps)
 
     def _of_these(self, which: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """``U`` at all suspects' constants and ``1 + D' U`` of some suspects' columns."""
@@ -368,14 +391,20 @@ class Bank:
             if k == first or (k, first) in known or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
                 continue
             other, r = self.suspects[k], len(alone.g)
-            name, at = " and ".join(dict.fromkeys([one.name, other.name])), np.concatenate([one.at, other.at])
             whiten = block_diag(alone.whiten, two.whiten)
             whiten[:r, r:] = -alone.whiten @ onto[self._columns[k]].T @ two.whiten
-            both = Suspect(name, at, block_diag(one.along, other.along), one.odds * other.odds)
             parts = block_diag(self._slopes[first], self._slopes[k]), whiten, np.concatenate([alone.g, two.g])
-            pairs.append(Hypothesis(both, (first, k), 1.0, alone.nats + two.nats, max(alone.size, two.size), *parts))
+            pairs.append(
+                Hypothesis(_both(one, other), (first, k), 1.0, alone.nats + two.nats, max(alone.size, two.size), *parts)
+            )
             logs.append(log)
         return pairs, logs
+
+
+def _both(one: Suspect, other: Suspect) -> Suspect:
+    """Two that may be wrong together."""
+    name, at = " and ".join(dict.fromkeys([one.name, other.name])), np.concatenate([one.at, other.at])
+    return Suspect(name, at, block_diag(one.along, other.along), one.odds * other.odds)
 
 
 class _Alone(NamedTuple):

@@ -55,9 +55,10 @@ class Innovation(NamedTuple):
         """With ``e`` and ``L`` as they are given a step that the filter does not follow: what is to be tested."""
         if step is None:
             return self
-        G = self.steps[:, step.number]
-        K = np.linalg.cholesky(np.eye(len(G)) + np.outer(G, G) * step.variance)
-        e = dtrtrs(K, self.e - G * step.size, lower=True)[0]
+        G = self.steps[:, [*step.which]]
+        H = G @ step.root
+        K = np.linalg.cholesky(np.eye(len(H)) + H @ H.T)
+        e = dtrtrs(K, self.e - G @ step.size, lower=True)[0]
         return self._replace(e=e, L=self.L @ K)
 
     def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:

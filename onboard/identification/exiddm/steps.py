@@ -1,5 +1,7 @@
 """Steps of a load cell's scale or zero in flight, each from a time on, weighed beside what may be wrong all flight.
 
+Each alone, and each two, for what steps may go back.
+
 The true state is ``x + D t``: D is how far a filter that does not know of a step of one sigma is off, t of unit normal
 prior. D is the step at its time, goes through the filter's corrections and predictions, and shows in its innovations as
 ``G = H D`` (Willsky and Jones, A generalized likelihood ratio approach to the detection and estimation of jumps in
@@ -13,7 +15,7 @@ r of the solution and the transition F to its end,
 
     D = step - F P H'G,   J = G'G - G'H P H'G,   d = G'r
 
-A time that is no longer kept leaves its odds to the one after it.
+A time that is no longer kept, the one of the least likely hypotheses, leaves its odds to the one after it.
 """
 
 from collections.abc import Iterator
@@ -54,9 +56,9 @@ class Inside(NamedTuple):
 class Adds(NamedTuple):
     """What a step adds to a state that is estimated as if there were none."""
 
-    at: int  # place of what stepped
+    at: IndexArray  # places of what stepped
     shift: FloatArray  # (p,)
-    root: FloatArray  # (p,): its product with itself is what is added to the covariance
+    root: FloatArray  # (p, r) of what is added to the covariance
 
 
 _NONE: IndexArray = np.zeros(0, np.intp)
@@ -118,7 +120,7 @@ class Steps:
         W, e, seen = told
         D = D - W.T @ seen
         D[changing] = transition @ D
-        self.changed = Changed(D, d + seen.T @ e, J + (seen * seen).sum(axis=0))
+        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen)
         self._batches += 1
         if self._batches % _EVERY == 0:
             self._may_be()
@@ -128,16 +130,17 @@ class Steps:
         (D, d, J), each = self.changed, len(self._what)
         if not each:
             return
-        nats, kept = self.changed.nats.reshape(-1, each).max(axis=1), np.arange(len(self._stands))
+        logs, kept = self.changed.logs(self.suspects), np.arange(len(self._stands))
+        logs = logs.max(axis=1, initial=-np.inf).reshape(-1, each).max(axis=1, initial=-np.inf)
         while len(kept) >= _TIMES:
-            least = int((nats[kept] + np.log(self._stands[kept]))[:-1].argmin())
+            least = int(logs[kept][:-1].argmin())
             self._stands[kept[least + 1]] += self._stands[kept[least]]
             kept = np.delete(kept, least)
         steps, new = (each * kept[:, None] + np.arange(each)).ravel(), np.zeros((len(D), each))
         for k, one in enumerate(self._what):
             new[one.at, k] = one.along[:, 0]
-        none = np.zeros(each)
-        self.changed = Changed(np.hstack([D[:, steps], new]), np.append(d[steps], none), np.append(J[steps], none))
+        d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
+        self.changed = Changed(np.hstack([D[:, steps], new]), d, J)
         self._stands = np.append(self._stands[kept], 1.0)
 
 

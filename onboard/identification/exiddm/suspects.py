@@ -38,11 +38,11 @@ _OF_IMU = [
 
 
 class Believed(NamedTuple):
-    """The step in flight that is likelier than anything else."""
+    """The step or steps in flight that are likelier than anything else."""
 
-    number: int  # among the steps that are followed
-    size: float  # in its sigmas
-    variance: float  # of that
+    which: tuple[int, ...]  # of the steps that are followed
+    size: FloatArray  # (r,) in their sigmas
+    root: FloatArray  # (r, r) of the covariance of that
 
 
 class Rivals:
@@ -67,20 +67,16 @@ class Rivals:
 
     def step(self, state: FloatArray, covariance: FloatArray) -> Believed | None:
         """The step that is likelier than anything else, by the filter's state; None if none is."""
-        weighed, (_, d, J) = self.weighed(state, covariance), self.steps.changed
-        if weighed.likeliest.moves is None or not weighed.contradicts:
-            return None
-        steps = weighed.every[len(weighed.every) - len(d) :]
-        number = next(k for k, one in enumerate(steps) if one is weighed.likeliest)
-        M = 1.0 + max(float(J[number]), 0.0)
-        return Believed(number, float(d[number]) / M, 1.0 / M)
+        weighed = self.weighed(state, covariance)
+        which = weighed.likeliest.steps
+        return Believed(which, *self.steps.changed.sizes(which)) if which and weighed.contradicts else None
 
     def adds(self, state: FloatArray, covariance: FloatArray) -> Adds | None:
         """What that step adds to the filter's state and covariance."""
         if (step := self.step(state, covariance)) is None:
             return None
-        D = self.steps.changed.D[:, step.number]
-        return Adds(int(self.steps.suspects[step.number].at[0]), D * step.size, D * step.variance**0.5)
+        D, of = self.steps.changed.D[:, [*step.which]], self.steps.suspects
+        return Adds(np.concatenate([of[k].at for k in step.which]), D @ step.size, D @ step.root)
 
     def adopting(self, known: Known, step: Adds | None, initial: Known) -> tuple[Known, Known]:
         """What is known of all that comes after a step, and before the first tick.
@@ -90,9 +86,9 @@ class Rivals:
         if step is None:
             return known, initial
         before, (state, covariance) = self.freed, known
-        alike = (k for k, one in enumerate(self._bank.suspects) if one.at.tolist() == [step.at])
+        alike = (k for k, one in enumerate(self._bank.suspects) if len(one.at) == 1 and one.at[0] in step.at)
         self.freed, self._of = tuple(sorted({*before, *alike})), None
-        known = state + step.shift, covariance + np.outer(step.root, step.root)
+        known = state + step.shift, covariance + step.root @ step.root.T
         return known, initial if self.freed == before else self._free(initial, before, self.freed)
 
     @property

@@ -1,5 +1,6 @@
 """Steps in flight, against the density of all readings and the fit of all of them with the step as an unknown."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -22,6 +23,9 @@ BATCHES, LINES = 6, 4
 BODY = Suspect("body", np.array([1, 2]), np.array([[2.0], [1.0]]), 1e-2)
 
 
+Steps_ = Sequence[tuple[int, int]]  # batch from which on, and place in the state
+
+
 class Flight(NamedTuple):
     """Batches ``y = H x + e``; the rate goes on by a transition, all else stays."""
 
@@ -29,32 +33,31 @@ class Flight(NamedTuple):
     F: np.ndarray  # (batches, 1, p)
     y: np.ndarray  # (batches, lines)
 
-    def model(self, step_at: int, which: int, wrong: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Readings by the first state and a step, (n, p + 1); the last state by these, (p, p + 1); their prior."""
-        T, rows = np.eye(5, 6), []
-        for k in range(BATCHES):
-            if k == step_at:
-                T[which, 5] += 1.0
-            rows.append(self.H[k] @ T)
-            T[0] = (self.F[k] @ T)[0]
-        if step_at == BATCHES:
-            T[which, 5] += 1.0
-        prior = np.diag(np.append(SIGMA, 0.1 if which == 4 else 1.0) ** 2)
+    def model(self, steps: Steps_, wrong: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Readings by the first state and r steps, (n, p + r); the last state by these, (p, p + r); their prior."""
+        T, rows = np.eye(5, 5 + len(steps)), []
+        for k in range(BATCHES + 1):
+            for column, (at, which) in enumerate(steps, 5):
+                T[which, column] += k == at
+            if k < BATCHES:
+                rows.append(self.H[k] @ T)
+                T[0] = (self.F[k] @ T)[0]
+        prior = np.diag(np.append(SIGMA, [0.1 if which == 4 else 1.0 for _, which in steps]) ** 2)
         if wrong:
             prior[np.ix_(BODY.at, BODY.at)] += BODY.along @ BODY.along.T
         return np.concatenate(rows), T, prior
 
-    def solved(self, step_at: int, which: int, *, wrong: bool = False) -> Known:
-        """The last state, the step being an unknown."""
-        A, T, prior = self.model(step_at, which, wrong)
+    def solved(self, *steps: tuple[int, int], wrong: bool = False) -> Known:
+        """The last state, the steps being unknowns."""
+        A, T, prior = self.model(steps, wrong)
         P = np.linalg.inv(np.linalg.inv(prior) + A.T @ A)
         return T @ P @ A.T @ self.y.ravel(), T @ P @ T.T
 
-    def nats(self, step_at: int, which: int, *, wrong: bool = False) -> float:
-        """Evidence of the step over that of none."""
-        A, _, prior = self.model(step_at, which, wrong)
+    def nats(self, *steps: tuple[int, int], wrong: bool = False) -> float:
+        """Evidence of the steps over that of none."""
+        A, _, prior = self.model(steps, wrong)
         none = prior.copy()
-        none[5, 5] = 0.0
+        none[5:, 5:] = 0.0
         of, no = (multivariate_normal(np.zeros(len(A)), A @ C @ A.T + np.eye(len(A))) for C in (prior, none))
         return float(of.logpdf(self.y.ravel()) - no.logpdf(self.y.ravel()))
 
@@ -98,20 +101,45 @@ def test_each_is_the_fit_with_the_step_as_an_unknown_and_has_the_evidence_of_its
         at, which = k // 2, (4, 3)[k % 2]
         assert one.suspect is not None
         assert (one.suspect.name, one.suspect.at.item()) == ("a step of cell", which)
-        assert one.nats == pytest.approx(flight.nats(at, which), abs=1e-8)
-        for part, wanted in zip(weighed.known(one), flight.solved(at, which), strict=True):
+        assert one.nats == pytest.approx(flight.nats((at, which)), abs=1e-8)
+        for part, wanted in zip(weighed.known(one), flight.solved((at, which)), strict=True):
             np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize(("back", "likeliest"), [(0.0, (2,)), (-1.0, (2, 8))])
+def test_a_step_that_goes_back_is_two_and_one_that_stays_is_one(
+    flight: Flight, steps: Steps, back: float, likeliest: tuple[int, ...]
+) -> None:
+    """Of 15 % from the second batch on, and back with the fifth; without evidence a step is less likely by 8 nats."""
+    odds = np.exp(-8.0)
+    for at, by in ((1, 0.15), (4, 0.15 * back)):
+        flight.y[at:] += by * flight.H[at:, :, 4]
+    known = filtered(flight, steps)
+    found = steps.changed.hypotheses([one._replace(odds=odds) for one in steps.suspects])
+    weighed = Bank([BODY], SIGMA).weigh(known, found)
+    assert weighed.likeliest.steps == likeliest
+    assert weighed.names[0] == "a step of cell"
+    pairs = [one for one in found if len(one.steps) == 2]
+    assert (likeliest in [one.steps for one in pairs]) is (len(likeliest) == 2)
+    for one in pairs:
+        both = [(k // 2, (4, 3)[k % 2]) for k in one.steps]
+        assert one.nats == pytest.approx(flight.nats(*both), rel=1e-6)
+        for part, wanted in zip(weighed.known(one), flight.solved(*both), strict=True):
+            np.testing.assert_allclose(part, wanted, rtol=1e-6, atol=1e-8)
+        assert one.nats - 8.0 + np.log(2.0) > max(flight.nats(alone) for alone in both)
+        assert one.suspect is not None
+        assert one.suspect.odds == pytest.approx(odds**2)
 
 
 def test_what_is_judged_given_a_step_is_the_innovation_of_one_who_knows_of_it(rng: np.random.Generator) -> None:
     """Each block given those before it, as without a step: its squares are of the conditional density."""
-    lines, size, variance = 8, 0.3, 0.04
-    L, seen = np.tril(rng.standard_normal((lines, lines))), rng.standard_normal((lines, 2))
+    lines, size, root = 8, np.array([0.3, -0.2]), np.array([[0.2, 0.0], [-0.1, 0.3]])
+    L, seen = np.tril(rng.standard_normal((lines, lines))), rng.standard_normal((lines, 3))
     innovation = Innovation(np.zeros((lines, 5)), rng.standard_normal(lines), L, seen, 1)
     assert innovation.judged(None) is innovation
-    judged = innovation.judged(Believed(1, size, variance))
-    spread = L @ (np.eye(lines) + variance * np.outer(seen[:, 1], seen[:, 1])) @ L.T
-    off = L @ (innovation.e - size * seen[:, 1])
+    judged, both = innovation.judged(Believed((1, 2), size, root)), seen[:, 1:]
+    spread = L @ (np.eye(lines) + both @ root @ root.T @ both.T) @ L.T
+    off = L @ (innovation.e - both @ size)
     np.testing.assert_allclose(judged.L @ judged.e, off, atol=1e-12)
     for first in range(1, lines + 1):
         squares = off[:first] @ np.linalg.solve(spread[:first, :first], off[:first])
@@ -125,8 +153,8 @@ def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back
     weighed = bank.weigh(wide[0], wide[1].hypotheses(steps.suspects))
     for k, one in enumerate(one for one in weighed.every if one.moves is not None):
         at, which = k // 2, (4, 3)[k % 2]
-        assert one.nats == pytest.approx(flight.nats(at, which, wrong=True), abs=1e-8)
-        for part, wanted in zip(weighed.known(one), flight.solved(at, which, wrong=True), strict=True):
+        assert one.nats == pytest.approx(flight.nats((at, which), wrong=True), abs=1e-8)
+        for part, wanted in zip(weighed.known(one), flight.solved((at, which), wrong=True), strict=True):
             np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
     for part, wanted in zip(bank.steps_as_stated(wide[0], (0,), wide[1]), before, strict=True):
         np.testing.assert_allclose(part, wanted, rtol=1e-7, atol=1e-9)
@@ -136,10 +164,11 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
     flight: Flight, steps: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(steps_module, "_TIMES", 3)
-    all_kept = [flight.nats(k, 4) for k in range(BATCHES + 1)], [flight.nats(k, 3) for k in range(BATCHES + 1)]
+    all_kept = [[flight.nats((k, which)) for k in range(BATCHES + 1)] for which in (4, 3)]
     filtered(flight, steps)
     assert len(steps.suspects) == 6
-    scales, zeros = steps.changed.nats[::2], steps.changed.nats[1::2]
+    alone = steps.changed.nats.diagonal()
+    scales, zeros = alone[::2], alone[1::2]
     for nats, every in ((scales, all_kept[0]), (zeros, all_kept[1])):
         assert all(np.isclose(one, every, atol=1e-8).any() for one in nats)
         assert nats[-1] == pytest.approx(every[-1], abs=1e-8)
@@ -162,6 +191,6 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     assert max(counts) == 8 * scales_and_zeros  # right-hand sides of a batch: 2 % of what an estimate costs
     in_a_minute = sum(one.odds for one in steps.suspects[::2])  # each has the odds of those that are left to it
     assert abs(np.log(in_a_minute / ODDS_OF_PART)) < np.log(1.5)
-    steps.begin(Changed(np.zeros((5, 80)), np.zeros(80), np.zeros(80)))  # of a window of eight seconds
+    steps.begin(Changed(np.zeros((5, 80)), np.zeros(80), np.zeros((80, 80))))  # of a window of eight seconds
     assert len(steps.suspects) == 8 * scales_and_zeros
     assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)

@@ -160,13 +160,13 @@ def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predict
     rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")
     x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
     assert rivals.adds(x, P) is None
-    D, (d, J) = np.zeros((len(x), 2)), np.zeros((2, 2))
-    D[scale, 0], d[0], J[0] = 0.1, 2e3, 1e4 - 1.0
+    D, d, J = np.zeros((len(x), 2)), np.zeros(2), np.zeros((2, 2))
+    D[scale, 0], d[0], J[0, 0] = 0.1, 2e3, 1e4 - 1.0
     rivals.steps.changed = Changed(D, d, J)
     step = rivals.adds(x, P)
     assert step is not None
-    assert step.at == scale
-    assert (step.shift[scale], step.root[scale]) == (pytest.approx(0.02), pytest.approx(1e-3))
+    assert step.at.tolist() == [scale]
+    assert (step.shift[scale], step.root[scale, 0]) == (pytest.approx(0.02), pytest.approx(1e-3))
     initial = x.copy(), P
     (mean, covariance), before = rivals.adopting((x, P), step, initial)
     rivals.steps.forget()

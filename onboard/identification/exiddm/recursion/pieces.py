@@ -30,7 +30,7 @@ class Pieces:
 
     Attributes:
         normal: of what has been predicted, by the unknowns at the first tick.
-        of_steps: of what the steps do to it, their squares and their products with the residuals, (m,), and with the
+        of_steps: of what the steps do to it, their products, (m, m), and those with the residuals, (m,), and with the
             derivatives, (m, a).
         residual: whitened, predicted less measured, (n, lines); zero for lines that are not used.
         state: (p,) at the last tick predicted.
@@ -43,7 +43,7 @@ class Pieces:
         self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
         self.residual, self._steps = np.zeros((ticks, lines)), steps
         m = len(steps.at)
-        self.of_steps: tuple[FloatArray, ...] = np.zeros(m), np.zeros(m), np.zeros((m, len(active)))
+        self.of_steps: tuple[FloatArray, ...] = np.zeros((m, m)), np.zeros(m), np.zeros((m, len(active)))
         self._done, self._left, self._first = 0, -(-ticks // PIECE), True  # ticks, pieces
 
     @property
@@ -84,7 +84,8 @@ class Pieces:
             rows, left = jacobian[:, self._steps.lines], residual[:, self._steps.lines]
             seen = self._steps.seen(rows, first)
             across = np.einsum("nlm,nlp->mp", seen, rows, optimize=True)
-            told = (seen**2).sum(axis=(0, 1)), np.einsum("nlm,nl->m", seen, left)
+            flat = seen.reshape(-1, seen.shape[2])
+            told = flat.T @ flat, left.ravel() @ flat
             both = zip(self.of_steps, (*told, self._by_first(across, changing, stays)), strict=True)
             self.of_steps = tuple(known + more for known, more in both)
         self.residual[first : self._done] = residual

@@ -360,12 +360,12 @@ class WindowSolve:
             active = self._problem.active
             informed = whole.normal.information / _DRIVEN + self._problem.information[np.ix_(active, active)]
             kept = F @ np.asarray(np.linalg.inv(informed), np.float64) @ F.T
-        squares_of, along, across = whole.of_steps
+        products, along, across = whole.of_steps
         moves = fitted.covariance @ across.T
         steps = Changed(
             self._steps.changed(len(start)) - F @ moves,
             -along - across @ (fitted.x - self._at),
-            squares_of - (across * moves.T).sum(axis=1),
+            products - across @ moves,
         )
         told = strained, cost, residual, kept, steps
         self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told)

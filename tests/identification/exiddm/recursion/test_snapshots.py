@@ -12,7 +12,7 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
     covariances = halves @ halves.swapaxes(1, 2)
     covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
     snapshots = Snapshots(0.01, [(3, 1)])
-    step = Adds(2, rng.normal(size=4), rng.normal(size=4))
+    step = Adds(np.array([2, 3]), rng.normal(size=4), rng.normal(size=(4, 2)))
     for number, (state, covariance) in enumerate(zip(states, covariances, strict=True)):
         snapshots.append(state, covariance, step if number == 3 else None)
     assert len(snapshots) == 3
@@ -24,7 +24,7 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
             np.testing.assert_array_equal(state, states[number])
             np.testing.assert_array_equal(covariance, covariances[number])
     (_, believed), (state, _) = again.back(1), again.back(0)[0]
-    assert believed.at == step.at
+    np.testing.assert_array_equal(believed.at, step.at)
     np.testing.assert_array_equal(believed.shift, step.shift)
     np.testing.assert_array_equal(believed.root, step.root)
     snapshots.become(lambda known: (2.0 * known[0], known[1]))

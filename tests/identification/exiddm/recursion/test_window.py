@@ -156,18 +156,24 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
             solve.advance()
         return solve.found
 
-    plain = ended(measured)
-    for k in (0, 1, 8, 9):
-        by = 0.1 / np.sqrt(1.0 + plain.steps.J[k])
-        step = np.where(np.arange(120) < inside.first[k], 0.0, by * inside.size[k])
-        after = measured.copy()
-        after[1:-1, -1] += step * (true.values[:, -1] if k % 2 == 0 else 1.0)  # a scale, a zero
+    plain, costs = ended(measured), dict[tuple[int, ...], float]()
+    for which in ((0,), (1,), (8,), (9,), (0, 8), (1, 9)):
+        by = 0.1 / np.sqrt(1.0 + plain.steps.J.diagonal()[[*which]])
+        after, of_step = measured.copy(), np.zeros(p)
+        for k, one in zip(which, by, strict=True):
+            step = np.where(np.arange(120) < inside.first[k], 0.0, one * inside.size[k])
+            after[1:-1, -1] += step * (true.values[:, -1] if k % 2 == 0 else 1.0)  # a scale, a zero
+            of_step[inside.at[k]] += one * inside.size[k]
         found = ended(after)
-        of_step = np.zeros(p)
-        of_step[inside.at[k]] = by * inside.size[k]
+        costs[which] = found.cost - plain.cost
         moved = (found.state - plain.state) / np.sqrt(np.diag(plain.covariance))
-        wanted = (of_step - by * plain.steps.D[:, k]) / np.sqrt(np.diag(plain.covariance))
+        wanted = (of_step - plain.steps.D[:, which] @ by) / np.sqrt(np.diag(plain.covariance))
         assert np.abs(wanted).max() > 0.03
         np.testing.assert_allclose(moved, wanted, atol=0.004)
-        more = 2.0 * by * plain.steps.d[k] + by**2 * plain.steps.J[k]
-        assert found.cost - plain.cost == pytest.approx(more, abs=0.003)
+        together = 2.0 * float(np.prod(by)) * plain.steps.J[which[0], which[-1]]  # of two: beyond what each costs
+        if len(which) == 1:
+            more = 2.0 * float(by[0] * plain.steps.d[which[0]]) + float(by[0] ** 2 * plain.steps.J[which[0], which[0]])
+            assert costs[which] == pytest.approx(more, abs=0.003)
+        else:
+            assert abs(together) > 0.003
+            assert costs[which] - costs[which[:1]] - costs[which[1:]] == pytest.approx(together, abs=0.001)
