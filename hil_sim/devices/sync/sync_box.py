@@ -118,11 +118,6 @@ class SyncBox:
             return self.due_ns if self._pins else NEVER
         return self._sync_time_ns(max(self._next_pulse[0], self._sync))
 
-    @property
-    def sync_number(self) -> int:
-        """Number of the next SYNC since the box's power-up."""
-        return self._sync
-
     def connect(self, transmit: TransmitFrame) -> None:
         """Give it the CAN wire."""
         self._transmit = transmit

@@ -6,7 +6,7 @@ from hypothesis import given
 
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
@@ -188,11 +188,6 @@ def test_the_converter_clips_at_capacity_and_a_saturated_one_too():
     assert bench.ask(b"!001:SOUT?\r") == b"+00050.000\r"
     bench.run(500)
     assert bench.ask(b"!001:SOUT?\r") == b"-00050.000\r"
-
-
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault nack"):
-        Bench(faults=faults(Fault("nack", "cell", 1.0)))
 
 
 def test_a_setting_out_of_range_is_refused():

@@ -15,7 +15,7 @@ from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.devices.serial_line.modbus_load_cell import DIVISIONS, ModbusLoadCellTwin, crc16
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line, RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
@@ -336,11 +336,6 @@ def test_stuck_and_saturated():
     bench.run(900)
     assert bench.long(GROSS) == 60_000
     assert bench.read(STATUS)[0] & GROSS_NEGATIVE
-
-
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault nack"):
-        Bench(faults=faults(Fault("nack", "cell", 1.0)))
 
 
 def test_a_station_out_of_range_is_refused():

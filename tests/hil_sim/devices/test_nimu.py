@@ -5,7 +5,7 @@ import pytest
 
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, StairImu
 
@@ -212,11 +212,6 @@ def test_a_stuck_and_a_saturated_element():
     assert len(saturated) == 12
     for packet in saturated:
         assert [word(packet, at) for at in range(13, 25, 2)] == [-32768] * 6
-
-
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault who_am_i"):
-        unit(faults=faults(Fault("who_am_i", "nimu", 1.0, value=3)))
 
 
 def test_a_clock_that_is_millisecond_late_never_asks_for_the_future():

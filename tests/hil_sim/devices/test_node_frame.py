@@ -14,7 +14,7 @@ from hypothesis import given
 
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType, crc16, frame, stuff
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
@@ -240,11 +240,6 @@ def test_what_it_hears_it_ignores():
 def test_channels_that_cannot_be_described_are_refused(channels, message):
     with pytest.raises(ValueError, match=message):
         FrameNode(channels, RateClock(), START_NS)
-
-
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault nack"):
-        node(faults=faults(Fault("nack", "node", 1.0)))
 
 
 # The C encoder

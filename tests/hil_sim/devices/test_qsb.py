@@ -4,7 +4,7 @@ import pytest
 
 from hil_sim.devices.serial_line.qsb import TICK_512_HZ, TICK_1900_US
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import Fault, FaultError
+from hil_sim.faults import Fault
 from tests.hil_sim.devices.qsb_bench import COUNT, FREE_X4, Bench, data_of, faults
 
 # Formats
@@ -265,8 +265,3 @@ def test_a_stuck_encoder_counts_no_more():
     assert len(set(data_of(bench.lines(250), "0E"))) == 1
     bench.lines(50)
     assert len(set(data_of(bench.lines(100), "0E"))) > 40
-
-
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault saturated"):
-        Bench(faults=faults(Fault("saturated", "qsb", 1.0)))

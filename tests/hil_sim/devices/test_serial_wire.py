@@ -216,22 +216,26 @@ def test_a_silent_twin_neither_hears_nor_is_heard():
     assert line.device.boots == [START_NS]
 
 
-def test_a_fault_that_it_cannot_have_is_refused():
-    with pytest.raises(FaultError, match="cannot have the fault nack"):
-        Echo(faults=faults(Fault("nack", "echo", 1.0)))
-
-
 def nothing(t):
     return 0.0
 
 
+CHANNEL = NodeChannel("a", "N", ValueType.I32, Analog(nothing))
 TWINS = {
-    "nimu": lambda: NimuTwin(StairImu(), RateClock(), START_NS),
-    "qsb": lambda: QsbTwin(Analog(nothing), RateClock(), START_NS),
-    "modbus": lambda: ModbusLoadCellTwin(Analog(nothing), RateClock(), START_NS),
-    "dsc": lambda: DscLoadCellTwin(Analog(nothing), RateClock(), START_NS),
-    "node": lambda: FrameNode([NodeChannel("a", "N", ValueType.I32, Analog(nothing))], RateClock(), START_NS),
+    "nimu": lambda **on: NimuTwin(StairImu(), RateClock(), START_NS, **on),
+    "qsb": lambda **on: QsbTwin(Analog(nothing), RateClock(), START_NS, **on),
+    "modbus": lambda **on: ModbusLoadCellTwin(Analog(nothing), RateClock(), START_NS, **on),
+    "dsc": lambda **on: DscLoadCellTwin(Analog(nothing), RateClock(), START_NS, **on),
+    "node": lambda **on: FrameNode([CHANNEL], RateClock(), START_NS, **on),
 }
+
+
+@pytest.mark.parametrize(
+    ("twin", "kind"), [*((twin, "nack") for twin in TWINS), ("nimu", "who_am_i"), ("qsb", "saturated")]
+)
+def test_a_fault_that_it_cannot_have_is_refused(twin, kind):
+    with pytest.raises(FaultError, match=f"cannot have the fault {kind}"):
+        TWINS[twin](faults=faults(Fault(kind, "echo", 1.0, value=3)))
 
 
 @pytest.mark.parametrize("twin", TWINS)
