@@ -143,15 +143,15 @@ def test_answers_of_the_last_step_are_those_of_every_step(tmp_path: Path, monkey
     assert last[-1].rows["supported"].any()
 
 
-def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, run: tuple[list, Path]) -> None:
+def test_currents_without_a_gain_are_refused(
+    tmp_path: Path, run: tuple[list, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     links, log = run
     vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
     vehicle.write_text(vehicle.read_text().replace(f"gain_N_m_A = {GAIN_N_m_A}\n", ""))
-    code, report = identify(tmp_path, vehicle, log)
-    told = report["logs"][0]
-    assert code == cli.FAILED
-    assert told["verdict"]["level"] == "do not use"
-    assert told["rows_used"] == 0
+    urdf = str(tmp_path / "drawing.urdf")
+    assert cli.main(["identify", "--vehicle", str(vehicle), "--urdf-in", urdf, str(log)]) == cli.BAD_INPUT
+    assert "currents need gain_N_m_A" in capsys.readouterr().err
 
 
 def test_a_motor_of_an_unknown_joint_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
