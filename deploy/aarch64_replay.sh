@@ -16,6 +16,7 @@ for heft_tool in debootstrap qemu-aarch64-static; do
     command -v "$heft_tool" >/dev/null || heft_die 69 'Run: apt install debootstrap qemu-user-static'
 done
 heft_env hil
+heft_zig
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 trap 'exit 130' INT TERM
@@ -32,6 +33,14 @@ for wheel in "$work"/wheels/3.11/*.whl; do
     "$heft_venv/bin/python" -m zipfile -e "$wheel" "$arm/site"
 done
 cp -R "$root/onboard" "$root/drivers" "$root/heft" "$arm/heft"
+"$heft_venv/bin/python" - "$arm/heft/onboard/native" <<'END'
+import sys
+from pathlib import Path
+
+from onboard.native import build
+
+build.compile_into(Path(sys.argv[1]) / build.file_name("aarch64"), build.zig("aarch64"))
+END
 cp "$(command -v qemu-aarch64-static)" "$arm/usr/bin"
 
 code=0 prefix=/site/cmeel.prefix

@@ -23,7 +23,7 @@ FOR = os.environ.get("HEFT_WHEEL_MACHINE", "")
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
     """What pip installs before it builds."""
-    needed = [] if build.system_compilers() else [build.ZIG]
+    needed = [build.ZIG] if FOR or not build.system_compilers() else []
     return [*build_meta.get_requires_for_build_wheel(config_settings), *needed]
 
 

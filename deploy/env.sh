@@ -71,6 +71,11 @@ heft_pip() {
         heft_die 75 'the installation broke off (see above). Run the same command again; what is there already is kept.'
 }
 
+# Installs ziglang, a C compiler for this processor and others, into .venv.
+heft_zig() {
+    heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/requirements-compiler.lock"
+}
+
 heft_env() {
     heft_venv=$root/.venv
     heft_stamp=$heft_venv/heft-$1
@@ -91,8 +96,7 @@ heft_env() {
     printf 'heft: installing into %s, once (%s)\n' "$heft_venv" "$heft_size" >&2
     rm -f "$heft_venv/heft-hil" "$heft_venv/heft-test"
     heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
-    heft_compiler ||
-        heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/requirements-compiler.lock"
+    heft_compiler || heft_zig
     heft_pip --quiet --no-deps --no-index --no-build-isolation --editable "$root"
     for heft_grant in $heft_grants; do
         heft_key >"$heft_venv/heft-$heft_grant"

@@ -62,7 +62,7 @@ def compilers() -> list[list[str]]:
 def zig(machine: str) -> list[str]:
     """Command of ``ziglang`` for a machine, ``x86_64`` or ``aarch64``: no newer instructions or glibc than any has."""
     target = ["-target", f"{machine}-linux-gnu.2.28", f"-mcpu={'baseline' if machine == 'x86_64' else 'generic'}"]
-    return [sys.executable, "-m", "ziglang", "cc", *target, "-fno-sanitize=undefined"]
+    return [sys.executable, "-m", "ziglang", "cc", *target, "-fno-sanitize=undefined", "-s"]  # no paths in it
 
 
 def compile_into(path: Path, command: Sequence[str], flags: Sequence[str] = FLAGS) -> None:

@@ -1,5 +1,6 @@
 """How the library is made: by every compiler the same bits, without one an error; and that it keeps to its arrays."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -56,6 +57,19 @@ def test_every_compiler_makes_the_same_bits(compiler, flags, ours, tmp_path, mon
             assert (
                 memoryview(one).tobytes() == memoryview(other).tobytes() if hasattr(one, "shape") else one == other
             ), k
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="no zig here")
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+def test_a_wheels_library_is_the_same_wherever_the_sources_lie(machine, tmp_path, monkeypatch):
+    made = []
+    for place in ("here", "there"):
+        sources = shutil.copytree(build.SOURCES, tmp_path / place / "src")
+        monkeypatch.setattr(build, "SOURCES", sources)
+        path = tmp_path / place / build.file_name(machine)
+        build.compile_into(path, build.zig(machine))
+        made.append(path.read_bytes())
+    assert made[0] == made[1]
 
 
 def test_nothing_is_read_or_written_out_of_bounds(tmp_path):
