@@ -93,6 +93,7 @@ def test_a_command_that_does_not_exist_is_noticed() -> None:
     assert _unknown("heft fly vehicle.toml [--live] [--quiet|--json-lines]", commands) == ""
 
 
+@pytest.mark.timeout(900)  # a dozen commands over whole flights: 80 s of processor time, beside the others 300 s
 def test_the_tour_runs_as_it_stands(
     mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -39,7 +39,7 @@ def test_a_mission_that_does_not_fit(tmp_path, estimator):
 def test_a_slow_disk(tmp_path, estimator, monkeypatch):
     monkeypatch.setattr(host, "write_speed", lambda directory, clock: (1e5, 3.0))
     found = host.look_over(in_directory(tmp_path), estimator, 60.0, *CLOCKS, unsynchronised=False)
-    assert "takes 0.10 MB/s where 0.33" in found.problems[0]
+    assert "takes 0.10 MB/s where 0.34" in found.problems[0]
     assert "took 3.0 s to bring data to the medium" in found.warnings[0]
 
 
