@@ -43,8 +43,9 @@ def check_units(vehicle: config.Vehicle, log: LogReader) -> None:
     """Check that the first samples of each channel that a log has are in a unit that the vehicle file takes.
 
     Raises:
-        ChannelError: they are not, so that none of them could be used.
+        ChannelError: they are not, so that none of them could be used; or a channel has another kind of rows.
     """
+    require_kinds(log, vehicle)
     for name, signal in roles_of(vehicle).signals.items():
         rows = next((rows for _, rows in log.batches([name])), None) if name in log.channels else None
         if rows is None or not signal.si or "unit" not in (rows.dtype.names or ()):

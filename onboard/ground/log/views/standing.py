@@ -47,6 +47,11 @@ def shown(row: np.void) -> str:
     return "{}; ± {} from the rows, ± {} from the drawing".format(found.text, *parts)
 
 
+def longer_side(value: float, low: float, high: float) -> float:
+    """The longer side of an interval."""
+    return float(max(high - value, value - low))
+
+
 def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:
     """Last QUANTITY rows by name as plain values, SI, with what each is good for."""
     return {

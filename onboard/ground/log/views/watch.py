@@ -21,7 +21,7 @@ from onboard.estimation.gates import GateReason
 from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.flight.health.status import standing
 from onboard.ground.log.views.health import PROCESSES, is_health
-from onboard.ground.log.views.standing import is_withdrawn, standing_of
+from onboard.ground.log.views.standing import is_withdrawn, longer_side, standing_of
 from onboard.identification.standing import Level
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
@@ -254,7 +254,9 @@ class Board:
                 table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "", "")
                 continue
             said = standing_of(row)
-            half, outer = (_half(row["value"], *ends) for ends in ((row["low"], row["high"]), channels.outer_ends(row)))
+            half, outer = (
+                longer_side(row["value"], *ends) for ends in ((row["low"], row["high"]), channels.outer_ends(row))
+            )
             relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
             table.add_row(
                 Text(name, "" if said is None or said.level is Level.GOOD else "yellow"),
@@ -288,11 +290,6 @@ class Board:
             when = (at_ns - (self.start_ns or at_ns)) * 1e-9
             lines.append(Text(f"{when:9.3f} s  {said}", style, no_wrap=True, overflow="ellipsis"))
         return lines
-
-
-def _half(value: float, low: float, high: float) -> float:
-    """The longer side of an interval."""
-    return float(max(high - value, value - low))
 
 
 def trend(values: Iterable[float]) -> str:
