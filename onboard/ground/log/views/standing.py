@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from onboard.channels import outer_ends
 from onboard.identification.standing import LEVELS, Level, Standing
@@ -47,9 +48,9 @@ def shown(row: np.void) -> str:
     return "{}; ± {} from the rows, ± {} from the drawing".format(found.text, *parts)
 
 
-def longer_side(value: float, low: float, high: float) -> float:
-    """The longer side of an interval."""
-    return float(max(high - value, value - low))
+def longer_side(value: ArrayLike, low: ArrayLike, high: ArrayLike) -> float:
+    """The longer side of an interval of a number."""
+    return float(np.maximum(np.subtract(high, value), np.subtract(value, low)))
 
 
 def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:
