@@ -202,6 +202,16 @@ def is_quantity(dtype: np.dtype[np.void]) -> bool:
     return {"value", "sigma", "low", "high", "supported", "unit", "name"} <= set(dtype.names or ())
 
 
+NUMBERS = ("value", "low", "high", "low_999", "high_999", "sigma")
+"""Fields of QUANTITY in its unit: value, ends of the 95 % and the 99.9 % interval, standard deviation."""
+
+
+def numbers_of(row: np.void) -> dict[str, float]:
+    """The :data:`NUMBERS` of a row, of a log of any version."""
+    outer = dict(zip(("low_999", "high_999"), outer_ends(row), strict=True))
+    return {name: float(outer[name] if name in outer else row[name]) for name in NUMBERS}
+
+
 def outer_ends(rows: np.ndarray | np.void) -> tuple[np.ndarray, np.ndarray]:
     """Ends of the 99.9 % intervals of QUANTITY rows; of a log of an earlier version those of a normal."""
     if "low_999" in (rows.dtype.names or ()):

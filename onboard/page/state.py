@@ -360,8 +360,7 @@ def _answer(name: str, row: np.void) -> dict[str, Any]:
         "supported": supported,
         "level": level,
         "why": printable(row["why"]) if has_level else "",
-        **{key: _known(row[key]) for key in ("value", "low", "high")},
-        **dict(zip(("low_999", "high_999"), map(_known, channels.outer_ends(row)), strict=True)),
+        **{key: _known(number) for key, number in channels.numbers_of(row).items() if key != "sigma"},
     }
 
 

@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from onboard.channels import outer_ends
+from onboard.channels import numbers_of
 from onboard.recording.format.texts import printable
 from onboard.telemetry.packets import KINDS
 
-_NUMBERS = ("value", "low", "high", "sigma")
-_OUTER = ("low_999", "high_999")
 _OF_HEALTH = {  # fields of the status, of the row HEALTH
     "latched": "status_latched",
     "word": "status_word",
@@ -61,16 +59,12 @@ def why_of(row: np.void) -> str:
 def of_answer(row: np.void) -> tuple[int, dict[str, Any]]:
     """Time, host clock, and fields of an answer."""
     supported = int(bool(row["supported"]))
-    numbers = [
-        *zip(_NUMBERS, (row[name] for name in _NUMBERS), strict=True),
-        *zip(_OUTER, outer_ends(row), strict=True),
-    ]
     return int(row["host_ns"]), {
         "quantity": printable(row["name"]),
         "unit": printable(row["unit"]),
         "supported": supported,
         "level": level_of(row),
-        **{name: float(value) if supported else math.nan for name, value in numbers},
+        **{name: number if supported else math.nan for name, number in numbers_of(row).items()},
     }
 
 

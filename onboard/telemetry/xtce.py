@@ -31,12 +31,11 @@ from yamcs.pymdb.parameters import (
 )
 from yamcs.pymdb.systems import System
 
-from onboard.channels import Order
+from onboard.channels import NUMBERS, Order
 from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, VERSION, Field, Kind
 from onboard.telemetry.uplink import SERVICE
 
 ROOT = "space_packet"  # container to begin with
-_NUMBERS = ("value", "low", "high", "low_999", "high_999", "sigma")
 _ASKED = (("source", 16, "who asks: reports go to it"), ("session", 16, "of the packets that come down"))
 _ORDERS = {  # what it is, how grave, its arguments: name, bits, meaning
     Order.MARK: ("A numbered line in the log", CommandLevel.NORMAL, [("number", 16, "of the mark")]),
@@ -146,7 +145,7 @@ def _kind(system: System, kind: Kind, head: Container, is_kind: EqExpression, qu
     if kind is not ANSWER or not quantities:
         _container(system, kind.name, [*fields.values(), check], head, is_kind, kind.meaning)
         return
-    common = [one for name, one in fields.items() if name not in _NUMBERS]
+    common = [one for name, one in fields.items() if name not in NUMBERS]
     base = Container(
         system,
         kind.name,
@@ -157,11 +156,11 @@ def _kind(system: System, kind: Kind, head: Container, is_kind: EqExpression, qu
         short_description=kind.meaning,
     )
     which = fields["quantity"]
-    numbers = [field for field in kind.fields if field.name in _NUMBERS]
+    numbers = [field for field in kind.fields if field.name in NUMBERS]
     for quantity, name in _names(quantities):
         own = [_parameter(system, f"{name}_{field.name}", field) for field in numbers]
         _container(system, f"answer_{name}", [*own, check], base, EqExpression(which, quantity), quantity)
-    others = [fields[name] for name in _NUMBERS]
+    others = [fields[name] for name in NUMBERS]
     known = [NeExpression(which, quantity) for quantity in quantities]
     none = AndExpression(*known) if len(known) > 1 else known[0]
     _container(system, "answer_other", [*others, check], base, none, "of a quantity that was not known before")

@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import config
+from onboard.channels import NUMBERS
 from onboard.dynamics.model.inertia import RigidBody, pseudo_inertia, symmetric
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.urdf import with_bodies
@@ -163,9 +164,8 @@ def _with_answers(urdf: str, link: str, now_ns: int, ten: Rows) -> str:
     from xml.sax.saxutils import quoteattr  # noqa: PLC0415 - brings an HTTP client to every start
 
     lines = [f'  {_MARK}link={quoteattr(link)} level="good" host_ns="{now_ns}" vehicle_ns="{ten["vehicle_ns"][0]}">']
-    fields = "value", "low", "high", "low_999", "high_999", "sigma"
     for one in ten:
-        numbers = " ".join(f'{field}="{float(one[field])!r}"' for field in fields)
+        numbers = " ".join(f'{field}="{float(one[field])!r}"' for field in NUMBERS)
         name, unit = quoteattr(one["name"].decode()), quoteattr(one["unit"].decode())
         lines.append(f"    <quantity name={name} unit={unit} {numbers}/>")
     end = [found.start() for found in re.finditer(r"</robot\s*>", urdf)][-1]

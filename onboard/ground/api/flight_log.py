@@ -146,7 +146,7 @@ class FlightLog:
             of_name = rows["name"] == name
             begun[of_name] = np.maximum.accumulate(rows["supported"][of_name]) == 1
         rows = rows[begun]
-        for field in {"value", "sigma", "low", "high", "low_999", "high_999"} & set(rows.dtype.names or ()):
+        for field in {*channels.NUMBERS} & set(rows.dtype.names or ()):
             rows[field][rows["supported"] == 0] = np.nan
         return self._table("estimates", rows)
 

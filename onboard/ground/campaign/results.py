@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from onboard.channels import NUMBERS
 from onboard.ground.campaign.instants import Instants, off_by
 from onboard.ground.log.tables.truth import Truth
-from onboard.ground.log.views.standing import NUMBERS
 from onboard.identification.quantities import outer_of
 from onboard.identification.standing import Level, Standing
 

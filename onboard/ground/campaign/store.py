@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from onboard.channels import NUMBERS
 from onboard.ground.campaign.design import Item
 from onboard.ground.campaign.results import Answer, Done, FlightResult
-from onboard.ground.log.views.standing import NUMBERS
 
 FACTOR = "factor "  # begins the name of a factor's column
 _COLUMNS: dict[str, Any] = {

@@ -17,13 +17,14 @@ from rich.text import Text
 
 from drivers import records
 from onboard import config
+from onboard.channels import NUMBERS
 from onboard.flight.hil import Flown
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
 from onboard.ground.identify import runs_view
 from onboard.ground.identify.mission import accounts, own_mission
 from onboard.ground.identify.mission.answered import SECTIONS, answered, error, error_told, published_of
 from onboard.ground.log.tables.vehicle_file import vehicle_of
-from onboard.ground.log.views.standing import NUMBERS, answers_of
+from onboard.ground.log.views.standing import answers_of
 from onboard.recording.format.errors import LogFormatError
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
@@ -111,7 +112,7 @@ def _compared(row: Result, answers: dict[str, Result]) -> Result:
     made = {**row, "value": None, "truth": true, "supported": supported}
     made |= {key: "" if answer is None else answer[key] for key in ("standing", "leans")}
     if answer is not None and supported:
-        told = {key: answer[key] for key in NUMBERS[:4]}
+        told = {key: answer[key] for key in ("value", "low", "high", "sigma")}
         made |= {key: answer[key] for key in (*NUMBERS, "drawn", "unit")}
         made["our_error_percent"], made["our_error_sigmas"] = error(**told, truth=true)
         made["covered"] = answer["low"] <= true <= answer["high"]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from onboard import config
+from onboard.channels import NUMBERS
 from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements
 from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
@@ -17,7 +18,6 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
 from onboard.ground.identify.identify import BY_LIKELIHOOD
 from onboard.ground.log.tables.truth import Truth
-from onboard.ground.log.views.standing import NUMBERS
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.free_body import FREE_BODY

@@ -6,18 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
-from onboard.channels import is_quantity
+from onboard.channels import NUMBERS, is_quantity
 
 _AT_ONCE = 4096  # rows that are compared at once
-_SCALED = (
-    "value",
-    "sigma",
-    "low",
-    "high",
-    "low_999",
-    "high_999",
-    "drawn",
-)  # fields of QUANTITY in the unit of its sigma
+_SCALED = (*NUMBERS, "drawn")  # fields of QUANTITY in the unit of its sigma
 
 
 class Comparison:

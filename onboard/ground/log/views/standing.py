@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onboard.channels import outer_ends
+from onboard.channels import numbers_of
 from onboard.identification.standing import LEVELS, Level, Standing
 from onboard.recording.format.texts import printable
-
-NUMBERS = ("value", "low", "high", "sigma", "low_999", "high_999")
 
 
 def standing_of(row: np.void) -> Standing | None:
@@ -57,7 +55,7 @@ def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:
     """Last QUANTITY rows by name as plain values, SI, with what each is good for."""
     return {
         name: {
-            **dict(zip(NUMBERS, map(float, (*(row[key] for key in NUMBERS[:4]), *outer_ends(row))), strict=True)),
+            **numbers_of(row),
             "unit": printable(row["unit"]),
             "supported": bool(row["supported"]),
             "standing": shown(row),

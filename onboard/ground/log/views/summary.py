@@ -106,9 +106,7 @@ def _state(row: np.void) -> str:
 
 def _answer_json(row: np.void) -> dict[str, Any]:
     supported = bool(row["supported"])
-    numbers = {name: float(row[name]) if supported else None for name in ("value", "sigma", "low", "high")}
-    ends = zip(("low_999", "high_999"), channels.outer_ends(row), strict=True)
-    numbers |= {name: float(end) if supported else None for name, end in ends}
+    numbers = {name: number if supported else None for name, number in channels.numbers_of(row).items()}
     found = standing_of(row)
     level, why = (None, "") if found is None else (str(found.level), found.why)
     return {"supported": supported, "level": level, "why": why, "unit": printable(row["unit"]), **numbers}

@@ -2,8 +2,9 @@
 
 from typing import NamedTuple
 
+from onboard.channels import NUMBERS
 from onboard.ground.identify.mission.answered import SECTIONS, answered, error, error_told, published_of
-from onboard.ground.log.views.standing import NUMBERS, answers_of
+from onboard.ground.log.views.standing import answers_of
 from onboard.ground.report.flight.flight_data import FlightData
 
 
