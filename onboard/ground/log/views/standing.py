@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from onboard.channels import numbers_of
 from onboard.identification.standing import LEVELS, Level, Standing
@@ -44,11 +43,6 @@ def shown(row: np.void) -> str:
     rows = float(np.sqrt(max(float(row["sigma"]) ** 2 - drawn**2, 0.0)))
     parts = (f"{200.0 * part / abs(float(row['value'])):.1f} %" for part in (rows, drawn))
     return "{}; ± {} from the rows, ± {} from the drawing".format(found.text, *parts)
-
-
-def longer_side(value: ArrayLike, low: ArrayLike, high: ArrayLike) -> float:
-    """The longer side of an interval of a number."""
-    return float(np.maximum(np.subtract(high, value), np.subtract(value, low)))
 
 
 def answers_of(last: Mapping[str, np.void]) -> dict[str, dict[str, Any]]:

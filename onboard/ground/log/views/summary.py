@@ -16,7 +16,7 @@ from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.thin import Thinned
 from onboard.ground.log.tables.vehicle_file import attached_vehicle
 from onboard.ground.log.views.health import HealthSummary, is_health
-from onboard.ground.log.views.standing import is_withdrawn, longer_side, shown, standing_of
+from onboard.ground.log.views.standing import is_withdrawn, shown, standing_of
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 from onboard.timebase.clock import ClockState
@@ -165,13 +165,12 @@ def _answers(found: LogOverview) -> RenderableType | None:
     withdrawn = {name: row for name, row in found.answers.items() if row["unit"] and is_withdrawn(row)}
     if not supported and not withdrawn:
         return None
-    table = _table("identified", "value", "95 % interval", "99.9 % ±", "unit", "level")
+    table = _table("identified", "value", "95 % interval", "unit", "level")
     for name, row in supported.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
-        outer = f"{longer_side(row['value'], *channels.outer_ends(row)):.2g}"
-        table.add_row(name, value, f"{low} .. {high}", outer, printable(row["unit"]), _level(row))
+        table.add_row(name, value, f"{low} .. {high}", printable(row["unit"]), _level(row))
     for name, row in withdrawn.items():
-        table.add_row(name, "-", "-", "-", printable(row["unit"]), Text(_level(row), "red"))
+        table.add_row(name, "-", "-", printable(row["unit"]), Text(_level(row), "red"))
     reasons: dict[str, list[str]] = {}
     for name, row in {**supported, **withdrawn}.items():
         if shown(row) != _level(row):

@@ -21,7 +21,7 @@ from onboard.estimation.gates import GateReason
 from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.flight.health.status import standing
 from onboard.ground.log.views.health import PROCESSES, is_health
-from onboard.ground.log.views.standing import is_withdrawn, longer_side, standing_of
+from onboard.ground.log.views.standing import is_withdrawn, standing_of
 from onboard.identification.standing import Level
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
@@ -242,8 +242,8 @@ class Board:
         ]
 
     def _answer_table(self) -> Table:
-        table = _table("estimate", "value", "95 % ±", "", "", "99.9 % ±", "so far")
-        table.columns[6].no_wrap, table.columns[6].overflow = False, "crop"  # numbers are never cut
+        table = _table("estimate", "value", "95 % ±", "", "", "so far")
+        table.columns[5].no_wrap, table.columns[5].overflow = False, "crop"  # numbers are never cut
         for name, answer in self.answers.items():
             row = answer.last
             unit = printable(row["unit"])
@@ -251,12 +251,10 @@ class Board:
                 continue  # undetermined base parameters are left out to save space
             if not row["supported"]:
                 text = str(Level.DO_NOT_USE) if is_withdrawn(row) else "not determined yet"
-                table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "", "")
+                table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "")
                 continue
             said = standing_of(row)
-            half, outer = (
-                longer_side(row["value"], *ends) for ends in ((row["low"], row["high"]), channels.outer_ends(row))
-            )
+            half = float(max(row["high"] - row["value"], row["value"] - row["low"]))
             relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
             table.add_row(
                 Text(name, "" if said is None or said.level is Level.GOOD else "yellow"),
@@ -264,7 +262,6 @@ class Board:
                 f"{half:.2g}",
                 unit,
                 relative,
-                f"{outer:.2g}",
                 Text(trend(answer.widths), "cyan"),
             )
         return table
