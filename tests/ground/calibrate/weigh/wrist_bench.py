@@ -4,10 +4,13 @@ Rotations by Rodrigues' formula and by quaternion products written out; the sens
 walk and noise of its own.
 """
 
+import json
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from onboard.cli import main
 
 HEADER = ("qw", "qx", "qy", "qz", "fx", "fy", "fz", "mx", "my", "mz")
 GRAVITY = 9.80665
@@ -106,3 +109,19 @@ def write(path: Path, rows, header=HEADER, between=","):
     lines += [between.join(cell if isinstance(cell, str) else repr(float(cell)) for cell in row) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def weighed(directory, rows, *options, header=HEADER, between=","):
+    """Exit code and answer of the command."""
+    path = write(directory / "poses.csv", rows, header, between)
+    answer = directory / "answer.json"
+    answer.unlink(missing_ok=True)
+    code = main(["weigh", str(path), "--json", str(answer), *options])
+    return code, json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
+
+
+def holds(answer, truth):
+    """Whether mass and centre lie in their intervals."""
+    found = {quantity["name"]: quantity for quantity in answer["quantities"]}
+    true = dict(zip(("m", "c_x", "c_y", "c_z"), (truth.mass_kg, *truth.centre_m), strict=True))
+    return {name: found[name]["low"] <= value <= found[name]["high"] for name, value in true.items()}
