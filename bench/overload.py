@@ -67,13 +67,7 @@ def main() -> int:
         print(f"needs {need:.0%} of a core, got {got:.1%}; restarts {restarts}; exit {code}")
         read = LogReader(log)
         ticks, events, answers = read.read("tick"), read.read("event_estimation"), read.read("quantity")
-        for code in (
-            b"estimator_late",
-            b"estimator_thins",
-            b"estimator_skips",
-            b"estimator_whole",
-            b"estimator_overrun",
-        ):
+        for code in (b"estimator_late", b"estimator_skips", b"estimator_overrun"):
             said = [row["text"].decode() for row in events if row["code"] == code]
             print(f"{code.decode()}: {len(said)}" + (f"; last: {said[-1]}" if said else ""))
         lost = len(read.read("recorder_gap"))

@@ -19,7 +19,7 @@ from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.hand_over import HandOver
-from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, THIN_NS, Shedding
+from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, to_skip_ns
 from onboard.flight.estimate.state import Places, StateError
 from onboard.flight.store import rings
 from onboard.identification.online import Defers
@@ -88,7 +88,7 @@ class EstimationWorker:
         self.ticks, self._fresh = ticks, fresh
         self._reached_ns, self._late = reached_ns, False
         self._longest_ns = max(LONGEST_STEP_NS, 2 * self.period_ns)
-        self._shedding, self._left_out_ns, self._left_out_rows = Shedding(), 0, 0
+        self._left_out_ns, self._left_out_rows = 0, 0
         self._hand_over = None if estimator.vehicle.hand_over is None else HandOver(estimator.vehicle)
         kept = [
             name
@@ -114,24 +114,16 @@ class EstimationWorker:
         """Leave out rows that there is no time for; the events that report it, and the time skipped [ns]."""
         if self._reached_ns is None:
             return [], 0
-        thinned = self._shedding.thins
-        skip_ns = self._shedding.next_ns(now_ns, now_ns - self._reached_ns)
-        if not (skip_ns or thinned):
+        if not (skip_ns := to_skip_ns(now_ns - self._reached_ns)):
             return [], 0
-        rows = sum(self._skip(name, self._reached_ns + skip_ns) for name in self.estimator.inputs) if skip_ns else 0
         self._reached_ns += skip_ns
-        self._left_out_rows, self._left_out_ns = self._left_out_rows + rows, self._left_out_ns + skip_ns
-        in_all = f"{self._left_out_rows} rows of {1e-9 * self._left_out_ns:.1f} s left out in all"
-        if skip_ns > THIN_NS:
-            code, text = "estimator_skips", f"too late by {1e-9 * skip_ns:.1f} s: goes on after that"
-        elif self._shedding.thins == thinned:
-            return [], skip_ns
-        elif self._shedding.thins:
-            code, text = "estimator_thins", "cannot keep up: leaves out every other half second"
-        else:
-            code, text = "estimator_whole", "keeps up again: takes in every row"
-        severity = Severity.INFO if code == "estimator_whole" else Severity.WARNING
-        return [event(self._reached_ns, severity, code, "estimation", f"{text}; {in_all}")], skip_ns
+        self._left_out_ns += skip_ns
+        self._left_out_rows += sum(self._skip(name, self._reached_ns) for name in self.estimator.inputs)
+        text = (
+            f"cannot keep up: too late by {1e-9 * skip_ns:.1f} s, goes on after that; "
+            f"{self._left_out_rows} rows of {1e-9 * self._left_out_ns:.1f} s left out in all"
+        )
+        return [event(self._reached_ns, Severity.WARNING, "estimator_skips", "estimation", text)], skip_ns
 
     def _skip(self, name: str, until_ns: int) -> int:
         """Leave out the unread rows of an input up to ``until_ns``; how many."""

@@ -54,10 +54,11 @@ def vehicle() -> config.Vehicle:
 class Stretch:
     """A stretch of the mission, fed to rings step by step as acquisition did."""
 
-    def __init__(self, log: LogReader, vehicle: config.Vehicle, directory: Path) -> None:
+    def __init__(self, log: LogReader, vehicle: config.Vehicle, directory: Path, after_s: float = 18.0) -> None:
         self._rows = {name: log.read(name) for name in vehicle.channels}
         self._rings = rings.create(directory, vehicle, rings.device_channels(vehicle))
-        self.start_ns = min(int(rows["host_ns"][0]) for rows in self._rows.values()) + 18_000_000_000
+        self.start_ns = min(int(rows["host_ns"][0]) for rows in self._rows.values()) + round(1e9 * after_s)
+        self.end_ns = max(int(rows["host_ns"][-1]) for rows in self._rows.values())
         for name, rows in self._rows.items():
             self._rows[name] = rows[rows["host_ns"] >= self.start_ns - 200_000_000]
 
