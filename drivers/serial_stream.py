@@ -89,7 +89,7 @@ class SerialLink:
         try:
             self._port = self._open_port()
         except (OSError, DriverError) as error:
-            self.drop(now_ns, "bus_error", f"serial port cannot be opened: {error}: check cable and URL")
+            self.drop(now_ns, "bus_error", f"port cannot be opened: {error}: check cable and URL")
             return False
         return True
 
@@ -102,7 +102,7 @@ class SerialLink:
             size = max(self._port.in_waiting, at_least)
             data = self._port.read(size) if size else b""
         except OSError as error:
-            self.drop(now_ns, "bus_error", f"serial port cannot be read: {error}: check the cable")
+            self.drop(now_ns, "bus_error", f"port cannot be read: {error}: check the cable")
             return None
         host_ns = self._clock()
         fresh = host_ns - began_ns <= LONGEST_FRESH_READ_NS and len(data) <= LARGEST_FRESH_READ
@@ -118,7 +118,7 @@ class SerialLink:
             if sent is not None and sent != len(data):
                 raise OSError(f"{sent} of {len(data)} bytes were taken")
         except OSError as error:
-            self.drop(now_ns, "bus_error", f"serial port cannot be written: {error}: check the cable")
+            self.drop(now_ns, "bus_error", f"port cannot be written: {error}: check the cable")
             return None
         return before_ns
 

@@ -1,0 +1,68 @@
+"""A TCP connection as the byte stream that ``drivers.ports.SerialPort`` describes."""
+
+import contextlib
+import socket
+from typing import Self
+
+from drivers.errors import UrlError
+from drivers.transports.url import parse
+
+TCP_URLS = {"tcp": ("host",)}
+CONNECT_S = 1.0  # a host that is off answers nothing: its bus, which has a thread of its own, waits as long
+_MOST = 1 << 16
+
+
+class TcpPort:
+    """An open connection. An end that the other side closes is an OSError, after the bytes before it.
+
+    Args:
+        connection: The connected socket.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._waiting = b""
+
+    @classmethod
+    def open(cls, url: str) -> Self:
+        """Connect.
+
+        Args:
+            url: ``tcp://HOST:PORT``.
+
+        Raises:
+            UrlError: The URL is not of this form.
+            OSError: Nobody answers there.
+        """
+        host, _, port = parse(url, TCP_URLS).host.rpartition(":")
+        if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 1 << 16:
+            raise UrlError(f"bus URL {url!r} needs a host and a port: write tcp://192.168.0.10:30004")
+        connection = socket.create_connection((host.strip("[]"), int(port)), CONNECT_S)
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return cls(connection)
+
+    @property
+    def in_waiting(self) -> int:
+        """See ``SerialPort``."""
+        with contextlib.suppress(BlockingIOError):
+            while data := self._connection.recv(_MOST):
+                self._waiting += data
+                if len(self._waiting) >= _MOST:
+                    break
+            if not data and not self._waiting:
+                raise ConnectionResetError("the other side closed the connection")
+        return len(self._waiting)
+
+    def read(self, size: int = 1) -> bytes:
+        """See ``SerialPort``; it does not wait."""
+        data, self._waiting = self._waiting[:size], self._waiting[size:]
+        return data
+
+    def write(self, data: bytes, /) -> int:
+        """See ``SerialPort``."""
+        return self._connection.send(data)
+
+    def close(self) -> None:
+        """See ``SerialPort``."""
+        self._connection.close()
