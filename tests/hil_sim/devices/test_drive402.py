@@ -332,8 +332,12 @@ def dictionary():
 
 
 @contextlib.contextmanager
-def network(drive, channel):
-    """A drive on a virtual bus in real time, with a SYNC producer, and a canopen network on it."""
+def network(drive, channel, node):
+    """A drive on a virtual bus in real time, with a SYNC producer, and a canopen network with its node, which has booted.
+
+    The library's times to wait for a state are those of an idle computer.
+    """
+    node.TIMEOUT_SWITCH_OP_MODE = node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = 10.0
     link = VirtualCan(channel)
     bus = CanBus(link)
     bus.add(drive)
@@ -345,10 +349,14 @@ def network(drive, channel):
             time.sleep(0.0002)
 
     thread = threading.Thread(target=run, daemon=True)
-    thread.start()
     net = canopen.Network()
     net.connect(channel, interface="virtual")
+    net.add_node(node)
+    thread.start()
     try:
+        until_s = time.monotonic() + 10.0
+        while node.nmt.state != "PRE-OPERATIONAL" and time.monotonic() < until_s:
+            time.sleep(0.01)
         yield net
     finally:
         net.sync.stop()
@@ -362,10 +370,8 @@ def network(drive, channel):
 def test_canopen_p402_enables_it_reads_it_and_resets_its_fault():
     start_ns = time.monotonic_ns()
     drive = Drive402(NODE, Analog(lambda t: 0.25), Analog(lambda t: -2.5), start_ns, commands=())
-    with network(drive, "hil_402") as net:
-        node = BaseNode402(NODE, dictionary())
-        net.add_node(node)
-        node.nmt.wait_for_bootup(2.0)
+    node = BaseNode402(NODE, dictionary())
+    with network(drive, "hil_402", node) as net:
         assert node.sdo[0x1000].raw == 0x0002_0192
         node.sdo[0x1800][5].raw = 10  # canopen takes a PDO that came twice for periodic, and waits for the next
         node.setup_402_state_machine()

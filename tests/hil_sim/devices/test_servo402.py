@@ -6,7 +6,7 @@ import time
 
 import pytest
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
-from canopen.profiles.p402 import BaseNode402
+from canopen.profiles.p402 import BaseNode402, State402
 
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.faults import Fault, FaultPlan
@@ -290,10 +290,8 @@ def test_canopen_p402_moves_it_by_profile_and_by_cyclic_targets():
         variable = ODVariable(f"object {index:04X}h", index)
         variable.data_type = kind
         od.add_object(variable)
-    with network(drive, "hil_servo") as net:
-        node = BaseNode402(NODE, od)
-        net.add_node(node)
-        node.nmt.wait_for_bootup(2.0)
+    node = BaseNode402(NODE, od)
+    with network(drive, "hil_servo", node) as net:
         node.sdo[0x1800][5].raw = 10
         node.setup_402_state_machine()
         node.nmt.state = "OPERATIONAL"
@@ -310,7 +308,7 @@ def test_canopen_p402_moves_it_by_profile_and_by_cyclic_targets():
             time.sleep(0.02)
         assert node.sdo[0x6064].raw == pytest.approx(0.2 * PER_RAD, abs=50)
         assert axis.highest_rad == pytest.approx(0.2, abs=2e-3)
-        node.state = "QUICK STOP ACTIVE"
+        node.controlword = State402.CW_QUICK_STOP  # the state of its name is over before a busy computer has seen it
         until_s = time.monotonic() + 5.0
         while node.state != "SWITCH ON DISABLED" and time.monotonic() < until_s:
             time.sleep(0.02)
