@@ -333,7 +333,7 @@ def dictionary():
 
 @contextlib.contextmanager
 def network(drive, channel, node):
-    """A drive on a virtual bus in real time, with a SYNC producer, and a canopen network with its node, which has booted.
+    """A drive on a virtual bus in real time, with a SYNC producer, and a canopen network with its node, booted.
 
     The library's times to wait for a state are those of an idle computer.
     """

@@ -380,32 +380,6 @@ class ImuPredictor:
         P[self._walking, self._walking] += ticks * self.period_s * self._walked
         return P
 
-    def bridge(
-        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray, cyclic: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Propagate the state over a gap of the joints, with the momentum constant in base axes.
-
-        Args:
-            q: joint positions as read at the tick of the state and at a later one, (2, joints).
-            dq: joint rates.
-            ddq: joint accelerations.
-            state: (p,).
-            cyclic: see :meth:`predict`, (2, 3, m).
-
-        Returns:
-            The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
-            the momentum by 1 rad, one sigma.
-        """
-        q, dq, ddq, functions = (np.repeat(x, 2, axis=0) for x in (q, dq, ddq, self._base.functions(2, cyclic)))
-        readings = Readings(q, dq, ddq, 0.0, functions)
-        base, _ = self._base.predict(readings, self._layout.whole(self._scaled.linear(state)), 0.0)
-        carried, transition = state.copy(), np.eye(len(state))
-        carried[RATE] = base.rate[-1]
-        self._into(transition, base.d_rate[-1])
-        self._scaled.derive(transition[RATE], state)
-        turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
-        return carried, transition, turned @ turned.T
-
     def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
         for here, there in self._of_motion:
             transition[RATE, here] = d_rate[:, there]

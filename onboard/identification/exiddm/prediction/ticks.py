@@ -71,11 +71,6 @@ class Ticks(NamedTuple):
         """Whether the arm rests in all of them."""
         return bool(np.abs(self.dq).max() <= _RESTS_rad_s)
 
-    def fastest(self, imu: slice) -> float | None:
-        """The highest rate, rad/s, that an IMU with these lines measured; None where it measured none."""
-        rates = np.linalg.norm(self.measured[:, imu][:, :3], axis=1)
-        return float(np.nanmax(rates)) if np.isfinite(rates).any() else None
-
     def and_then(self, more: "Ticks") -> "Ticks":
         """These ticks followed by ``more``."""
         return Ticks.joined((self, more))

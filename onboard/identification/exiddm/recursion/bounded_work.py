@@ -13,6 +13,7 @@ from collections import deque
 import numpy as np
 
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.exiddm.recursion.joint_gaps import JointGaps
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import WindowSolve
 
@@ -40,6 +41,7 @@ class BoundedWork(ABC):
     """
 
     def __init__(self, call_ticks: int, period_s: float, none: Ticks, *, flexible: bool = False) -> None:
+        self._gaps = JointGaps(period_s, none)
         self._period_s, self._pending = period_s, none  # taken, and not yet of a step or a window
         self._cost, self._work = (_FLEXIBLE, _FLEXIBLE_WORK) if flexible else (1, WORK)
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
@@ -70,8 +72,8 @@ class BoundedWork(ABC):
         """Do or begin it."""
 
     @abstractmethod
-    def _bridge(self, after: Ticks) -> None:
-        """Go over a gap between the ticks that are pending and a later one."""
+    def _interrupted(self) -> None:
+        """Go on after a gap between the ticks that are pending and those to come."""
 
     @abstractmethod
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
@@ -86,7 +88,7 @@ class BoundedWork(ABC):
         if len(self._pending.time_s):
             late_s = ticks.time_s[0] - self._pending.time_s[-1] - self._period_s
             if abs(late_s) > 0.5 * self._period_s:
-                self._bridge(ticks.part(slice(0, 1)))
+                self._interrupted()
         breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self._period_s - 1.0) > 0.5)
         last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
         self._pending = self._pending.and_then(ticks.part(slice(0, last)))
@@ -116,11 +118,11 @@ class BoundedWork(ABC):
     def take(self, ticks: Ticks) -> None:
         """Takes ticks; processes them in whole batches, the newest tick after its successor, up to a window.
 
-        Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
+        Over a short gap of the joints these are interpolated; after a longer one the momentum is estimated anew.
         """
-        known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
-        if known.any():
-            self._inbox.append(ticks.part(known))
+        known = self._gaps.take(ticks)
+        if len(known.time_s):
+            self._inbox.append(known)
         steps = self._step_work * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
         self._due += max(self._work * min(len(ticks.time_s), self._call_ticks), steps)
         self._do(max(self._due - steps, 0), solves=False)

@@ -36,7 +36,7 @@ from onboard.identification.exiddm.recursion.claims import Claim, after_a_change
 from onboard.identification.exiddm.recursion.holding import Holding
 from onboard.identification.exiddm.recursion.linearised import Linearised
 from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexplained
-from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, bridged, initially
+from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, initially
 from onboard.identification.exiddm.recursion.stepped import Stepped
 from onboard.identification.exiddm.recursion.trials import CellTrials, Exclusion, WindowFits, WindowProblem, trials_of
 from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve
@@ -44,7 +44,6 @@ from onboard.identification.exiddm.suspects import Rivals
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 _WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
-_LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
@@ -390,16 +389,9 @@ class RecursiveExiddm(Holding):
         self._reopen(after_a_change(bool(self.held)), back + 1)
         self._earlier = earlier
 
-    def _bridge(self, after: Ticks) -> None:
-        """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
-        gap_s = float(after.time_s[0] - self._pending.time_s[0])
-        fastest, self._claim.unseen = self._pending.fastest(self.predictor.lines[self.fusion.reference]), True
+    def _interrupted(self) -> None:
+        self._claim.unseen = True
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
-        elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.anew_at.size:
-            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
-            both, now = self._pending.part(slice(0, 1)).and_then(after), (self.state, self.covariance)
-            self.state, self.covariance = bridged(self.predictor, both, now, fastest * gap_s)
-            self._stepped, self._earlier, self._pending = None, None, self._none
-            self._snapshots.moves(None)
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)

@@ -16,7 +16,7 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import Hypothesis
@@ -39,21 +39,6 @@ def initially(predictor: ImuPredictor, payload: tuple[FloatArray, FloatArray] | 
     for part in (mean, covariance):
         part.setflags(write=False)  # a checkpoint names it
     return mean, covariance
-
-
-def bridged(predictor: ImuPredictor, both: Ticks, known: Known, turned_rad: float) -> Known:
-    """What is known after a gap of the joints.
-
-    Args:
-        predictor: keeps the momentum.
-        both: the ticks before it and after it.
-        known: before it.
-        turned_rad: by which the momentum's direction in base axes may have turned.
-    """
-    state, F, of_a_turn = predictor.bridge(both.q, both.dq, both.ddq, known[0], both.cyclic)
-    covariance = F @ known[1] @ F.T
-    covariance[RATE, RATE] += turned_rad**2 * of_a_turn
-    return state, covariance
 
 
 class Before(NamedTuple):

@@ -16,25 +16,6 @@ from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
 
-def test_over_a_gap_of_the_joints_the_rate_follows_from_the_momentum(held):
-    predictor = online(held).predictor
-    ticks = ticks_of(held)
-    x = np.zeros(len(predictor.names))
-    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
-    x[RATE] = [0.05, -0.02, 0.03]
-    near = ticks.part(slice(300, 312))
-    predicted = predictor.predict(near.q, near.dq, near.ddq, x)
-    ends = [part[[0, 10]] for part in (near.q, near.dq, near.ddq)]
-    carried, transition, of_a_turn = predictor.bridge(*ends, x)
-    by_a_tenth_of_a_second = 0.1 * 0.06 * np.sqrt(np.linalg.eigvalsh(of_a_turn)[-1])  # the momentum turned meanwhile
-    assert np.abs(carried[RATE] - predicted.state[RATE]).max() < by_a_tenth_of_a_second
-    assert np.abs(carried[RATE] - x[RATE]).max() > 3.0 * by_a_tenth_of_a_second
-    for k in (0, 1, 2, 3, 6, 12):
-        step = 1e-5 * np.eye(x.size)[k]
-        slope = (predictor.bridge(*ends, x + step)[0] - predictor.bridge(*ends, x - step)[0]) / 2e-5
-        np.testing.assert_allclose(transition[:, k], slope, atol=1e-6 * max(1.0, np.abs(slope).max()))
-
-
 def test_derivatives_of_the_prediction_are_finite_differences(held):
     one, other = JointPrior(1e-3, 1e-3, 1e-3, 1e-3), JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4))
     some = GeometryPrior(3e-3, {"joint_2": one, "joint_5": other})
