@@ -40,8 +40,16 @@ from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.buses.tcp_bus import ListeningTcp, TcpBus
 from hil_sim.faults import parse
-from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import (
+    BusTable,
+    CanBusTable,
+    I2cBusTable,
+    PulseLineTable,
+    SerialBusTable,
+    TcpBusTable,
+)
 
 _LEASH_PERIOD_S: Final = 0.1
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
@@ -119,6 +127,29 @@ class PseudoTerminal(Port):
         self._terminal.close()
 
 
+class TcpListener(Port):
+    """A port of this computer; kernel tier and this one share it."""
+
+    def __init__(self) -> None:
+        self._listener = ListeningTcp()
+        self._network = TcpBus(self._listener)
+        host, port = self._listener.address
+        super().__init__(self._network, f"tcp://{host}:{port}")
+
+    @property
+    def files(self) -> list[int]:
+        """See ``Port``."""
+        return self._listener.files
+
+    def counts(self) -> dict[str, int]:
+        """See ``Port``."""
+        return {"bytes_to_host": self._network.to_host, "bytes_to_device": self._network.to_device}
+
+    def close(self) -> None:
+        """See ``Port``."""
+        self._listener.close()
+
+
 def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0) -> Ports:
     """Open every bus for another process.
 
@@ -140,6 +171,8 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
+            case TcpBusTable():
+                return TcpListener()
 
     return open_ports(tables, open_port, seed)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.serial_bus import SerialBus
+from hil_sim.buses.tcp_bus import TcpBus
 from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
@@ -159,6 +160,8 @@ class Twins:
             self._bus(table.bus, I2cBus).add(twin.device)
         elif table.needs == "can":
             self._bus(table.bus, CanBus).add(twin.device)
+        elif table.needs == "tcp":
+            self._bus(table.bus, TcpBus).add(twin.device)
         else:
             made = self._plug_serial(self._bus(table.bus, SerialBus), twin)
         self._produced.append((twin, made))

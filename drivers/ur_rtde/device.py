@@ -245,7 +245,7 @@ class UrRtde(SerialDevice):
                 rows["sequence"], rows["host_ns"], rows["tick"] = numbers, host_ns, ticks
                 values = table[one.variable][:, one.place]
                 good = np.abs(values) < LARGEST_COUNT * abs(one.scale)  # false of what is not finite
-                rows["value_raw"] = np.rint(np.where(good, values, 0.0) / one.scale)
+                rows["value_raw"] = np.rint(np.where(good, values, 0.0) / abs(one.scale))
                 rows["scale"], rows["unit"] = one.scale, one.unit.encode()
                 rows["device_status"] = safety & 0xFF
                 rows["status"] = status | ~good * _NOT_VALID

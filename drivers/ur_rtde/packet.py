@@ -40,7 +40,7 @@ class RtdeChannel(NamedTuple):
         channel: Its name.
         variable: Output of the controller, of type VECTOR6D.
         place: Which of its six values.
-        scale: ``unit`` per count of the rows; negative where the count runs against the variable.
+        scale: ``unit`` per count of the rows; negative where the channel runs against the variable.
         unit: SI.
     """
 

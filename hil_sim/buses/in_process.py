@@ -14,7 +14,15 @@ from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
-from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.buses.tcp_bus import TcpBus, VirtualTcp
+from hil_sim.scenario.bus_tables import (
+    BusTable,
+    CanBusTable,
+    I2cBusTable,
+    PulseLineTable,
+    SerialBusTable,
+    TcpBusTable,
+)
 
 
 class _I2cPort(Port):
@@ -71,6 +79,15 @@ class _SerialPort(Port):
         self._installed.uninstall()
 
 
+class _TcpPort(Port):
+    def __init__(self, host: str) -> None:
+        self._host = VirtualTcp(host)
+        super().__init__(TcpBus(self._host), f"tcp://{host}:30004")
+
+    def close(self) -> None:
+        self._host.close()
+
+
 def in_process(
     tables: Mapping[str, BusTable], directory: Path, clock: Callable[[], int], *, name: str = "hil", seed: int = 0
 ) -> Ports:
@@ -95,5 +112,7 @@ def in_process(
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return _SerialPort(f"/dev/hil-{name}-{bus}", table, seed)
+            case TcpBusTable():
+                return _TcpPort(f"hil-{name}-{bus}")
 
     return open_ports(tables, open_port, seed)

@@ -223,9 +223,11 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
             case "serial":
                 line = {"parity": options.get("parity", "N"), "stop_bits": int(options.get("stop_bits", 1))}
                 return {"kind": "serial", "baud_rate": int(options["baud"]), **line}
+            case "tcp":
+                return {"kind": "tcp"}
     except (KeyError, ValueError) as error:
         raise ScenarioError(f"bus.{name}: {url} lacks or has a wrong {error}; correct it") from error
-    raise ScenarioError(f"bus.{name}: {scheme} is no bus that can be rehearsed; i2c, can, serial and gpio are")
+    raise ScenarioError(f"bus.{name}: {scheme} is no bus that can be rehearsed; i2c, can, serial, tcp and gpio are")
 
 
 def _as_built(estimation: Table, drawing: Drawing) -> Table:

@@ -68,8 +68,9 @@ EFFECTS: Final = {
     FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
     FaultKind.FIELD: "the magnet's field is 1 + VALUE times the nominal one: weak below 0.5, strong above 1.5",
     FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY; a DYNAMIXEL with hardware "
-    "error VALUE (0: 20h, overload), until it has no supply (the end is not used)",
-    FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h",
+    "error VALUE (0: 20h, overload), until it has no supply (the end is not used); a UR arm says protective stop",
+    FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h; or "
+    "that of a UR arm: no power",
     FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
     FaultKind.PULSE_SPURIOUS: "one more edge every VALUE seconds",
     FaultKind.BUS_OFF: "the flight computer's controller is off the bus; error frames say when",
@@ -78,7 +79,7 @@ EFFECTS: Final = {
     FaultKind.FRAME_DROP: "the flight computer loses frames of COB-ID VALUE (0: every frame)",
     FaultKind.BYTE_LOSS: "each character is lost with probability VALUE",
     FaultKind.BYTE_GARBLE: "each character has one bit inverted with probability VALUE",
-    FaultKind.UNPLUG: "the adapter is pulled out of the flight computer",
+    FaultKind.UNPLUG: "the adapter, or the network cable, is pulled out of the flight computer",
 }
 """Of each kind, between its start and its end."""
 

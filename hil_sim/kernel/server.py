@@ -15,8 +15,15 @@ from hil_sim.buses.ports import Port, Ports, open_ports
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.kernel.socketcan import SocketCan
-from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
-from hil_sim.serve import PseudoTerminal
+from hil_sim.scenario.bus_tables import (
+    BusTable,
+    CanBusTable,
+    I2cBusTable,
+    PulseLineTable,
+    SerialBusTable,
+    TcpBusTable,
+)
+from hil_sim.serve import PseudoTerminal, TcpListener
 
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
 _BURST_NS: Final = 3_000_000  # but none waits longer
@@ -107,6 +114,8 @@ def open_nodes(
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
+            case TcpBusTable():
+                return TcpListener()
 
     return open_ports(tables, open_port, seed)
 

@@ -39,7 +39,15 @@ class SerialBusTable(Table):
     adapter_latency_ms: NonNegative = 0.0
 
 
-BusTable = Annotated[I2cBusTable | CanBusTable | PulseLineTable | SerialBusTable, Field(discriminator="kind")]
+class TcpBusTable(Table):
+    """A network with one device that listens."""
+
+    kind: Literal["tcp"]
+
+
+BusTable = Annotated[
+    I2cBusTable | CanBusTable | PulseLineTable | SerialBusTable | TcpBusTable, Field(discriminator="kind")
+]
 
 
 class DeviceTable(Table):

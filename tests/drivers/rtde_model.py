@@ -1,6 +1,16 @@
-"""A controller that speaks RTDE, typed from Universal Robots' guide: what it answers, and its data packages."""
+"""A controller that speaks RTDE, typed from Universal Robots' guide: what it answers, and its data packages.
+
+``PACKED``: made on 2026-11-26 by Universal Robots' own ``serialize.DataConfig.pack`` (BSD, as in openur 0.3.0).
+"""
 
 import struct
+
+PACKED = bytes.fromhex(  # recipe 1 of the outputs of the tests, at 100.032 s: robot_mode 7, safety_status_bits 1,
+    "014059020c49ba5e350000000700000001"
+    "3fb999999999999abff80000000000004002000000000000bfe80000000000003ff8000000000000c008000000000000"  # actual_q
+    "3fe0000000000000bff40000000000003fe80000000000003fb999999999999abfc999999999999a3fd3333333333333"  # actual_current
+    "3ff0000000000000c000000000000000c0414000000000003fd00000000000003fe0000000000000bfc0000000000000"  # ft_raw_wrench
+)
 
 OUTPUTS = {  # name: type of the guide's table, format, value; a vector has six of it, one more each
     "timestamp": ("DOUBLE", "d", 0.0),

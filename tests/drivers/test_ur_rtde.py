@@ -17,7 +17,7 @@ from drivers.transports.tcp_port import TcpPort
 from drivers.ur_rtde import PackageStream, RtdeChannel, RtdeConfig, UrRtde, decode_recipe, decode_text
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.rtde_model import RtdeModel, framed, text
+from tests.drivers.rtde_model import PACKED, RtdeModel, framed, text
 from tests.drivers.serial_script import ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces
 from tests.drivers.serial_script import whole as at_once
 from tests.drivers.test_serial_fuzz import nothing_left_out
@@ -115,7 +115,7 @@ def test_set_up_by_the_guide_and_its_rows(up):
     up.stop()
     assert codes(up.batches) == ["identified", "started", "stopped"]
     assert texts(up.batches, "identified") == ["URControl 5.11.1.108318"]
-    expected = {"q1": (0.5, b"rad"), "q6": (5.5, b"rad"), "i2": (2.5, b"A"), "fz": (-1.0, b"N")}
+    expected = {"q1": (0.5, b"rad"), "q6": (-5.5, b"rad"), "i2": (2.5, b"A"), "fz": (-1.0, b"N")}
     for channel, (value, unit) in expected.items():
         rows = whole(up.batches, channel)
         assert len(rows) == 3
@@ -427,17 +427,30 @@ def test_a_connection_carries_bytes_both_ways_and_ends_after_the_last_of_them(li
 
 
 def test_packages_of_universal_robots_own_serialiser(up):
-    serialize = pytest.importorskip("openur.rtde.serialize", reason="deploy/requirements-test.lock has it")
-    names = up.model.names
-    config = serialize.DataConfig.unpack_recipe(b"\1DOUBLE,INT32,UINT32,VECTOR6D,VECTOR6D,VECTOR6D")
-    config.names = names
-    state = serialize.DataObject.create_empty(names, 1)
-    rng = np.random.default_rng(4)
-    vectors = {name: rng.normal(size=6) for name in names[3:]}
-    for name, value in {"timestamp": 100.032, "robot_mode": 7, "safety_status_bits": 1, **vectors}.items():
-        setattr(state, name, value)
-    up.pump(8 * MS, framed("U", config.pack(state)))
-    for channel, variable, place, scale, _ in CHANNELS:
+    up.pump(8 * MS, framed("U", PACKED))
+    for channel, value in {"q1": 0.1, "q6": 3.0, "i2": -1.25, "fz": -34.5}.items():
         row = of(up.batches, channel)[-1]
-        assert row["value_raw"] * row["scale"] == pytest.approx(vectors[variable][place], abs=abs(scale))
-        assert (row["sequence"], row["tick"], row["status"]) == (3, 100_032_000, 0)
+        assert row["value_raw"] * row["scale"] == pytest.approx(value, abs=1e-9)
+        assert (row["sequence"], row["tick"], row["status"], row["device_status"]) == (3, 100_032_000, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("away_s", "behind_s", "restarts"),
+    [(4.0, 0.15, 0), (4.0, 0.3, 1), (4.0, -0.15, 0), (4.0, -0.3, 1), (1000.0, 0.5, 0), (1000.0, 1.5, 1)],
+)
+def test_a_crystal_and_a_late_package_are_no_restart(up, away_s, behind_s, restarts):
+    up.port.broken = True
+    up.packages(2)
+    up.packages(1, step_s=away_s)
+    up.port.broken = False
+    up.time_s -= behind_s
+    up.packages(150)
+    assert codes(up.batches).count("restarted") == restarts
+
+
+def test_a_time_that_goes_back_within_a_connection_began_anew(up):
+    up.time_s = 1.0
+    up.packages(2)
+    up.stop()
+    assert whole(up.batches, "q1")["status"].tolist() == [0, 0, 0, RESET, 0]
+    assert codes(up.batches).count("restarted") == 1

@@ -24,14 +24,15 @@ from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
-from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.devices.ur_controller import UrController, rate
+from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable, TcpBusTable
 from onboard import config
 from onboard.flight.acquire.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
 
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
-LINKS = 7
+LINKS = 8
 BOOT_MS = 1_000  # the slowest twin is up after half of it
 DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -110,6 +111,7 @@ class MixedWorld:
             "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
+            "robot": TcpBusTable(kind="tcp"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -147,6 +149,14 @@ class MixedWorld:
             wave, torque = Analog(angle(5 + identifier)), Analog(dithered(TORQUE_N_M, 0.02))
             servo = DynamixelTwin(wave, torque, START_NS, identifier=identifier, zero_count=zero)
             bus["tty_servos"].add(servo, asks=asks)
+        shown = {
+            ("actual_q", 1): angle(8),
+            ("actual_qd", 1): rate(Analog(angle(8))),
+            ("actual_current", 1): dithered(0.1 * TORQUE_N_M, 0.02),
+            ("ft_raw_wrench", 2): force_n,
+        }
+        self.robot = UrController(shown, RateClock(-3e-5), START_NS)
+        bus["robot"].add(self.robot)
         for _ in range(BOOT_MS):
             self.advance(MS)
 

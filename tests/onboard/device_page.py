@@ -23,6 +23,7 @@ from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
 from onboard.devices.serial_line.node_channels import CHANNELS
+from onboard.devices.ur_rtde import UrOutputs
 from onboard.section import LARGEST
 
 FLOWN = Path(__file__).parents[1] / "flight" / "mixed.toml", config.packaged("dymaflex_wheels")
@@ -94,6 +95,7 @@ SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, the
     (MotorDevice, "A joint's motor", "cia402"),
     (MappedObjectDevice, "A mapped object", "canopen_object"),
     (CanopenNodeDevice, "A CANopen node", "cia404"),
+    (UrOutputs, "A part of a UR controller", "ur_output"),
 ]
 HEAD = """# Devices
 
@@ -110,6 +112,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
 | `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one device, or several servos; speed and format |
+| `tcp://192.168.56.101:30004` | joints, wrench and other outputs of one UR controller |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
@@ -130,10 +133,18 @@ TITLES = {
     "i2c": "Devices on I2C",
     "can": "Devices on CAN",
     "serial": "Devices on serial lines",
+    "tcp": "Devices on TCP",
     "pulse": "Pulse inputs and outputs",
     "recorded": "Recorded data as devices",
 }
-ROOMS = {"i2c": "i2c", "mpu6050": "i2c", "can": "can", "serial_line": "serial", "recorded": "recorded"}
+ROOMS = {
+    "i2c": "i2c",
+    "mpu6050": "i2c",
+    "can": "can",
+    "serial_line": "serial",
+    "ur_rtde": "tcp",
+    "recorded": "recorded",
+}
 
 
 def bus(model: type[BaseModel]) -> str:

@@ -13,9 +13,13 @@ from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
-CAN, GPIO = "can_0", "sync_line"
+CAN, GPIO, ROBOT = "can_0", "sync_line", "robot"
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
-URLS = {CAN: "can+socketcan://can0?bitrate=500000", GPIO: "gpio:///dev/gpiochip0?line=17"}
+URLS = {
+    CAN: "can+socketcan://can0?bitrate=500000",
+    GPIO: "gpio:///dev/gpiochip0?line=17",
+    ROBOT: "tcp://192.168.56.101:30004",
+}
 
 
 class NewDevice(NamedTuple):

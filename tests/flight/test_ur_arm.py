@@ -1,0 +1,125 @@
+"""A UR arm by RTDE: a vehicle of ``heft init`` flies in virtual time and over a real TCP connection, and survives."""
+
+import numpy as np
+import pytest
+
+from drivers.records import SampleStatus
+from hil_sim.devices.ur_controller import UrController
+from onboard import config
+from onboard.cli import main
+from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.test_devices import timed
+from tests.flight.test_i2c_devices import rehearsed
+from tests.flight.test_rehearsal import answers, honest
+from tests.flight.test_servos import told
+
+ARM = ["--base", "fixed", "--joints", "2", "--encoder", "ur_joint", "--no-pulse"]
+CHANNELS = tuple(f"joint_{n}{part}" for n in (1, 2) for part in ("", "_torque"))
+
+
+@pytest.mark.parametrize("rate", [125, 500])
+def test_an_arm_is_weighed_with_by_its_currents(tmp_path, rate):
+    change = ("rate_hz = 125 ", f"rate_hz = {rate} ")
+    result, log, _ = rehearsed(tmp_path, ARM, swing=14.0, seed=6, change=change)
+    assert result["accounted"]
+    honest(answers(result))
+    assert any(answer["supported"] for answer in answers(result).values())
+    for channel in CHANNELS:
+        rows = log.read(channel)
+        assert len(rows) == pytest.approx(17.0 * rate, abs=0.2 * rate)
+        assert set(rows["status"]) == {0}
+        assert result["channels"][channel]["missing"] == 0
+    assert told(log, b"robot") == [b"identified", b"started", b"stopped"]
+
+
+def test_it_survives_a_pulled_cable_a_restart_and_garbage(tmp_path):
+    faults = [
+        *("--fault", "unplug:robot:3:4", "--fault", "reset:joint_2:5", "--fault", "garbage:joint_1:7.5:7.7"),
+        *("--fault", "trip:joint_2:8.2:8.5", "--fault", "emergency_stop:joint_1:9:9.4"),
+    ]
+    result, log, _ = rehearsed(tmp_path, ARM, *faults, swing=8.0)
+    honest({name: row for name, row in answers(result).items() if row["supported"]})
+    events = told(log, b"robot")
+    for code in ("bus_error", "restarted", "out_of_step", "safety", "safety_normal", "arm_off", "arm_on"):
+        assert code.encode() in events, code
+    assert events.count(b"bus_recovered") == 3
+    gaps = log.read("gap")
+    for channel in CHANNELS:
+        rows, lost = log.read(channel), gaps[gaps["channel"] == channel.encode()]
+        assert rows["host_ns"][-1] - rows["host_ns"][0] > 10.5e9
+        assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 1
+        assert (rows["status"] & SampleStatus.NOT_VALID != 0).sum() == pytest.approx(50, abs=2)  # without power
+        assert len(rows) + (lost["last_missing"] - lost["first_missing"] + 1).sum() == rows["sequence"][-1] + 1
+        assert rows["sequence"][-1] == pytest.approx(11.0 * 125, abs=8)
+        assert lost["counted"].tolist() == [1, 0, 1]  # over the restart it is estimated
+
+
+def test_samples_are_put_on_the_time_when_they_were_taken(tmp_path, monkeypatch):
+    """By arrivals alone, within twice the stated sigma, against the truth."""
+    taken = []
+    sample = UrController._sample
+
+    def watched(self, now_ns):
+        taken.append(now_ns)
+        sample(self, now_ns)
+
+    monkeypatch.setattr(UrController, "_sample", watched)
+    with MixedWorld(tmp_path) as world:
+        flying = vehicle(tmp_path, world.urls)
+        heard = world.fly(world.open(flying), 4.0)
+    times_ns, sigma_ns, _ = timed(flying, heard, "robot_8")
+    _, stated_ns = flying.file.device["robot_8"].delay_ns
+    assert stated_ns == pytest.approx(1e6 * np.hypot(8.0, 2.0) / 12**0.5)
+    assert stated_ns < sigma_ns < 1.5 * stated_ns
+    truth_ns = np.array(taken)
+    late_ns = [float(t - truth_ns[np.abs(truth_ns - t).argmin()]) for t in times_ns[-200:]]
+    assert len(times_ns) > 480
+    assert np.abs(late_ns).max() < 2.0 * stated_ns
+
+
+def test_rows_of_all_devices_of_a_controller_have_one_time(tmp_path):
+    with MixedWorld(tmp_path) as world:
+        flying = vehicle(tmp_path, world.urls)
+        heard = {name: np.concatenate(rows) for name, rows in world.fly(world.open(flying), 1.0).items()}
+    for channel in ("robot_8_velocity", "robot_8_torque", "flange", "tcp_1", "tcp_6"):
+        assert (heard[channel]["tick"] == heard["robot_8"]["tick"]).all()
+    assert heard["flange"]["unit"][0] == b"N"
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (('bus = "robot"\noutput', 'bus = "robot"\nrate_hz = 500\noutput'), "give both the same rate_hz"),
+        (('bus = "robot"\noutput', 'bus = "robot"\nlatency_ms = 1\noutput'), "give both the same rate_hz"),
+        (('output = "actual_TCP_force"', 'output = "ft_raw_wrench"'), "'tcp' and 'flange' are ft_raw_wrench 3"),
+        (("component = 3", "component = 4"), "4 to 6 moments"),
+        (("number = 2", "number = 7"), "6"),
+        (("gain_N_m_A = 10.0", "torque_sigma_N_m = 0.01"), "measures a current; give gain_N_m_A"),
+        (('output = "actual_TCP_force"', 'output = "a,b"'), "pattern"),
+        (('bus = "robot"\noutput', 'bus = "robot"\nrate_hz = 501\noutput'), "1 to 500"),
+        (("tcp://192.168.56.101:30004", "serial:///dev/ttyUSB9?baud=9600"), "its devices are on TCP"),
+    ],
+)
+def test_what_does_not_fit_a_controller_is_refused(tmp_path, change, why):
+    assert DEVICES.count(change[0]) == 1
+    with pytest.raises(config.ConfigError, match=why):
+        vehicle(tmp_path, {}, DEVICES.replace(*change))
+
+
+def test_a_preflight_names_a_controller_that_is_not_there(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "mine"), *ARM, "--bus", "robot=tcp://127.0.0.1:9"]) == 0
+    assert main(["preflight", str(tmp_path / "mine" / "vehicle.toml"), "--seconds", "1"]) == 4
+    said = capsys.readouterr()
+    assert "Connection refused" in said.out + said.err
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_an_arm_flies_in_real_time_over_a_real_connection(tmp_path):
+    result, log, _ = rehearsed(tmp_path, ARM, "--realtime", "--fault", "unplug:robot:4:5")
+    assert result["accounted"]
+    assert b"bus_recovered" in told(log, b"robot")
+    for channel in CHANNELS:
+        rows = log.read(channel)
+        assert len(rows) > 7.0 * 125
+        assert 120 < rows["sequence"][-1] - len(rows) < 220  # it is tried again after half a second
