@@ -33,7 +33,7 @@ from onboard.ground.identify.kinds.planar_log import identify_planar
 from onboard.ground.identify.kinds.residuals import keep_rows
 from onboard.ground.identify.kinds.throws import Calibration, LoadSummary, Throw
 from onboard.ground.identify.replay.as_recorded import as_recorded
-from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed
+from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed, feed_rows
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
@@ -164,7 +164,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     kept = keep_rows(who)
     method = vehicle.file.estimation.method
     last = None
-    for channel, rows in feed(estimator, log):
+    for channel, rows in feed_rows(estimator, log):
         if channel == "quantity":
             last = rows
     refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}

@@ -7,7 +7,7 @@ import numpy as np
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import feed_rows
 from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -27,7 +27,7 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
         ConfigError: the vehicle's method has no rows.
     """
     estimator = Estimator(vehicle, at_the_end=True)
-    for _ in feed(estimator, LogReader(other)):
+    for _ in feed_rows(estimator, LogReader(other)):
         pass
     who = estimator.identifier
     values = {answer.name: answer.value for answer in found.answers}

@@ -48,7 +48,6 @@ from onboard.regressor.signals import Signals
 
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
 _OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
-_BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
 
 
 class Identifier:
@@ -79,11 +78,14 @@ class Identifier:
     Attributes:
         recursion: of the rows.
         payload: what is held, where its rows can tell all of it.
+        batch_ticks: ticks whose rows are gated and made linear with one estimate before they update it; at most.
 
     Raises:
         UnknownFrameError: something considered that the model lacks, or an IMU frame that the base lacks.
         RowError: see :mod:`onboard.estimation`.
     """
+
+    batch_ticks = 64
 
     def __init__(
         self,
@@ -211,8 +213,8 @@ class Identifier:
             whole &= finite(signals.noise[:6])
             found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
-        for first in range(0, n, _BATCH_TICKS):
-            self._batch(signals, attached, found, slice(first, first + _BATCH_TICKS))
+        for first in range(0, n, self.batch_ticks):
+            self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         if self.suspects is not None:
             self.suspects.weigh(self.rls.solve().mean, self.correlation, self.seen)
         if found.any():

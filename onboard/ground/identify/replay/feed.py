@@ -4,16 +4,19 @@ Memory is constant in the length of the log; the order of the channels in the fi
 """
 
 from collections.abc import Iterator
+from math import ceil
 
 import numpy as np
 
 from drivers.records import Batch
 from onboard import config
+from onboard.devices.recorded import RecordedDevice
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.source import Interleaved
 from onboard.ground.log.tables.vehicle_file import require_kinds
+from onboard.identification.rows.identifier import Identifier
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -120,3 +123,20 @@ def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> I
         now_ns += skipped_ns
         yield from estimator.process(now_ns, source.take(now_ns), None, skipped_ns)
     yield from estimator.process(now_ns, {}, 0)
+
+
+def feed_rows(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
+    """As :func:`feed`, for ``heft identify`` by rows: in steps of :data:`AT_ONCE_s` where all devices are recorded.
+
+    Rows are then still taken in as few at a time as on board, as each is made linear about the estimate before it. Of
+    other devices the step is the vehicle's, and so it is of a throw, which lasts about a second.
+
+    Raises:
+        ChannelError: the log does not fit the vehicle.
+    """
+    file, who = estimator.vehicle.file, estimator.online
+    recorded = all(isinstance(device, RecordedDevice) for device in file.device.values())
+    if not recorded or file.free_body is not None or not isinstance(who, Identifier):
+        return feed(estimator, log)
+    who.batch_ticks = ceil(1e-3 * file.estimation.step_ms * file.estimation.row_rate_hz)
+    return feed(estimator, log, AT_ONCE_s)
