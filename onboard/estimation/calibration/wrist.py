@@ -17,13 +17,14 @@ is told where two levers are long; else both are as likely, and the mixture is o
 cannot be seen.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtr
 
@@ -34,6 +35,7 @@ from onboard.estimation.policy import FARTHEST_SIZE, READING
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
 _OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
+_OF_ROW, _OF_COLUMN, _SIX = _OFF // 3, _OFF % 3, np.arange(6)
 REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
 _FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
@@ -158,10 +160,10 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) 
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
     state = begun(R, wrench, prior)
     residual = wrench - predicted(R, state, prior)
-    sigma, floor = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench)
+    sigma, floor, turned = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench), coefficients(R)
     one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
     for _ in range(rounds):
-        noise = _noise(one, jacobian(R, one.state, prior), prior, floor)
+        noise = _noise(one, jacobian(turned, one.state, prior), prior, floor)
         change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
         one = _fit(R, wrench, prior, one.state, noise)
         if change < _CLOSE:
@@ -250,7 +252,7 @@ def zeros(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     The third is the sigma of what a zero has moved between the first and the last pose, (6,).
     """
     n = len(one.residual)
-    weights, variance, inflated = _walks(one, J)
+    weights, variance, inflated = _walks(one, coefficients(J))
     share = np.concatenate(
         [np.ones((len(_WALKS), 1)), 1.0 - 1.0 / inflated], axis=1
     )  # of a coefficient that is the zero's
@@ -290,7 +292,7 @@ def jacobian(R: FloatArray, state: State, prior: Prior) -> FloatArray:
 
 
 def _linearised(R: FloatArray, state: State, prior: Prior) -> tuple[FloatArray, FloatArray]:
-    """:func:`predicted` and :func:`jacobian`."""
+    """:func:`predicted` and :func:`jacobian`: both are linear in ``R``, whose coefficients give theirs."""
     level = _level(prior.gravity_m_s2)
     down = _tilted(state, level) @ prior.gravity_m_s2
     d = R.transpose(0, 2, 1) @ down @ state.mounting.T
@@ -301,9 +303,9 @@ def _linearised(R: FloatArray, state: State, prior: Prior) -> tuple[FloatArray, 
     J[:, :3, FIRST_MOMENT], J[:, 3:, FIRST_MOMENT] = of_moments @ p_by / REACH_m, moment @ p_by
     J[:, :, MOUNTING] = A @ p_by
     J[:, :, TILT] = -A @ (state.mounting @ R.transpose(0, 2, 1) @ (hat(down) @ level))
-    J[:, np.arange(6), 9 + np.arange(6)] = np.concatenate([weight, moments], axis=1)
-    J[:, _OFF // 3, 15 + np.arange(6)] = weight[:, _OFF % 3]
-    J[:, 3 + _OFF // 3, 21 + np.arange(6)] = moments[:, _OFF % 3]
+    J[:, _SIX, 9 + _SIX] = np.concatenate([weight, moments], axis=1)
+    J[:, _OF_ROW, 15 + _SIX] = weight[:, _OF_COLUMN]
+    J[:, 3 + _OF_ROW, 21 + _SIX] = moments[:, _OF_COLUMN]
     for axis in range(3):
         J[:, axis, 27 + 3 * axis : 30 + 3 * axis] = moments / REACH_m
         J[:, 3 + axis, 36 + 3 * axis : 39 + 3 * axis] = REACH_m * weight
@@ -323,6 +325,19 @@ def hats(v: FloatArray) -> FloatArray:
     return out - out.transpose(0, 2, 1)
 
 
+def _turn(v: FloatArray) -> FloatArray:
+    """The matrix of a rotation vector, (3, 3) (Rodrigues)."""
+    angle, K = math.hypot(*v), hat(v)
+    if not angle:
+        return np.eye(3)
+    return np.eye(3) + math.sin(angle) / angle * K + 2.0 * (math.sin(0.5 * angle) / angle) ** 2 * (K @ K)
+
+
+def coefficients(values: FloatArray) -> FloatArray:
+    """Of the cosine transform over the poses (n, ...), without the constant, (n - 1, ...)."""
+    return np.asarray(dct(values, axis=0, norm="ortho")[1:], np.float64)
+
+
 def _in_frame(R: FloatArray, state: State, prior: Prior) -> FloatArray:
     """Gravity in the axes of the frame whose pose is given, (n, 3)."""
     down = _tilted(state, _level(prior.gravity_m_s2)) @ prior.gravity_m_s2
@@ -331,7 +346,7 @@ def _in_frame(R: FloatArray, state: State, prior: Prior) -> FloatArray:
 
 def _tilted(state: State, level: FloatArray) -> FloatArray:
     """The turn of the base by its tilt about two axes (3, 2), (3, 3)."""
-    return np.asarray(Rotation.from_rotvec(level @ state.tilt).as_matrix(), np.float64)
+    return _turn(level @ state.tilt)
 
 
 def _level(gravity: FloatArray) -> FloatArray:
@@ -381,7 +396,7 @@ def _values(state: State) -> FloatArray:
 
 def moved(state: State, step: FloatArray) -> State:
     """A state after a step of the unknowns, (45,)."""
-    M = Rotation.from_rotvec(step[MOUNTING]).as_matrix() @ state.mounting
+    M = _turn(step[MOUNTING]) @ state.mounting
     own = state.first_moment + step[FIRST_MOMENT], M, state.tilt + step[TILT], state.scales + step[SCALES]
     return State(float(state.mass + step[0]), *own, state.cross + step[CROSS])
 
@@ -399,29 +414,29 @@ def variances(noise: Noise, n: int) -> FloatArray:
 def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: Noise) -> Fit:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
-    own = 1.0 / np.sqrt(spread)
+    own, turned, read = 1.0 / np.sqrt(spread), coefficients(R), coefficients(wrench)
     for _ in range(_ROUNDS):
-        made, J = _linearised(R, state, prior)
-        r = dct(wrench - made, axis=0, norm="ortho")[1:] * own
-        A = (dct(J, axis=0, norm="ortho")[1:] * own[..., None]).reshape(-1, UNKNOWNS)
+        made, J = _linearised(turned, state, prior)
+        r = (read - made) * own
+        A = (J * own[..., None]).reshape(-1, UNKNOWNS)
         H = A.T @ A + np.diag(sigmas**-2.0)
         unit = 1.0 / np.sqrt(np.diag(H))  # of very different units
-        L = np.linalg.cholesky(H * np.outer(unit, unit))
-        whitened = solve_triangular(L, unit * (A.T @ r.ravel() - _values(state) / sigmas**2), lower=True)
-        state = moved(state, unit * solve_triangular(L, whitened, lower=True, trans="T"))
+        U = np.linalg.cholesky(H * np.outer(unit, unit)).T
+        whitened, _ = lapack.dtrtrs(U, unit * (A.T @ r.ravel() - _values(state) / sigmas**2), trans=1)
+        state = moved(state, unit * lapack.dtrtrs(U, whitened)[0])
         if np.abs(whitened).max() < _CLOSE:
             break
     residual, off = wrench - predicted(R, state, prior), _values(state)
-    squares = float(((dct(residual, axis=0, norm="ortho")[1:] * own) ** 2).sum() + ((off / sigmas) ** 2).sum())
-    volume = float(np.log(unit / np.diag(L)).sum())
+    squares = float(((coefficients(residual) * own) ** 2).sum() + ((off / sigmas) ** 2).sum())
+    volume = float(np.log(unit / np.diag(U)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
-    root = solve_triangular(L, np.diag(unit), lower=True)
+    root, _ = lapack.dtrtrs(U, np.diag(unit), trans=1)
     return Fit(state, root.T @ root, noise, residual, evidence)
 
 
-def _noise(one: Fit, J: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
-    """One step of expectation maximisation: noise and walk of each axis, and cross-talk."""
-    weights, variance, _ = _walks(one, J)
+def _noise(one: Fit, own: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
+    """One step of expectation maximisation: noise and walk of each axis, and cross-talk; as of :func:`_walks`."""
+    weights, variance, _ = _walks(one, own)
     sigma = np.sqrt((weights * variance).sum(axis=0))
     walk = np.sqrt((weights * variance * _WALKS[:, None] ** 2).sum(axis=0))
     sigma = np.maximum(sigma, floor)
@@ -430,14 +445,13 @@ def _noise(one: Fit, J: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
     return Noise(sigma, walk, float(cross))
 
 
-def _walks(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _walks(one: Fit, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Probability of each walk, variance with it, (walks, 6), and what it multiplies variances by, (walks, n - 1).
 
-    A walk that does not show may still be there, so all of them are kept.
+    A walk that does not show may still be there, so all of them are kept. ``own``: of the Jacobian, the coefficients.
     """
     n = len(one.residual)
-    own = dct(J, axis=0, norm="ortho")[1:]
-    squares = dct(one.residual, axis=0, norm="ortho")[1:] ** 2
+    squares = coefficients(one.residual) ** 2
     squares = squares + np.einsum("jap,pq,jaq->ja", own, one.covariance, own, optimize=True)
     pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
     inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import FloatArray
@@ -397,7 +396,7 @@ def _held_out(poses: Poses, prior: wrist.Prior, one: wrist.Fit) -> HeldOut | Non
 def _left_over(poses: Poses, prior: wrist.Prior, noise: wrist.Noise, state: wrist.State) -> HeldOutFit:
     """Of what readings change by from pose to pose, and of their noise."""
     whitened = [
-        dct(each, axis=0, norm="ortho")[1:] / np.sqrt(wrist.variances(noise, len(each)))
+        wrist.coefficients(each) / np.sqrt(wrist.variances(noise, len(each)))
         for each in (poses.wrench - wrist.predicted(poses.R, state, prior), poses.wrench)
     ]
     left, whole = (float((each**2).sum()) for each in whitened)
