@@ -79,7 +79,7 @@ EFFECTS: Final = {
     FaultKind.FRAME_DROP: "the flight computer loses frames of COB-ID VALUE (0: every frame)",
     FaultKind.BYTE_LOSS: "each character is lost with probability VALUE",
     FaultKind.BYTE_GARBLE: "each character has one bit inverted with probability VALUE",
-    FaultKind.UNPLUG: "the adapter, or the network cable, is pulled out of the flight computer",
+    FaultKind.UNPLUG: "the adapter is pulled out of the flight computer, or its network cable",
 }
 """Of each kind, between its start and its end."""
 
