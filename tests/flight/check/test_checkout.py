@@ -105,7 +105,7 @@ def test_the_record_is_written_beside_the_flights_and_never_over_another(walked,
     assert read["ready"] is False
     assert len(read["steps"]) == len(record.steps)
     assert len(read["vehicle_sha256"]) == 64
-    console = Console(width=200)
+    console = Console(width=300)
     with console.capture() as text:
         console.print(render(record))
     said = text.get().rstrip()
