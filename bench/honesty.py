@@ -150,6 +150,15 @@ def read(directories: list[Path]) -> Campaign:
     return Campaign(rows, failures, tuple(sorted({row["revision"] for row in rows})))
 
 
+def _at_all_instants(rows: list[dict[str, Any]]) -> str:
+    told, beyond = (sum(row[one] or 0 for row in rows) for one in ("instants", "instants_beyond"))
+    farthest = max((row["instants_farthest"] or 0.0 for row in rows), default=0.0)
+    return (
+        f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval "
+        f"({100.0 * beyond / max(told, 1):.3f} %; exact intervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
+    )
+
+
 def main() -> int:
     """Print the counts, or the scoreboard."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -169,7 +178,9 @@ def main() -> int:
     if arguments.page:
         command = f"heft campaign bench/plans/scoreboard.toml, python -m bench.honesty; code {', '.join(own.revisions)}"
         beside = f"; in brackets that of {', '.join(before.revisions)}" if before.rows else ""
-        arguments.page.write_text(f"{_HEAD}\nMade by {command}{beside}.\n{text}\n", encoding="utf-8")
+        seeds = sorted({int(row["seed"]) for row in own.rows})
+        made = f"Made by {command}{beside}; seeds {seeds[0]} to {seeds[-1]}.\n{_at_all_instants(own.rows)}"
+        arguments.page.write_text(f"{_HEAD}\n{made}\n{text}\n", encoding="utf-8")
     return int(any(score.lied for score in after.values()))
 
 
