@@ -153,9 +153,10 @@ def read(directories: list[Path]) -> Campaign:
 def _at_all_instants(rows: list[dict[str, Any]]) -> str:
     told, beyond = (sum(row[one] or 0 for row in rows) for one in ("instants", "instants_beyond"))
     farthest = max((row["instants_farthest"] or 0.0 for row in rows), default=0.0)
+    share = f"{100.0 * beyond / max(told, 1):.3f} %"
     return (
-        f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval "
-        f"({100.0 * beyond / max(told, 1):.3f} %; exact\nintervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
+        f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval ({share};\n"
+        f"exact intervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
     )
 
 
