@@ -7,8 +7,9 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.estimation.policy import sigmas
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from
+from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from, refused_from
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.checks.prediction import HeldOutFit
@@ -298,3 +299,30 @@ def test_what_is_no_body_is_told_with_its_distance():
     assert link_estimate("payload", -standard_of(thin), wide).body is None
     whole = RigidBody(2.0, np.zeros(3), np.diag([0.1, 0.1, 0.02]))
     assert link_estimate("payload", standard_of(whole), narrow).away == 0.0
+
+
+def test_a_point_is_as_far_from_any_body_as_chance_makes_it(rng):
+    """Of a point all moments may come out negative, each by chance, and the scatter of few blocks tells their sigmas
+    badly: 1 % of the estimates are as rare as 1 %, or fewer; a normal's two sides take a tenth for impossible."""
+    point, root = standard_of(RigidBody(2.0, np.zeros(3), np.zeros((3, 3)))), 1e-2 * rng.normal(size=(10, 10))
+    root[:4] *= 0.01
+    rare, by_normal, runs, freedom = 0, 0, 400, 24
+    for _ in range(runs):
+        scatter = root @ rng.normal(size=(10, freedom))
+        mean, covariance = point + root @ rng.normal(size=10), scatter @ scatter.T / freedom
+        found = link_estimate("payload", mean, covariance, lambda along: float(freedom))
+        assert found.body is not None
+        gap = standard_of(found.body) - mean
+        rare += found.away > sigmas(0.01)
+        by_normal += found.away > 0.0 and gap @ np.linalg.solve(covariance, gap) > sigmas(0.01) ** 2
+    assert rare <= 0.02 * runs
+    assert by_normal > 0.1 * runs
+
+
+def test_few_blocks_cannot_tell_that_a_body_is_impossible():
+    thin = standard_of(RigidBody(2.0, np.zeros(3), np.diag([0.1, 0.1, -0.02])))
+    covariance = np.diag(np.r_[1e-4, [1e-4] * 3, [1e-3] * 6] ** 2)
+    away = [link_estimate("payload", thin, covariance, lambda along, n=n: n).away for n in (5.0, 8.0, 50.0, np.inf)]
+    assert away[0] == 0.0
+    assert away == sorted(away)
+    assert away[1] < refused_from(1) < away[2]

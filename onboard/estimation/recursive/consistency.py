@@ -14,7 +14,8 @@ and the regressor is made of measured signals. Four corrections:
    ``-(Lambda - N - H_b)^-1 s_b``, and the spread of these moves is the covariance, for any correlation within a block.
    (Block form of the HC3 of MacKinnon and White, J. Econometrics 29 (1985) 305: too wide when a few blocks carry the
    information, where the plain block sandwich is too narrow.) When the store is full, neighbours are merged and the
-   block length doubles: memory is constant, and blocks become longer than slow errors.
+   block length doubles: memory is constant, and blocks become longer than slow errors. Blocks in which the motion and
+   its errors repeat are one (:mod:`onboard.estimation.recursive.repeats`).
 3. *Few blocks*: Student's t, with Satterthwaite's degrees of freedom from each block's share of the information on the
 quantity. 4. *Common causes*: considered parameters (scale or lever of a load cell) shift all rows together and do not
 average out; their part is added in quadrature through the sensitivities of the RLS (Schmidt's consider covariance).
@@ -33,6 +34,7 @@ from scipy.special import stdtrit
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 from onboard.estimation.recursive.blocks import TimeBlocks
+from onboard.estimation.recursive.repeats import added_up, phases
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
@@ -206,6 +208,8 @@ class JackknifeEstimate:
         mask = np.outer(signal, signal)
         H = T.T @ blocks.normal @ T * mask  # (b, p, p)
         scores = (blocks.moment @ T) * signal - H @ x  # (b, p)
+        group = phases(blocks.starts_s / blocks.block_s, scores / np.sqrt(keep))
+        H, scores = added_up(group, H), added_up(group, scores)
         # Without the only block that carries a direction the matrix is singular: a tiny ridge makes the move
         # very large instead of undefined.
         rest = np.diag(np.where(signal, keep, 1.0)) - H + np.eye(x.size) * 1e-12

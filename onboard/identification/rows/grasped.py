@@ -15,7 +15,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.policy import MOST_CONTRADICTED
+from onboard.estimation.policy import MOST_CONTRADICTED, sigmas
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import refused_from
 from onboard.identification.quantities import (
@@ -25,6 +25,7 @@ from onboard.identification.quantities import (
     SUPPORTED_SHRINKAGE,
     QuantityEstimate,
 )
+from onboard.identification.rows.stated_errors.drawing import Unstated
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
@@ -66,7 +67,13 @@ class GraspedPayload:
             return None
 
     def quantities(
-        self, jackknife: JackknifeEstimate, prior_covariance: FloatArray, used: int, refused: int, why: str
+        self,
+        jackknife: JackknifeEstimate,
+        prior_covariance: FloatArray,
+        unstated: Unstated,
+        used: int,
+        refused: int,
+        why: str,
     ) -> tuple[QuantityEstimate, ...]:
         """The ten with two-sided intervals, in the payload link's frame.
 
@@ -76,6 +83,7 @@ class GraspedPayload:
         Args:
             jackknife: the estimate of the base parameters.
             prior_covariance: of the base parameters before the rows, (p, p).
+            unstated: what errors that no key states do to the base parameters; part of the intervals.
             used: rows in it.
             refused: rows that contradicted it.
             why: none of them is supported; empty if they may be.
@@ -95,12 +103,16 @@ class GraspedPayload:
                 for name, unit, s in zip(self.names, BODY_UNITS, shrinkage, strict=True)
             )
         weak[4:] |= weak[1:4].any()
-        found, estimated = jackknife.combination(self.weights(jackknife)), numbers_of(body_of(standard.mean))
+        along = self.weights(jackknife)
+        found, estimated = jackknife.combination(along), numbers_of(body_of(standard.mean))
         possible = self.body(jackknife)
         value = estimated if possible is None else numbers_of(possible)
         weak[4:] |= possible is None
-        sigma = np.hypot(found.sigma, value - estimated)
-        half = 0.5 * (found.high - found.low) * sigma / found.sigma
+        unsaid = unstated.sigma(along)
+        known = np.hypot(found.sigma, unsaid)
+        half = np.hypot(0.5 * (found.high - found.low), sigmas(1.0 - jackknife.level) * unsaid)
+        sigma = np.hypot(known, value - estimated)
+        half *= sigma / known
         numbers = np.column_stack([value, sigma, value - half, value + half])
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]

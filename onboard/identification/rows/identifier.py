@@ -36,7 +36,7 @@ from onboard.identification.rows.likelihood import RowsSeen
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.stated_errors.considered import Considered, check, of_motion
 from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors, Start
-from onboard.identification.rows.stated_errors.drawing import answered, off_drawing, unstated
+from onboard.identification.rows.stated_errors.drawing import Unstated, answered, off_drawing, unstated
 from onboard.identification.rows.stated_errors.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.stated_errors.scales import estimated_scales, fill_scales
 from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken
@@ -48,6 +48,7 @@ from onboard.regressor.signals import Signals
 
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
 _OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
+_APART_s = 1e6  # between rows with the payload and those of another recording: no block, and no period, holds both
 
 
 class Identifier:
@@ -269,7 +270,8 @@ class Identifier:
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
         rows, y, C, sigma, own, doubt = self._errors.at(noisy, mean)
-        self.recursion.add(times, rows, y, sigma, C, doubt)
+        apart_s = _APART_s if self._recorded_apart and self.memory == FOR_EVER else 0.0
+        self.recursion.add(times + apart_s * attached[at][tick], rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
@@ -328,13 +330,13 @@ class Identifier:
         taken, refused = self.taken, self.refused[GateReason.RESIDUAL] * self.gate.threshold**2
         return RowsSeen.of(taken.rls, taken.considered, refused, off_drawing(self.quantities, self.block_jackknife()))
 
-    def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
-        """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
+    def unstated(self, jackknife: JackknifeEstimate) -> Unstated:
+        """What errors that no key states do to the estimate: suspected steps, and scales off the drawing."""
         fits = self.fits(jackknife.mean) if self.suspects is None else ()
-        steps = [self._weights @ fit.step.suspected for fit in fits if fit.step is not None]
+        steps = [fit.step.suspected for fit in fits if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
-        scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
-        return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
+        scales = unstated(self.quantities, jackknife, self.seen, body, prior)
+        return Unstated(np.array(steps).reshape(len(steps), len(body)), scales)
 
     @property
     def fitted_errors(self) -> Fitted | None:
@@ -395,7 +397,9 @@ class Identifier:
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         supported &= self.suspects is None or not self.suspects.judged()[0]
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
-        unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
+        nothing: FloatArray = np.zeros((0, p))
+        unstated = self.unstated(jackknife) if with_unstated else Unstated(nothing, nothing)
+        unsaid = unstated.sigma(weights)
         half = np.hypot(interval.high - interval.mean, z * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         numbers = np.column_stack([interval.mean, sigmas, lows, highs, shrinkage])[p:]
@@ -406,6 +410,6 @@ class Identifier:
         if self.payload:
             refused = 0 if self.suspects else self.refused[GateReason.RESIDUAL]
             of_rows = self.rows_used, refused, self.contradiction(jackknife)
-            quantities += self.payload.quantities(jackknife, prior, *of_rows)
+            quantities += self.payload.quantities(jackknife, prior, unstated, *of_rows)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))

@@ -5,19 +5,24 @@ Gaussian prior, conditioned on the estimated base parameters (derived here: ``x 
 F')^-1``); no rows are needed.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
 from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements, pseudo_inertia, take_away
 from onboard.dynamics.model.payload import body_jacobian, body_of, possible_body, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
+from onboard.estimation.policy import sigmas
+from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.rows.free_body import Whole
 from onboard.identification.rows.identifier import Identifier
 
+_MOMENTS = 6
+_RAREST = float(np.finfo(np.float64).tiny)
 _SAME = 1e-9  # combinations that differ by less are one
 
 
@@ -30,11 +35,24 @@ class LinkEstimate(NamedTuple):
     body: (
         RigidBody | None
     )  # physically possible: the estimate, or the most likely one; None: mass below zero, or not found
-    away: float  # distance of the estimate from it, sigmas; zero if the estimate is possible
+    away: float  # sigmas of a normal that are as rare as the estimate is of any body; zero if it is possible
 
 
-def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEstimate:
-    """Standard parameters with their body, by :func:`onboard.dynamics.model.payload.possible_body`."""
+def link_estimate(
+    link: str, mean: FloatArray, covariance: FloatArray, freedom: Callable[[FloatArray], float] = lambda along: np.inf
+) -> LinkEstimate:
+    """Standard parameters with their body, by :func:`onboard.dynamics.model.payload.possible_body`.
+
+    Mass and centre of mass may be any, so what the nearest body is away lies in the six moments of inertia. Its square,
+    in the metric of the covariance, is at most Hotelling's of so many dimensions (Ann. Math. Stat. 2, 1931), which is
+    that of a point: of a body that is as thin as can be in every direction.
+
+    Args:
+        link: its name.
+        mean: its standard parameters, (10,).
+        covariance: of these, (10, 10).
+        freedom: degrees of freedom with which the covariance is known along a direction, (10,).
+    """
     if not mean[0] > 0.0:
         return LinkEstimate(link, mean, covariance, None, np.inf)
     try:
@@ -44,8 +62,19 @@ def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEs
     if np.linalg.eigvalsh(pseudo_inertia(mean))[0] > 0.0:
         return LinkEstimate(link, mean, covariance, body, 0.0)
     gap = standard_of(body) - mean
-    squared = float(gap @ np.linalg.pinv(covariance, hermitian=True) @ gap)
-    return LinkEstimate(link, mean, covariance, body, max(squared, 0.0) ** 0.5)
+    along = np.linalg.pinv(covariance, hermitian=True) @ gap
+    return LinkEstimate(link, mean, covariance, body, _as_rare(max(float(gap @ along), 0.0), freedom(along)))
+
+
+def _as_rare(squared: float, freedom: float) -> float:
+    """Sigmas of a normal as rare as Hotelling's statistic with a covariance of so many degrees of freedom."""
+    rest = freedom - _MOMENTS + 1.0
+    if not rest > 0.0:
+        return 0.0
+    chance = (
+        fdtrc(_MOMENTS, rest, squared * rest / (freedom * _MOMENTS)) if rest < np.inf else chdtrc(_MOMENTS, squared)
+    )
+    return sigmas(max(float(chance), _RAREST))
 
 
 def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
@@ -61,7 +90,10 @@ def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
     covariance = scale_sigma**2 * np.outer(inertia, inertia)
     covariance[1:, 1:] += whole.weights @ whole.jackknife.covariance @ whole.weights.T
     back = np.linalg.inv(body_jacobian(mean))
-    return link_estimate(link, mean, back @ covariance @ back.T)
+    of_rows = back[:, 1:] @ whole.weights  # (10, p)
+    return link_estimate(
+        link, mean, covariance := back @ covariance @ back.T, _freedom(whole.jackknife, of_rows, covariance)
+    )
 
 
 def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
@@ -78,6 +110,7 @@ class Posterior(NamedTuple):
     mean: FloatArray  # (P,)
     covariance: FloatArray  # (P, P)
     links: tuple[str, ...]  # those in determined base parameters or quantities
+    of_rows: FloatArray  # (P, p) derivative of the mean by the base parameters that the rows tell
 
 
 def standard_posterior(identifier: Identifier, nuisance: Collection[str] = ()) -> Posterior:
@@ -98,10 +131,11 @@ def standard_posterior(identifier: Identifier, nuisance: Collection[str] = ()) -
     K = root @ np.asarray(np.linalg.pinv(F @ root, rcond=_SAME))  # (P, k)
     mean = model.chi + K @ (weights @ jackknife.mean - F @ model.chi)
     left = (root - K @ F @ root) @ root.T  # what the rows do not tell
-    covariance = left + K @ weights @ jackknife.covariance @ weights.T @ K.T
+    of_rows, unstated = K @ weights, identifier.unstated(jackknife).covariance()
+    covariance = left + of_rows @ (jackknife.covariance + unstated) @ of_rows.T
     own = [slice(10 * index, 10 * index + 10) for index in range(len(model.vehicle.links))]
     links = (link for link, part in zip(model.vehicle.links, own, strict=True) if (F[:, part] @ root[part]).any())
-    return Posterior(mean, covariance, tuple(links))
+    return Posterior(mean, covariance, tuple(links), of_rows)
 
 
 def identified_links(identifier: Identifier, found: Posterior) -> tuple[LinkEstimate, ...]:
@@ -115,8 +149,32 @@ def identified_links(identifier: Identifier, found: Posterior) -> tuple[LinkEsti
     for link in found.links:
         first = 10 * vehicle.links.index(link)
         own = slice(first, first + 10)
-        made.append(link_estimate(link, found.mean[own], found.covariance[own, own]))
+        covariance = found.covariance[own, own]
+        freedom = _freedom(jackknife, found.of_rows[own], covariance)
+        made.append(link_estimate(link, found.mean[own], covariance, freedom))
         held = link == vehicle.spec.payload_link and identifier.payload
         if held and (body := held.body(jackknife)) is not None:  # one body, one number
             made[-1] = made[-1]._replace(body=body)
     return tuple(made)
+
+
+def _freedom(
+    jackknife: JackknifeEstimate, of_rows: FloatArray, covariance: FloatArray
+) -> Callable[[FloatArray], float]:
+    """Degrees of freedom of a covariance, (10, 10), along any direction (Welch, Biometrika 34, 1947).
+
+    The scatter of the rows has the jackknife's; what else is in the covariance is known.
+
+    Args:
+        jackknife: the estimate of the base parameters.
+        of_rows: derivative of the standard parameters by these, (10, p).
+        covariance: of the standard parameters.
+    """
+
+    def along(direction: FloatArray) -> float:
+        told = direction @ of_rows
+        of_scatter = float(jackknife.parts(told)[0][0]) ** 2
+        share = of_scatter / float(direction @ covariance @ direction)
+        return float(jackknife.combination(told).degrees_of_freedom[0]) / share**2 if share else np.inf
+
+    return along

@@ -43,7 +43,7 @@ def test_nothing_is_stated_to_be_known_better_than_it_was_found(rng: np.random.G
             link_estimate(LINKS[k], mean[10 * k : 10 * k + 10], P[10 * k : 10 * k + 10, 10 * k : 10 * k + 10])
             for k in (1, 2)
         ]
-        made = fitted_drawing(LINKS, Posterior(mean, P, LINKS[1:]), links)
+        made = fitted_drawing(LINKS, Posterior(mean, P, LINKS[1:], np.eye(len(mean))), links)
         assert [one.link for one in made] == ["link_1", "tool"]
         D = np.zeros((20, 20))
         for k, one in enumerate(made):

@@ -16,9 +16,11 @@ from onboard.dynamics.model.inertia import RigidBody, pseudo_inertia, symmetric
 from onboard.dynamics.model.payload import body_of, numbers_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import BODY
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.stated_errors.drawing import Unstated
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import RowModel, load_cell_row, standing
@@ -222,6 +224,22 @@ def test_a_scale_that_had_to_be_corrected_far_beyond_its_sigma_is_told(run, scal
     said = who.findings()
     assert any(one.startswith("scale_wrist_moment_x had to be corrected") for one in said.against) is refused
     assert any(one.startswith("scale_wrist_moment_x had to be corrected") for one in said.doubts) is (scale == 1.015)
+
+
+def test_its_intervals_contain_what_no_key_states(run, monkeypatch):
+    """A suspected step that moves every parameter by 10 %: no more and no less is added to a sigma, and to half."""
+    who = identifier()
+    feed(who, run)
+    told, jackknife = grasped(who), who.block_jackknife()
+    step = Unstated(0.1 * jackknife.mean[None], np.zeros((0, len(jackknife.mean))))
+    moved = who.payload.weights(jackknife) @ step.steps[0]
+    monkeypatch.setattr(who, "_estimated", None)
+    monkeypatch.setattr(who, "unstated", lambda jackknife: step)
+    wider = grasped(who)
+    np.testing.assert_allclose(wider.sigma, np.hypot(told.sigma, moved), rtol=1e-9)
+    half = np.hypot(told.high - told.value, HALF * moved)
+    np.testing.assert_allclose(wider.high - wider.value, half, rtol=1e-9)
+    assert abs(moved[0]) == pytest.approx(0.1 * told.value[0])
 
 
 def test_the_bound_is_not_above_the_sigma(run):

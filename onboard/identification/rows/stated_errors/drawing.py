@@ -82,6 +82,22 @@ def answered(
     return QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else "")
 
 
+class Unstated(NamedTuple):
+    """Errors that no key states, by what they do to the estimate: one sigma each."""
+
+    steps: FloatArray  # (s, p) suspected steps of gains
+    scales: FloatArray  # (h, p) scales off the drawing, of which one is wrong
+
+    def sigma(self, weights: FloatArray) -> FloatArray:
+        """Of ``weights @ chi``, (r,) of (r, p)."""
+        largest = np.abs(weights @ self.scales.T).max(axis=1, initial=0.0)
+        return np.asarray(np.hypot.reduce([largest, *(weights @ self.steps.T).T]), np.float64)
+
+    def covariance(self) -> FloatArray:
+        """Of the estimate, (p, p)."""
+        return np.asarray(self.steps.T @ self.steps + self.scales.T @ self.scales, np.float64)
+
+
 def unstated(
     quantities: Sequence[Quantity],
     jackknife: JackknifeEstimate,
