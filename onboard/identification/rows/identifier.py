@@ -115,7 +115,7 @@ class Identifier:
         self.considered = tuple(considered)
         self.memory = memory
         self.whitening = whitening
-        self._recorded_apart = recorded_apart
+        self._recorded_apart = recorded_apart and memory == FOR_EVER
         self.suspects = suspects
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
@@ -270,8 +270,7 @@ class Identifier:
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
         rows, y, C, sigma, own, doubt = self._errors.at(noisy, mean)
-        apart_s = _APART_s if self._recorded_apart and self.memory == FOR_EVER else 0.0
-        self.recursion.add(times + apart_s * attached[at][tick], rows, y, sigma, C, doubt)
+        self.recursion.add(times + _APART_s * self._recorded_apart * attached[at][tick], rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
@@ -335,8 +334,7 @@ class Identifier:
         fits = self.fits(jackknife.mean) if self.suspects is None else ()
         steps = [fit.step.suspected for fit in fits if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
-        scales = unstated(self.quantities, jackknife, self.seen, body, prior)
-        return Unstated(np.array(steps).reshape(len(steps), len(body)), scales)
+        return Unstated.of(steps, unstated(self.quantities, jackknife, self.seen, body, prior))
 
     @property
     def fitted_errors(self) -> Fitted | None:
@@ -397,8 +395,7 @@ class Identifier:
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         supported &= self.suspects is None or not self.suspects.judged()[0]
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
-        nothing: FloatArray = np.zeros((0, p))
-        unstated = self.unstated(jackknife) if with_unstated else Unstated(nothing, nothing)
+        unstated = self.unstated(jackknife) if with_unstated else Unstated.of([], np.zeros((0, p)))
         unsaid = unstated.sigma(weights)
         half = np.hypot(interval.high - interval.mean, z * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half

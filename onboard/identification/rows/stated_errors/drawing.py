@@ -88,6 +88,11 @@ class Unstated(NamedTuple):
     steps: FloatArray  # (s, p) suspected steps of gains
     scales: FloatArray  # (h, p) scales off the drawing, of which one is wrong
 
+    @classmethod
+    def of(cls, steps: Sequence[FloatArray], scales: FloatArray) -> "Unstated":
+        """Steps, (p,) each, and scales, (h, p)."""
+        return cls(np.array(steps).reshape(len(steps), scales.shape[1]), scales)
+
     def sigma(self, weights: FloatArray) -> FloatArray:
         """Of ``weights @ chi``, (r,) of (r, p)."""
         largest = np.abs(weights @ self.scales.T).max(axis=1, initial=0.0)
