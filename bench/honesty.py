@@ -155,8 +155,8 @@ def _at_all_instants(rows: list[dict[str, Any]]) -> str:
     farthest = max((row["instants_farthest"] or 0.0 for row in rows), default=0.0)
     share = f"{100.0 * beyond / max(told, 1):.3f} %"
     return (
-        f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval ({share};\n"
-        f"exact intervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
+        f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval\n"
+        f"({share}; exact intervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
     )
 
 
