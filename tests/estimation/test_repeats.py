@@ -71,3 +71,9 @@ def test_recordings_have_phases_of_their_own(rng):
     assert len(np.unique(group)) == 20
     assert not set(group[:30]) & set(group[30:])
     assert (group[:10] == group[10:20]).all()
+
+
+def test_the_shortest_period_has_three_blocks(rng):
+    """One of two leaves two groups, which have no scatter; its multiple of four is found."""
+    groups = [len(np.unique(phases(np.arange(60.0), np.tile(rng.normal(size=(k, 12)), (60 // k, 1))))) for k in (2, 3)]
+    assert groups == [4, 3]
