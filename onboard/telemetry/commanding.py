@@ -74,7 +74,8 @@ class Commanding:
     def _take(self, command: Command, origin: str, now_ns: int) -> None:
         asks = any(given.command.order == Order.SPAN for given in self._given.values()) or self._span is not None
         refused = command.refused or (Refusal.BUSY if asks and command.order == Order.SPAN else Refusal.NONE)
-        who = f"{origin}, source {command.source}, count {int.from_bytes(command.request[2:], 'big') & 0x3FFF}"
+        count = int.from_bytes(command.request[2:], "big") & 0x3FFF
+        who = f"source {command.source}, count {count}, of {origin}"  # a long path is cut at its end
         fields = {"number": command.number, "begin_ns": command.begin_ns, "end_ns": command.end_ns}
         number = self._book.give(order_row(now_ns, command.order, who, refused, **fields))
         if refused:

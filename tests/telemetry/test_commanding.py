@@ -158,11 +158,11 @@ def test_what_is_asked_is_done_told_and_logged(flight: Flight) -> None:
         if b.rows.dtype == EVENT
         for row in b.rows
     }
-    who = "asked by 127.0.0.1, source 9, count"
-    assert {("mark", f"mark 42, {who} 1"), ("stop", f"stop, {who} 7")} <= told
-    assert ("order_refused", f"mark 0, {who} 1: refused, duplicate") in told
+    who = "asked by source 9, count"
+    assert {("mark", f"mark 42, {who} 1, of 127.0.0.1"), ("stop", f"stop, {who} 7, of 127.0.0.1")} <= told
+    assert ("order_refused", f"mark 0, {who} 1, of 127.0.0.1: refused, duplicate") in told
     [safe] = [text for code, text in told if code == "mode" and text.startswith("safe")]
-    assert safe.startswith("safe: stop, asked by 127.0.0.1, source 9, count 7;")
+    assert safe.startswith("safe: stop, asked by source 9, count 7, of 127.0.0.1;")
 
 
 @pytest.mark.timeout(300)

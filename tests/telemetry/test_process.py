@@ -11,7 +11,7 @@ import threading
 import time
 import tty
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingWriter
 from onboard.telemetry import link
+from onboard.telemetry.commander import Asked, Commander, parse
 from onboard.telemetry.packets import Packet
 from onboard.telemetry.process import sending
 from onboard.telemetry.stream import Series, Stream
@@ -71,10 +72,12 @@ def flight(log: Path) -> Iterator[Flight]:
 
 
 class Line(threading.Thread):
-    """The far end of a serial line, at a path that the near end opens; what came so far."""
+    """The far end of a serial line, at a path that the near end opens; what came so far, and commands that go back."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, commands: Sequence[Asked] = ()) -> None:
         super().__init__(daemon=True)
+        self._stream, self._out, self.reports = Stream(Telemetry().apids), deque[bytes](), list[str]()
+        self.commander = Commander(commands, Telemetry().command_apid, 9, 1, self._out, self.reports.append)
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         path.unlink(missing_ok=True)
@@ -85,7 +88,12 @@ class Line(threading.Thread):
     def run(self) -> None:
         while not self._over.is_set():
             if select.select([self._master], [], [], 0.05)[0]:
-                self.data += os.read(self._master, 4096)
+                came = os.read(self._master, 4096)
+                self.data += came
+                for packet in self._stream.feed(came):
+                    self.commander.heard(packet)
+                while self._out:
+                    os.write(self._master, self._out.popleft())
 
     def pull(self) -> None:
         """Pull the plug."""
@@ -201,11 +209,14 @@ def test_a_link_that_cannot_be_used_is_refused_before_the_flight(given: str, why
 
 @pytest.mark.timeout(240)
 def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
-    """What comes down is what the log says, and the flight loses nothing."""
-    line, log, over = Line(tmp_path / "tty"), tmp_path / "flight.mcap", tmp_path / "over.toml"
+    """What comes down is what the log says, a command that goes up is carried out, and the flight loses nothing."""
+    line, log, over = Line(tmp_path / "tty", [parse("mark 7")]), tmp_path / "flight.mcap", tmp_path / "over.toml"
+    assert cli.main(["init", str(tmp_path / "mine"), "--from", "rocksat"]) == cli.OK
+    vehicle = tmp_path / "mine/vehicle.toml"
+    vehicle.write_text(f'{vehicle.read_text()}\n[telemetry]\ncommands = ["mark"]\n')
     over.write_text(f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n")
     to = f"serial://{tmp_path}/tty?baud=19200"
-    command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(over), "--realtime"]
+    command = [sys.executable, "-m", "onboard.cli", "hil", str(vehicle), "--scenario", str(over), "--realtime"]
     done = subprocess.run(
         [*command, "--log", str(log), "--telemetry", to], capture_output=True, text=True, timeout=200, check=False
     )
@@ -231,6 +242,9 @@ def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
     events = {(printable(row["code"]), printable(row["text"])) for row in rows[EVENT_ROW]}
     down = {(packet.values["code"], packet.values["text"]) for packet in of("event", found)}
     assert down <= events
+    assert line.commander.done == [True], line.reports
+    [marked] = [text for code, text in events if code == "mark"]
+    assert marked.startswith(f"mark 7, asked by source 9, count 1, of {tmp_path}"[:70])  # as much as a row holds
     assert found[-1].values["mode"] == "stopped"
     assert found[-1].values["unsent_events"] + len(of("event", found)) <= len(rows[EVENT_ROW])
     assert found[-1].values["unread"] == 0
