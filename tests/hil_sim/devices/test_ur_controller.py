@@ -9,7 +9,8 @@ import time
 import pytest
 
 from hil_sim.buses.tcp_bus import ListeningTcp, TcpBus, VirtualTcp
-from hil_sim.devices.ur_controller import UrController, rate
+from hil_sim.devices.ur_controller import UrController
+from hil_sim.devices.ur_tables import rate
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
