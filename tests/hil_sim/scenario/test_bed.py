@@ -17,6 +17,7 @@ BASES = {
     "dymaflex": "free",
     "dymaflex_wheels": "free",
     "fixed_arm": "fixed",
+    "lab_ur": "fixed",
     "parabolic": "free",
     "spherical_bearing": "pivot",
     "student_arm": "fixed",
