@@ -28,9 +28,9 @@ def add(commands: Commands) -> None:
         "devices",
         help="what is on the buses of this computer, and the lines of vehicle.toml that read it",
         description="Looks at I2C chips and CANopen nodes without setting anything up, and lists serial adapters; asks "
-        "who is on a serial line that --url names (servos, Modbus). A CAN interface must be up: ip link set can0 up "
-        "type can bitrate 500000. With --test it runs one for two minutes at rest: rate, gaps, noise against what is "
-        "stated, clock, self test.",
+        "who is on a serial line or at an address that --url names (servos, Modbus, a UR controller). A CAN interface "
+        "must be up: ip link set can0 up type can bitrate 500000. With --test it runs one for two minutes at rest: "
+        "rate, gaps, noise against what is stated, clock, self test.",
     )
     devices.add_argument(
         "--url", action="append", default=[], help="look at this bus alone; with --vehicle BUS=URL; repeatable"
@@ -120,12 +120,13 @@ def _of_file(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]
 
 def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]":
     """All of that kind that answer on the buses, by the tables that ``heft init`` would write."""
+    from drivers import transports
     from drivers.transports.url import parse
     from onboard import config
     from onboard.devices.base import BusDevice
     from onboard.devices.buses import SerialLineDevice
     from onboard.devices.registry import DEVICES
-    from onboard.ground.before.init import seen
+    from onboard.ground.before.init import devices, seen
 
     kind: str = arguments.test
     section = DEVICES.get(kind)
@@ -135,8 +136,9 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
             f"--test {kind}: no kind that can be tried without a vehicle file (--vehicle); there are: {known}"
         )
     found: dict[str, list[tuple[str, int]]] = {}
-    if issubclass(section, SerialLineDevice) and not arguments.url:
-        raise ValueError(f"--test {kind}: say on which line, --url 'serial:///dev/ttyUSB0?baud={section.new_baud}'")
+    if not arguments.url and not section.urls.keys() <= transports.I2C_URLS.keys() | transports.CAN_URLS.keys():
+        line = devices.URLS.get(section.new_bus, f"serial:///dev/ttyUSB0?baud={section.new_baud}")
+        raise ValueError(f"--test {kind}: say where it is, --url '{line}'")
     if issubclass(section, SerialLineDevice) and section.answering is None:
         found = {url: [(kind, 1)] for url in arguments.url if parse(url, section.urls)}
     else:

@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.canopen_pdo.play.player_config import PlayerConfig
 from drivers.device import Device
+from drivers.ports import SerialPort, Station
 from drivers.records import Rows
 from onboard.devices import roles
 from onboard.devices.roles import (
@@ -28,6 +29,7 @@ from onboard.timebase.specs import ChannelClock, FollowerChannel, SyncLine
 
 Channels = dict[str, np.dtype[np.void]]
 Clock = Callable[[], int]
+Answering = Callable[[SerialPort, Callable[[float], object]], Iterator[Station]]
 Problem = tuple[list[str], str]
 """The key that is wrong, as a path from the top of the file, and a sentence with the remedy."""
 
@@ -153,6 +155,7 @@ class BusDevice(DeviceSection):
     )
     new_bus: ClassVar[str] = ""  # its bus there; a serial line of its own if empty,
     new_baud: ClassVar[int] = 115_200  # of this speed
+    answering: ClassVar[Answering | None] = None  # asks who is on an open line or connection; None: it cannot be asked
     bus: str
 
     @classmethod

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from drivers import transports
 from drivers.device import Device
-from drivers.ports import I2cPort, PulsePort, SerialPort, Station
+from drivers.ports import I2cPort, PulsePort, SerialPort
 from drivers.records import PULSE, SCALAR
 from drivers.transports.url import parse
 from onboard.devices.base import BusDevice, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
@@ -22,7 +22,6 @@ from onboard.timebase.delays import Delay, on_wire_s
 from onboard.timebase.specs import ChannelClock, PolledChannel
 
 Identify = Callable[[I2cPort, int], str | None]
-Answering = Callable[[SerialPort, Callable[[float], object]], Iterator[Station]]
 OpenSerial = Callable[[], SerialPort]
 PollPeriod = Annotated[Positive, Field(description="How often the port is read.")]
 SamplePeriod = Annotated[
@@ -70,7 +69,6 @@ class SerialLineDevice(BusDevice):
     bus_type = "a serial line"
     urls = transports.SERIAL_URLS
     records = SCALAR
-    answering: ClassVar[Answering | None] = None  # asks who is on an open line; None: it cannot be asked
     poll_period_ms: PollPeriod
 
     @classmethod

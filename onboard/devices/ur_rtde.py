@@ -11,7 +11,8 @@ from drivers.device import Device
 from drivers.records import SCALAR
 from drivers.transports.tcp_port import TCP_URLS, TcpPort
 from drivers.ur_rtde import RtdeChannel, RtdeConfig, UrRtde
-from onboard.devices.base import BusDevice, Channels, LoadCellDevice, OpeningBus, Problem, Surroundings
+from drivers.ur_rtde.asking import answering
+from onboard.devices.base import Answering, BusDevice, Channels, LoadCellDevice, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import PollPeriod
 from onboard.devices.driven import MotorDevice
 from onboard.section import NotNegative, Positive
@@ -121,6 +122,7 @@ class UrJointDevice(UrOutputs, MotorDevice):
 
     kind: Literal["ur_joint"]
     new_bus = "robot"
+    answering: ClassVar[Answering | None] = staticmethod(answering)
     new_keys: ClassVar[
         str
     ] = """number = {number}                     # of the controller: 1 base, 2 shoulder, 3 elbow, 4 to 6 wrist

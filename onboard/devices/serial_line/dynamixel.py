@@ -12,8 +12,8 @@ from drivers.dynamixel.device import DynamixelBus, answering
 from drivers.dynamixel.packet import answer_bytes, sync_read_request
 from drivers.dynamixel.registers import COUNTS, PRESENT, PRESENT_BYTES, DynamixelConfig, DynamixelTiming
 from drivers.records import SCALAR
-from onboard.devices.base import BusDevice, Channels, OpeningBus, Problem, Surroundings
-from onboard.devices.buses import Answering, PollPeriod, SamplePeriod, SerialLineDevice
+from onboard.devices.base import Answering, BusDevice, Channels, OpeningBus, Problem, Surroundings
+from onboard.devices.buses import PollPeriod, SamplePeriod, SerialLineDevice
 from onboard.devices.driven import MotorDevice
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive

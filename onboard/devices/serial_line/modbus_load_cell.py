@@ -8,8 +8,8 @@ from pydantic import Field
 from drivers.modbus_load_cell.device import ModbusLoadCell, answering
 from drivers.modbus_load_cell.registers import ModbusLoadCellConfig
 from drivers.records import SCALAR
-from onboard.devices.base import Channels, Clock
-from onboard.devices.buses import Answering, OpenSerial, PolledLoadCellDevice, PollPeriod
+from onboard.devices.base import Answering, Channels, Clock
+from onboard.devices.buses import OpenSerial, PolledLoadCellDevice, PollPeriod
 from onboard.section import Positive
 
 QUESTION_BYTES, ANSWER_BYTES = 8, 21  # eight registers, 40007 to 40014

@@ -2,7 +2,7 @@
 
 Nothing is set up and no state of a device is changed: chips are read at addresses of known kinds, and of every CANopen
 node the objects 1000h and 1018h. Serial ports are listed and not opened: opening one resets many boards. One that is
-named is asked: servos by a ping, Modbus stations by a read.
+named is asked: servos by a ping, Modbus stations by a read; and so is a robot's controller on TCP, for its software.
 """
 
 import errno
@@ -18,8 +18,10 @@ from drivers.canopen_pdo.sdo import SdoClient, Setup, read_unsigned
 from drivers.errors import SdoAbortError
 from drivers.i2c.bus import NOT_ACKNOWLEDGED, explain
 from drivers.ports import CanPort, I2cPort, SerialPort
+from drivers.transports.tcp_port import TCP_URLS, TcpPort
 from drivers.transports.url import parse
-from onboard.devices.buses import I2cDevice, SerialLineDevice
+from onboard.devices.base import BusDevice
+from onboard.devices.buses import I2cDevice
 from onboard.devices.registry import DEVICES
 
 HEARD_S = 2.5  # heartbeats come every second, or two
@@ -77,7 +79,7 @@ def _text(path: Path) -> str:
 
 
 def scan(url: str, clock: Clock, wait: Wait) -> Bus:
-    """Look at an I2C or a CAN bus, or ask who is on a serial line.
+    """Look at an I2C or a CAN bus, or ask who is on a serial line or at an address of the network.
 
     Args:
         url: of the bus.
@@ -87,14 +89,15 @@ def scan(url: str, clock: Clock, wait: Wait) -> Bus:
     Raises:
         DriverError: the URL is of none.
     """
-    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS | transports.SERIAL_URLS)
+    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS | transports.SERIAL_URLS | TCP_URLS)
     try:
-        if bus.kind in transports.SERIAL_URLS:
-            line = transports.open_serial(url)
-            try:
-                return Bus(url, tuple(on_serial(line, wait)))
-            finally:
-                line.close()
+        for urls_of_it, opens in ((transports.SERIAL_URLS, transports.open_serial), (TCP_URLS, TcpPort.open)):
+            if bus.kind in urls_of_it:
+                line = opens(url)
+                try:
+                    return Bus(url, tuple(on_line(line, wait, bus.kind)))
+                finally:
+                    line.close()
         if bus.kind in transports.I2C_URLS:
             i2c = transports.open_i2c(url, clock)
             try:
@@ -141,14 +144,19 @@ def on_i2c(port: I2cPort) -> Iterable[Found]:
                 yield Found(at, others)
 
 
-def on_serial(port: SerialPort, wait: Wait) -> Iterable[Found]:
-    """Stations that answer the question of a known kind, at the speed of the line.
+def on_line(port: SerialPort, wait: Wait, scheme: str) -> Iterable[Found]:
+    """Stations that answer the question of a known kind on an open line, at its speed, or on an open connection.
+
+    Args:
+        port: the line or connection.
+        wait: sleeps for so many seconds.
+        scheme: of its URL: kinds on such a bus ask.
 
     Raises:
         OSError: the line fails.
     """
     for kind, section in DEVICES.items():
-        if issubclass(section, SerialLineDevice) and section.answering is not None:
+        if issubclass(section, BusDevice) and scheme in section.urls and section.answering is not None:
             for one in section.answering(port, wait):
                 yield Found(f"ID {one.number}", one.what, kind if one.is_read else "", one.number)
 

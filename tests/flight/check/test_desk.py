@@ -1,9 +1,11 @@
 """``heft devices --test``: devices at rest on a desk, against emulators in virtual time, and served on real ones."""
 
+import contextlib
 import json
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -116,10 +118,10 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     assert shown(test)[-1].strip() == "not ready"
 
 
-@pytest.fixture
-def served(tmp_path: Path) -> Iterator[dict[str, Any]]:
-    """The student's arm in a process of its own: I2C on a socket, servos on a pseudo-terminal."""
-    command = [sys.executable, "-m", "hil_sim.serve", "student_arm", "--directory", str(tmp_path), "--wait"]
+@contextlib.contextmanager
+def served(vehicle: str, directory: Path) -> Iterator[dict[str, Any]]:
+    """An arm in a process of its own: I2C and TCP on sockets, servos on a pseudo-terminal."""
+    command = [sys.executable, "-m", "hil_sim.serve", vehicle, "--directory", str(directory), "--wait"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, cwd=ROOT, text=True, **pipes) as process:  # type: ignore[call-overload]
         ready = json.loads(process.stdout.readline())
@@ -129,27 +131,55 @@ def served(tmp_path: Path) -> Iterator[dict[str, Any]]:
         process.terminate()
 
 
+@pytest.fixture
+def student(tmp_path: Path) -> Iterator[dict[str, Any]]:
+    with served("student_arm", tmp_path) as told:
+        yield told
+
+
 @pytest.mark.realtime
-def test_from_the_command_by_kind_and_by_the_vehicle_file(served: dict[str, Any], tmp_path: Path) -> None:
+def test_from_the_command_by_kind_and_by_the_vehicle_file(student: dict[str, Any], tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    while time.monotonic_ns() < served["start_ns"] + 500 * MS:  # servos boot
+    while time.monotonic_ns() < student["start_ns"] + 500 * MS:  # servos boot
         time.sleep(0.05)
     short = ["--seconds", "2", "--json", str(report)]
     ran = OK, NOT_READY  # a busy computer reads too slowly, and that is told
-    assert main(["devices", "--test", "nau7802", "--url", served["i2c_1"], *short]) in ran
+    assert main(["devices", "--test", "nau7802", "--url", student["i2c_1"], *short]) in ran
     [cell] = json.loads(report.read_text())["tests"]
     assert (cell["kind"], cell["signals"][0]["unit"]) == ("nau7802", "N")
     assert cell["rows"] > 20
-    assert main(["devices", "--test", "dynamixel", "--url", served["tty_servos"], *short]) in ran
+    assert main(["devices", "--test", "dynamixel", "--url", student["tty_servos"], *short]) in ran
     tests = json.loads(report.read_text())["tests"]
     assert [one["device"] for one in tests] == [f"joint_{k}" for k in range(1, 5)]
-    servos = ["--vehicle", "student_arm", "--url", f"tty_servos={served['tty_servos']}"]
+    servos = ["--vehicle", "student_arm", "--url", f"tty_servos={student['tty_servos']}"]
     assert main(["devices", "--test", "dynamixel", *servos, *short]) in ran
     tests = json.loads(report.read_text())["tests"]
     assert [one["device"] for one in tests] == [f"joint_{k}" for k in range(1, 5)]
     assert all(one["rows"] > 20 for one in tests)
     assert [one["name"] for one in tests[0]["signals"]] == ["joint_1", "joint_1_torque"]
-    assert main(["devices", "--test", "as5600", "--url", served["i2c_1"]]) == BAD_INPUT
+    assert main(["devices", "--test", "as5600", "--url", student["i2c_1"]]) == BAD_INPUT
+
+
+@pytest.mark.realtime
+def test_a_controller_at_an_address_is_named_and_its_joints_are_tried(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a vehicle file, over a real TCP connection; what is said is what a table of it takes."""
+    report = tmp_path / "report.json"
+    with served("lab_ur", tmp_path) as told:
+        assert main(["devices", "--url", told["robot"], "--json", str(report)]) == OK
+        assert "URControl 5.16.1.0: number = 6 -> ur_joint" in capsys.readouterr().out
+        tables = tomllib.loads(json.loads(report.read_text())["vehicle_toml"])
+        assert [table["number"] for table in tables["device"].values()] == [1, 2, 3, 4, 5, 6]
+        assert [bus["url"] for bus in tables["bus"].values()] == [told["robot"]]
+        tried = ["--test", "ur_joint", "--url", told["robot"], "--seconds", "2", "--json", str(report)]
+        assert main(["devices", *tried]) in (OK, NOT_READY)
+        tests = json.loads(report.read_text())["tests"]
+        assert [one["device"] for one in tests] == [f"joint_{k}" for k in range(1, 7)]
+        assert all(one["rows"] > 60 for one in tests)
+        assert {one["signals"][0]["unit"] for one in tests} == {"rad"}
+        assert tests[1]["signals"][0]["mean"] == pytest.approx(-1.3, abs=0.25)
+        assert main(["devices", "--test", "dynamixel", "--url", told["robot"], "--seconds", "2"]) == BAD_INPUT
 
 
 def test_a_bus_that_cannot_be_opened_is_not_ready(capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,6 +193,9 @@ def test_a_bus_that_cannot_be_opened_is_not_ready(capsys: pytest.CaptureFixture[
     [
         (["--test", "hx711"], "no kind that can be tried without a vehicle file"),
         (["--test", "qsb"], "--url 'serial:///dev/ttyUSB0?baud=230400'"),
+        (["--test", "ur_joint"], "--url 'tcp://192.168.56.101:30004'"),
+        (["--test", "ur_joint", "--url", "tcp://127.0.0.1:9"], "no ur_joint answers on a bus"),
+        (["--test", "ur_joint", "--url", "tcp://192.168.56.101"], "write tcp://192.168.0.10:30004"),
         (["--test", "elbow", "--vehicle", "student_arm"], "no device or kind 'elbow' on a bus; there are: imu_base"),
         (["--test", "nau7802", "--seconds", "0"], "give the length of the test"),
         (["--seconds", "5"], "--vehicle and --seconds are of --test"),

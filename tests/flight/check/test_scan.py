@@ -192,7 +192,7 @@ class Line:
 @settings(max_examples=300)
 @given(st.binary(max_size=200))
 def test_whatever_a_line_says_is_no_crash(noise: bytes) -> None:
-    for one in scan.on_serial(Line(noise), lambda seconds: None):
+    for one in scan.on_line(Line(noise), lambda seconds: None, "serial"):
         assert one.number <= 0xFF
 
 
@@ -201,10 +201,10 @@ def test_answers_to_a_ping_are_found_in_any_company() -> None:
     one = bytes.fromhex("FFFFFD00010700550006042665 5D".replace(" ", ""))
     two = bytes.fromhex("FFFFFD000207005500060426 6F6D".replace(" ", ""))
     for line in (one + two, b"\xff\x00junk" + one + b"\xff\xff\xfd\x00" + two + b"\xff"):
-        found = list(scan.on_serial(Line(line), lambda seconds: None))
+        found = list(scan.on_line(Line(line), lambda seconds: None, "serial"))
         assert [(each.number, each.what) for each in found] == [
             (n, "DYNAMIXEL, model 1030, firmware 38") for n in (1, 2)
         ]
     assert ping_request() == bytes.fromhex("FFFFFD00FE03000131 42".replace(" ", ""))
     broken = one[:-1] + bytes([one[-1] ^ 1])
-    assert list(scan.on_serial(Line(broken), lambda seconds: None)) == []
+    assert list(scan.on_line(Line(broken), lambda seconds: None, "serial")) == []
