@@ -124,7 +124,9 @@ def _laid_over(table: Table, over: Over) -> Table:
     table = merged(table, {**own, "scenario": header})
     if not isinstance(over, Mapping):
         _find_csv(table, Path(over))
-    if "sequence" in own and "capture" not in own:
+    if isinstance(own.get("capture"), dict):
+        _say_when(table, own["capture"])
+    elif "sequence" in own and "capture" not in own:
         _fit_capture(table)
     return table
 
@@ -350,6 +352,19 @@ def _find_csv(table: Table, over: Path) -> None:
         name = table.get("motion", {}).get(key)
         if isinstance(name, str):
             table["motion"][key] = str(over.parent / name)
+
+
+def _say_when(table: Table, capture: Table) -> None:
+    """The time of a capture that a scenario file gives takes the place of the phase below it."""
+    timed = {"earliest_s", "latest_s"} & capture.keys()
+    if timed and "phase" in capture:
+        raise ScenarioError(f"capture: phase and {min(timed)}: give one of them")
+    if timed:
+        table["capture"].pop("phase", None)
+    phases = [step.get("phase") for step in table["sequence"] if isinstance(step, dict)]
+    if "phase" in capture and capture["phase"] not in phases:
+        known = ", ".join(sorted({str(phase) for phase in phases}))
+        raise ScenarioError(f"capture.phase: no [[sequence]] has phase {capture['phase']!r}; there are {known}")
 
 
 def _fit_capture(table: Table) -> None:

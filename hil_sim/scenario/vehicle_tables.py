@@ -402,7 +402,7 @@ class Scenario(Table):
         end_s = sum(step.duration_s for step in self.sequence)
         caught = self.capture
         if caught and caught.phase is None and not 0.0 < caught.earliest_s <= caught.latest_s < end_s:
-            raise ValueError(f"capture must lie between earliest_s and latest_s, and both before the end, {end_s} s")
+            raise ValueError(f"capture must lie between earliest_s and latest_s, and both before the end, {end_s:g} s")
         return self
 
     def _parts_fit(self) -> None:

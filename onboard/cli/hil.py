@@ -1,7 +1,7 @@
 """``heft hil`` flies a scenario against simulated devices."""
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from onboard.cli.common import (
     serve_page,
     show,
     show_foreseen,
+    warn,
     with_hand_over,
     write_json,
 )
@@ -96,6 +97,7 @@ def _hil(arguments: argparse.Namespace) -> int:
     flown_as = arguments.scenario if asks is None else _rehearsed(vehicle.path, arguments)
     scenario = scenario_of(flown_as, arguments.over, arguments.campaign)
     scenario = scenario if asks is None else with_segments(scenario, asks, arguments.most)
+    warn(held_otherwise(vehicle, scenario))
     vehicle = with_hand_over(vehicle, arguments.hand_over)
     if arguments.controller:
         return controller.fly(arguments, vehicle, scenario, faults)
@@ -125,6 +127,32 @@ def _hil(arguments: argparse.Namespace) -> int:
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
     return _shown(arguments, vehicle, flown, expected)
+
+
+def held_otherwise(vehicle: "config.Vehicle", scenario: Any) -> Iterator[str]:
+    """Where the scenario's payload is held from another time on than the vehicle file states, with the remedy."""
+    estimation, caught = vehicle.file.estimation, scenario.capture
+    if scenario.payload is None or vehicle.file.parabola is not None:
+        return
+    taken = estimation.phases.payload_taken if estimation.phases is not None else None
+    from_start = estimation.method != "exiddm" or estimation.exiddm.held_at_start
+    if taken is not None:
+        if caught is None or caught.phase != taken or all(step.phase != taken for step in scenario.sequence):
+            yield (
+                f"the scenario does not catch the payload at phase {taken}, from which on the vehicle file takes it "
+                f"for held: give a [[sequence]] with phase = {taken}, and [capture] phase = {taken}"
+            )
+    elif from_start and caught is not None:
+        key = "exiddm] held_at_start = false" if estimation.method == "exiddm" else "phases] payload_taken"
+        yield (
+            "the scenario catches the payload in flight, and the vehicle file takes it for held from the start: expect "
+            f"a wrong answer; state [estimation.{key}, or capture = false in the scenario"
+        )
+    elif not from_start and caught is None:
+        yield (
+            "the scenario holds the payload from the start, and the vehicle file waits for a capture: expect no "
+            "answer; state [estimation.exiddm] held_at_start = true, or a [capture]"
+        )
 
 
 def _rehearsed(path: Path, arguments: argparse.Namespace) -> str:

@@ -1,6 +1,7 @@
 """``heft init`` writes a vehicle to begin with."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -133,7 +134,7 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
     if mappings := [path for path in files if path.name == "import.toml"]:
         print(f"next: put your numbers in, then heft import {mappings[0]} RECORDING -o logs, and heft identify")
     else:
-        print(f"next: put your numbers in, then heft preflight {files[0]}")
+        print(f"next: heft hil {files[0]} rehearses it; put your numbers in, then heft preflight {files[0]}")
     return OK
 
 
@@ -145,7 +146,8 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
         )
     if link in drawn.frames:
         return ()
-    others = f"; --payload-link {' or '.join(drawn.tips)} for a frame of the URDF" if drawn.tips else ""
+    tips = " or ".join(map(shlex.quote, drawn.tips))
+    others = f"; --payload-link {tips} for a frame of the URDF" if drawn.tips else ""
     return (f"what is held is estimated in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
@@ -153,7 +155,8 @@ def _of_imu(drawn: "Drawn", link: str) -> tuple[str, ...]:
     """Where the IMU is taken to be."""
     if link in drawn.frames:
         return (f"the IMU has the axes and the place of link {link}",)
-    others = f"; --imu-frame {' or '.join(drawn.imus)} for a frame of the URDF" if drawn.imus else ": put its place in"
+    imus = " or ".join(map(shlex.quote, drawn.imus))
+    others = f"; --imu-frame {imus} for a frame of the URDF" if imus else ": put its place in"
     return (f"the IMU is put in a new link {link!r} at the origin of {drawn.root}{others}",)
 
 

@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 from onboard.config.errors import Origin
 
 UNIONS = (Union, UnionType)
+_OTHERS = "; a kind of another package is known where that package is installed"
 _MOST_TOLD = 20  # errors of one file
 _MOST_SHOWN = 200  # characters of a value
 _WANTED = {
@@ -95,10 +96,11 @@ def _explain(
     if kind in ("missing", "union_tag_not_found"):
         return f"{name!r} is missing; add it"
     if kind in ("literal_error", "union_tag_invalid"):
-        return f"{name!r}: {_one_of(context, error['input'])}"
+        other = _OTHERS if name.startswith("device.") and name.endswith(".kind") else ""
+        return f"{name!r}: {_one_of(context, error['input'])}{other}"
     wanted = _WANTED.get(kind, _WANTED.get(kind.removesuffix("_type").removesuffix("_parsing")))
     why = wanted.format(**context) if wanted else str(error["msg"]).removeprefix("Value error, ")
-    return f"{name!r}: {why} (found {_shown(error['input'])})"
+    return f"{name!r}: {why} (found {_shown(error['input'])})" if where else why  # of all tables: it names its keys
 
 
 def _one_of(context: dict[str, Any], given: Any) -> str:

@@ -90,6 +90,51 @@ def test_what_is_missing_is_told_with_the_line_of_its_table(vehicle: Path, capsy
     assert all(line.startswith("over:2: ") for line in lines)
 
 
+CAUGHT = "[capture]\nearliest_s = 9.0\nlatest_s = 9.0\n"
+
+
+def test_what_is_wrong_between_tables_is_told_without_them(vehicle: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (line,) = told(vehicle, CAUGHT.replace("9.0", "900.0"), capsys)
+    assert re.fullmatch("over:1: capture must lie between earliest_s and latest_s, .* before the end, 29 s", line)
+
+
+@pytest.mark.parametrize(
+    ("over", "stated", "warned"),
+    [
+        (CAUGHT, "true", "held from the start: expect a wrong answer; state [estimation.exiddm] held_at_start = false"),
+        ("capture = false\n", "false", "waits for a capture: expect no answer; state"),
+        ("capture = false\n", "true", ""),
+        (CAUGHT, "false", ""),
+        ("payload = false\ncapture = false\n", "false", ""),
+    ],
+)
+def test_a_payload_that_is_held_otherwise_than_the_vehicle_file_states(
+    over: str, stated: str, warned: str, vehicle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, file = vehicle.parent / "over.toml", vehicle.parent / "other.toml"
+    path.write_text(over)
+    file.write_text(vehicle.read_text().replace("held_at_start = true", f"held_at_start = {stated}"))
+    assert cli.main(["hil", str(file), "--scenario", str(path), "--faults"]) == cli.OK
+    said = capsys.readouterr().err
+    assert said.startswith("heft: warning: the scenario ") == bool(warned)
+    assert warned in said
+
+
+def test_a_payload_that_is_taken_at_a_phase(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The file says from which phase on it is held; a scenario's sequence has to have it, and its capture."""
+    path = tmp_path / "over.toml"
+    step = '[[sequence]]\nphase = {}\naction = "hold"\nduration_s = 5.0\n'
+    for over, fits in (
+        (step.format(0) + step.format(2), True),
+        (step.format(0) + step.format(1), False),
+        (CAUGHT, False),
+        ("[capture]\nphase = 1\n", False),
+    ):
+        path.write_text(over)
+        assert cli.main(["hil", "workshop", "--scenario", str(path), "--faults"]) == cli.OK
+        assert ("does not catch the payload at phase 2, from which on" in capsys.readouterr().err) != fits
+
+
 @pytest.mark.parametrize("mission", ["rocksat", "rocksat_mixed", "dymaflex", "capture"])
 def test_a_packaged_mission_is_not_blamed_for_the_file_over_it(
     mission: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

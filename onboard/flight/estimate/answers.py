@@ -73,7 +73,7 @@ class Answers:
         known = answers["supported"][:p] != 0
         unknown = of_all if findings.against else Standing(Level.WEAK, "not determined by the data so far")
         for found, mine in ((of_all, known), (unknown, ~known)):
-            answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
+            answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), _shortened(found.why)
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0
         size = sizes(quantities, self._useful)
@@ -114,11 +114,17 @@ def _of_all(findings: Findings) -> Standing:
 
 
 def _put(row: np.void, found: Standing) -> None:
-    row["level"], row["why"] = LEVELS.index(found.level), found.why.encode()[:WHY]
+    row["level"], row["why"] = LEVELS.index(found.level), _shortened(found.why)
     row["supported"] &= np.uint8(found.level is not Level.DO_NOT_USE)
 
 
 WHY = channels.QUANTITY["why"].itemsize
+
+
+def _shortened(why: str) -> bytes:
+    """A reason as long as the field; of a longer one the first words, and that there are more."""
+    said = why.encode()
+    return said if len(said) <= WHY else said[: WHY - 3].rpartition(b" ")[0] + b" ..."
 
 
 _HYPOTHESES = {

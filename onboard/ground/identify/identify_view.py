@@ -20,6 +20,10 @@ from onboard.identification.standing import Level
 from onboard.identification.verdict import Verdict
 
 _BAR, _LEAST_SHARE = 20, 0.01
+_NO_BUDGET = (
+    "no budget: it is made by rows only, of supported [estimation.quantities] and of a payload whose ten parameters "
+    "are all determined; see what each answer leans on"
+)
 PER_KG_MM2 = 1e6
 _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE: "bold red"}
 
@@ -61,7 +65,7 @@ def budgets(found: Identification) -> RenderableType:
                         f"{one.share:4.0%} {bar:{_BAR}s}", f"{one.sigma:.2g}", Text(one.cause, justify="left")
                     )
             parts.append(table)
-    return Group(*parts)
+    return Group(*parts) if parts else Text(_NO_BUDGET)
 
 
 def _predicted(found: Identification) -> Iterator[Text]:

@@ -9,6 +9,22 @@ from onboard.identification.standing import LEVELS, Level
 from onboard.identification.useful import Useful
 
 
+def why(findings: Findings) -> bytes:
+    """The reason beside a mass, as it is recorded."""
+    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, True, ""), np.zeros(0)
+    estimate = Estimate((), none, none, none, none, none.astype(bool), (mass,), 10, {})
+    _, rows, _ = Answers(channels.estimate_dtype(0, 0), (), Useful()).rows(0, 0, estimate, findings, np.zeros((0, 0)))
+    return bytes(rows["why"][0])
+
+
+def test_a_reason_that_is_longer_than_its_field_ends_between_words_and_says_so() -> None:
+    size = channels.QUANTITY["why"].itemsize
+    whole = "a flexible joint " * 8
+    assert why(Findings((), (whole[:size],))) == whole[:size].encode()
+    assert why(Findings((), (whole,))) == b"a flexible joint " * 7 + b"a ..."
+    assert why(Findings((), ("\xb2" * size + " swing",))).decode().endswith(" ...")
+
+
 def said(answers: Answers, supported: bool, level: Level) -> list[str]:
     """Events of a mass by its level, and whether the data determine it."""
     mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, supported, ""), np.zeros(0)

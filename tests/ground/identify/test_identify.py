@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody, parallel_axis, symmetric
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
-from onboard.ground.identify.identify_view import render
+from onboard.ground.identify.identify_view import budgets, render
 from onboard.ground.identify.kinds.throws import LoadError, carrier_of, load_of
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.bring_in.importer import import_recordings
@@ -54,6 +55,11 @@ def vehicle_file(directory: Path, **replaced: str) -> config.Vehicle:
     (directory / "tudelft.urdf").write_bytes(TUDELFT.urdf_path.read_bytes())
     (directory / "vehicle.toml").write_text(text)
     return config.load(directory / "vehicle.toml")
+
+
+def test_a_budget_that_is_empty_says_of_what_there_is_one() -> None:
+    vehicle = SimpleNamespace(logs=(SimpleNamespace(answers=(), budget={}),))
+    assert str(budgets(vehicle)).startswith("no budget: it is made by rows only")  # type: ignore[arg-type]
 
 
 # --- made-up throws -------------------------------------------------------------------------------------------------

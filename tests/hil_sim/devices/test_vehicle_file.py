@@ -137,6 +137,16 @@ def _off(over):
     return written(over.parent, text, "off.toml")
 
 
+def test_a_capture_is_at_the_time_or_the_phase_that_the_scenario_file_states(tmp_path):
+    path = copied(tmp_path, "workshop")
+    assert rehearsal(path).capture.phase == 2
+    timed = rehearsal(path, written(tmp_path, "[capture]\nearliest_s = 9.0\nlatest_s = 9.0\n")).capture
+    assert (timed.phase, timed.earliest_s, timed.latest_s) == (None, 9.0, 9.0)
+    assert timed.velocity_sigma_m_s == 0.0
+    other = written(tmp_path, "[capture]\nphase = 1\n", "other.toml")
+    assert rehearsal(path, other).capture.phase == 1
+
+
 def test_a_vehicle_that_is_zeroed_in_free_fall_coasts(tmp_path):
     motion = rehearsal(copied(tmp_path, "rocksat")).base_motion
     assert (motion.acceleration_m_s2, motion.rate_rad_s, motion.still_s) == (0.0, 0.02, 4.0)
@@ -183,6 +193,8 @@ def test_motion_from_a_csv(tmp_path):
         ("[as_built.nose]\nmass_relative = 0.1\n" + SHORT, "nose"),
         ("[as_built.base]\ninertia_relative = 50.0\n" + SHORT, "hardly any body"),
         ("[capture]\nearliest_s = 500.0\nlatest_s = 600.0", "capture must lie"),
+        ("[capture]\nphase = 7", "no \\[\\[sequence\\]\\] has phase 7; there are 0, 1, 2, 9"),
+        ("[capture]\nphase = 1\nlatest_s = 6.0", "phase and latest_s: give one of them"),
         ("[gravity]\nx = 1", "gravity"),
         ("not toml", "not TOML"),
     ],

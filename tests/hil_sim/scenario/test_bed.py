@@ -10,6 +10,7 @@ from hil_sim.scenario import bed
 from hil_sim.scenario.tables import ScenarioError
 from onboard import config
 from onboard.cli import main
+from onboard.cli.hil import held_otherwise
 
 BASES = {
     "air_bearing": "planar",
@@ -45,6 +46,11 @@ def test_a_bed_is_the_rehearsal_of_a_packaged_vehicle(name: str) -> None:
         assert scenario.as_built["platform"].inertia_relative == 0.1
         return
     assert low < high or (low == high == 5.0 and "dymaflex" in name)  # section 4.3: one payload, drawn elsewhere
+
+
+@pytest.mark.parametrize("name", [*bed.names(), "rocksat"])
+def test_a_bed_holds_its_payload_from_when_the_vehicle_file_states(name: str) -> None:
+    assert list(held_otherwise(config.named(name), scenario_of(name))) == []
 
 
 def test_a_payload_that_is_captured_tumbles() -> None:

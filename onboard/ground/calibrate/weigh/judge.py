@@ -149,7 +149,7 @@ def _notes(answer: Answer) -> list[str]:
     said = [f"{count['poses']} poses of {count['rows']} rows: {answer.poses.convention.text}"]
     if len(answer.others) > 1:
         second = max((one for one in answer.others if one[0] != answer.poses.convention), key=lambda one: one[1])
-        said.append(f"the next likeliest of {len(answer.others)} meanings is worse by {-second[1]:.0f} nats")
+        said.append(f"the next likeliest of {len(answer.others)}, worse by {-second[1]:.0f} nats: {second[0].text}")
     for kind, why in (("bad", "a cell that is no number, or no orientation"), ("moving", "taken between poses")):
         if count[kind]:
             said.append(f"{count[kind]} rows left out: {why}")

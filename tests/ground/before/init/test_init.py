@@ -220,7 +220,10 @@ def test_a_payload_is_held_by_the_hand_and_not_by_a_jaw(tmp_path: Path, capsys: 
     ):
         assert cli.main(["init", str(tmp_path / name), *asked, *more]) == cli.OK
         assert said in capsys.readouterr().out
-    assert cli.main(["init", str(tmp_path / "tip"), *asked, "--payload-link", "tcp"]) == cli.OK
+    urdf.write_text(urdf.read_text().replace('"tcp"', '"tool [tip]"'))
+    assert cli.main(["init", str(tmp_path / "quoted"), *asked]) == cli.OK
+    assert "; --payload-link 'tool [tip]' for a frame" in capsys.readouterr().out
+    assert cli.main(["init", str(tmp_path / "tip"), *asked, "--payload-link", "tool [tip]"]) == cli.OK
     assert "what is held" not in capsys.readouterr().out
     mount = (tmp_path / "all" / "vehicle.urdf").read_text().split("payload_mount")[1]
     assert '<parent link="hand"/>' in mount.split("</joint>")[0]

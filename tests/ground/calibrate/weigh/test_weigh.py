@@ -58,6 +58,8 @@ def test_conventions_are_found(one, tmp_path):
         assert (code, tuple(answer["convention"][key] for key in ("sense", "axes", "sign"))) == (OK, expected)
         assert all(holds(answer, one.true).values())
         assert 1 < len(answer["others"]) <= 8
+        (second,) = (note for note in answer["notes"] if note.startswith("the next likeliest of"))
+        assert re.search(r"worse by \d+ nats: Euler|worse by \d+ nats: .*orientation is", second)
 
 
 def test_a_tilted_base_and_an_arm_on_a_wall(tmp_path):
