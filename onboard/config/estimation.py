@@ -147,7 +147,8 @@ class ImuPriorKeys(Section):
     """Prior on errors of the base IMU and of its place in the drawing: standard deviations per axis; zero: exact.
 
     Older files use ``doubt`` and ``turn`` for ``imu_prior`` and ``misalignment``. ``cross_axis`` keys that are not
-    given are the smaller of scale and misalignment, which come from the same calibration.
+    given are the smaller of scale and misalignment, which come from the same calibration. ``mounting_rad``: turns gyro
+    and accelerometer alike; the misalignments are of each by itself.
     """
 
     gyro_bias_rad_s: NotNegative = 0.0
@@ -164,6 +165,7 @@ class ImuPriorKeys(Section):
         default=0.003, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
     )
     accelerometer_cross_axis: NotNegative | None = None
+    mounting_rad: NotNegative = 0.0
     delay_s: NotNegative = 0.0
     position_m: NotNegative = 0.003
 

@@ -278,6 +278,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "accelerometer_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "accelerometer_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
         "accelerometer_cross_axis": _M("As of the gyro.", "the data sheet states it"),
+        "mounting_rad": _M(
+            "Of its housing, which turns gyro and accelerometer alike; the misalignments are then of each in it.",
+            "the mounting was measured",
+        ),
         "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
         "position_m": _M("Of each coordinate of its place in the drawing.", "the mounting was measured"),
     },

@@ -1,5 +1,6 @@
 """The bare vehicle's inertia from its swings on two strings, by the gyro in a log (Limparis, section 4.2)."""
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -94,8 +95,11 @@ def _of_gyro(vehicle: config.Vehicle, role: ImuRole) -> tuple[AxisErrors, str]:
     """What the vehicle file states of its gyro's axes and scale, and where."""
     if vehicle.file.estimation.method == "exiddm":
         prior = vehicle.file.estimation.imu_prior
-        key = "estimation.imu_prior.gyro_misalignment_rad"
-        return AxisErrors(prior.gyro_misalignment_rad, prior.gyro_scale, prior.cross_axis[0]), key
+        own, housing = prior.gyro_misalignment_rad, prior.mounting_rad
+        key = "mounting_rad" if housing > own else "gyro_misalignment_rad"
+        return AxisErrors(
+            math.hypot(own, housing), prior.gyro_scale, prior.cross_axis[0]
+        ), f"estimation.imu_prior.{key}"
     if role.misalignment_sigma_rad:
         return AxisErrors(role.misalignment_sigma_rad, role.gyro_scale_sigma), "misalignment_sigma_rad"
     return AxisErrors(AXIS_rad, role.gyro_scale_sigma), "assumed: state misalignment_sigma_rad"

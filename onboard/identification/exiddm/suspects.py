@@ -197,9 +197,11 @@ def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
     for name, own in zip(predictor.instruments, predictor.of_each[: len(predictor.imu_frames)], strict=False):
         scales, turns, cross = ([at for one in kinds if (at := named(predictor, own, one)).size] for kinds in _OF_IMU)
         ways = [(at, LIKELY_SIZE * np.ones((len(at), 1))) for at in scales]
-        for several, columns in ((scales, np.ones((3, 1))), (turns, np.eye(3))):
-            if len(several) > 1:
-                ways.append((np.concatenate(several), LIKELY_SIZE * np.tile(columns, (len(several), 1))))
+        mounting = [at] if (at := named(predictor, own, "mounting")).size else []
+        housing = mounting or (turns if len(turns) > 1 else [])
+        for alike, columns in ((scales if len(scales) > 1 else [], np.ones((3, 1))), (housing, np.eye(3))):
+            if alike:
+                ways.append((np.concatenate(alike), LIKELY_SIZE * np.tile(columns, (len(alike), 1))))
         every = [*scales, *turns, *cross]
         for at in [*cross, *([np.concatenate(every)] if every else [])]:
             ways.append((at, EACH * np.diag(predictor.sigma[at])))

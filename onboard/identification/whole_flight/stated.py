@@ -33,6 +33,7 @@ KINDS = (
     "accelerometer_scale",
     "accelerometer_misalignment_rad",
     "accelerometer_cross_axis",
+    "mounting_rad",
     "place",
     "delay_s",
 )

@@ -4,7 +4,8 @@
 
 #include "heft_native.h"
 
-enum { AXES = 12, TURN = 9, SCALE = 6, DELAY = 24, CLOCK = 25, CROSS = 26, ERRORS = 32 };    /* places of the errors */
+/* places of the errors */
+enum { AXES = 12, TURN = 9, SCALE = 6, DELAY = 24, CLOCK = 25, CROSS = 26, MOUNTING = 32, ERRORS = 35 };
 #define SMALL 1e-4    /* rad^2, below which series to the square are exact to rounding: the next term is 2e-13 */
 
 /* R = exp(-hat(m)) and J, of which d(R u) = hat(R u) J dm (Sola, Deray, Atchuthan 2018, equation 145) */
@@ -32,8 +33,9 @@ static void symmetric(const double c[3], double out[9]) {    /* [[0, z, y], [z, 
 /* Gains (2, 3, 3) of rate and specific force, rotations and their J */
 static void gains(const double *errors, double E[18], double R[18], double J[18]) {
     for (i64 s = 0; s < 2; s++) {
-        double more[9];
-        turned_by(errors + AXES * s + TURN, R + 9 * s, J + 9 * s);
+        double more[9], turn[3];
+        for (i64 k = 0; k < 3; k++) turn[k] = errors[AXES * s + TURN + k] + errors[MOUNTING + k];
+        turned_by(turn, R + 9 * s, J + 9 * s);
         symmetric(errors + CROSS + 3 * s, more);
         for (i64 k = 0; k < 9; k++)
             E[9 * s + k] = (k % 4 == 0 ? errors[AXES * s + SCALE + k / 4] : 0.0) + more[k] + R[9 * s + k];
@@ -56,7 +58,7 @@ static void reading(i64 s, const double *true, const double *change, double t, c
         values[k] += own[k] + t * own[3 + k];
         row[AXES * s + k] = 1.0, row[AXES * s + 3 + k] = t, row[AXES * s + SCALE + k] = u[k];
         for (i64 j = 0; j < 3; j++) {
-            row[AXES * s + TURN + j] = by_turn[3 * k + j];
+            row[AXES * s + TURN + j] = row[MOUNTING + j] = by_turn[3 * k + j];
             row[CROSS + 3 * s + j] = cross_axis[3 * k + j];
         }
         row[DELAY] = -late[k], row[CLOCK] = -by_clock[k];

@@ -80,6 +80,7 @@ def test_the_tolerances_are_those_that_the_file_states(tmp_path):
     imu, left = scenario.sensor["imu_base"], said["imu_prior"]
     assert imu.gyro_deg_s.bias_sigma[0] == pytest.approx(math.degrees(left["gyro_bias_rad_s"]))
     assert imu.accel_g.scale_sigma == left["accelerometer_scale"]
+    assert imu.mounting_sigma_deg == pytest.approx(math.degrees(left["mounting_rad"]))
 
 
 def test_no_truth_is_what_the_estimator_starts_from_and_each_seed_has_its_own(tmp_path):

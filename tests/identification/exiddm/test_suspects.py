@@ -73,16 +73,14 @@ def test_a_joint_is_wrong_in_place_and_its_encoder_in_zero_scale_or_delay(predic
 
 
 def test_an_imu_is_wrong_in_scales_housing_every_element_or_place(predictor: ImuPredictor) -> None:
-    """A housing that is turned by t reads ``u - t x u`` in both sensors."""
     for imu, end in (("imu_base", ""), ("imu_2", "_imu_2")):
         own = [one for one in suspects_of(predictor) if one.name == imu]
         moved = [{predictor.names[at]: along for at, along in zip(one.at, one.along, strict=True)} for one in own]
         gyro, accelerometer = ({f"{of}_scale_{axis}{end}" for axis in "xyz"} for of in ("gyro", "accelerometer"))
         assert [set(one) for one in moved[:3]] == [gyro, accelerometer, gyro | accelerometer]
         assert all(along.tolist() == [0.1] for one in moved[:3] for along in one.values())
-        for k, axis in enumerate("xyz"):
-            for of in ("gyro", "accelerometer"):
-                np.testing.assert_array_equal(moved[3][f"{of}_misalignment_rad_{axis}{end}"], 0.1 * np.eye(3)[k])
+        assert list(moved[3]) == [f"mounting_rad_{axis}{end}" for axis in "xyz"]
+        np.testing.assert_array_equal(own[3].along, 0.1 * np.eye(3))
         assert [len(one) for one in moved[4:7]] == [3, 3, 18]
         assert moved[7].keys() == {f"place_{axis}{end or '_imu'}" for axis in "xyz"}
         assert [set(one) for one in moved[8:]] == ([] if end else [{"delay_s"}])  # the other's wanders
@@ -90,6 +88,52 @@ def test_an_imu_is_wrong_in_scales_housing_every_element_or_place(predictor: Imu
             np.testing.assert_array_equal(one.along, np.diag(10.0 * predictor.sigma[one.at]))
         assert all("cross_axis" in name for one in moved[4:6] for name in one)
         assert sum(one.odds for one in own) == pytest.approx(2e-3)
+
+
+@pytest.fixture(scope="module")
+def without_mounting() -> ImuPredictor:
+    """The same IMUs, of whose sensors the file states the axes one by one."""
+    vehicle = config.load(config.packaged("dymaflex"))
+    estimation = vehicle.tree["estimation"]
+    prior = {key: value for key, value in estimation["imu_prior"].items() if key != "mounting_rad"}
+    prior |= dict.fromkeys(["gyro_misalignment_rad", "accelerometer_misalignment_rad"], 8.7e-3)
+    tree = vehicle.tree | {"estimation": estimation | {"imu_prior": prior}}
+    return build_exiddm(config.parse_tree(tree, vehicle.path, config.Origin("no mounting")))[0].exiddm.predictor
+
+
+def test_a_housing_without_a_mounting_is_turned_with_both_sensors(without_mounting: ImuPredictor) -> None:
+    turned = [one for one in suspects_of(without_mounting) if one.name == "imu_2"][3]
+    names = [f"{of}_misalignment_rad_{axis}_imu_2" for of in ("gyro", "accelerometer") for axis in "xyz"]
+    assert [without_mounting.names[at] for at in turned.at] == names
+    np.testing.assert_array_equal(turned.along, 0.1 * np.vstack([np.eye(3), np.eye(3)]))
+
+
+def turned_about_the_first_axis(predictor: ImuPredictor, turned_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance where each sensor shows that it is so far turned about the axis of joint 1, the base's z.
+
+    A zero of that joint shows in all of them alike.
+    """
+    sigma = np.nan_to_num(predictor.sigma, nan=1.0)
+    x, P, rows = np.zeros(len(sigma)), np.diag(sigma**2), list[np.ndarray]()
+    for frame, end in (("imu_base", ""), ("imu_2", "_imu_2")):
+        upwards = predictor.vehicle.pose_in_base(frame)[0][2, 2]
+        for sensor in ("gyro", "accelerometer"):
+            parts = f"{sensor}_misalignment_rad_z{end}", f"mounting_rad_z{end}"
+            rows.append(upwards * np.isin(predictor.names, parts) + (np.array(predictor.names) == "zero_joint_1"))
+    H = np.array(rows)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + 1e-6 * np.eye(len(H)))  # to a milliradian
+    return x + gain @ np.full(len(H), turned_rad), P - gain @ H @ P
+
+
+def test_two_housings_off_alike_do_not_name_a_joint(predictor: ImuPredictor, without_mounting: ImuPredictor) -> None:
+    """By 2.5 sigmas each; twice as far the joint is likelier."""
+    for turned_rad, one, names in (
+        (2.5 * 8.7e-3, predictor, ()),
+        (2.5 * 8.7e-3, without_mounting, ("zero_joint_1",)),
+        (5.0 * 8.7e-3, predictor, ("zero_joint_1",)),
+    ):
+        known = turned_about_the_first_axis(one, turned_rad)
+        assert Rivals(one).weighed(*known).names[:1] == names
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from onboard.dynamics.spatial import hat
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, tick_mean
 
 _OF_AXES, _DELAY, _CLOCK, _CROSS = slice(24), 24, 25, slice(26, 32)  # biases to misalignments; the others
+_MOUNTING = slice(32, 35)
 
 _TURNS, _SENSORS = (slice(9, 12), slice(21, 24)), (slice(0, 3), slice(3, 6))  # misalignments, and rows of each sensor
 _SMALL = 1e-4  # rad^2, below which series to the square are exact to rounding: the next term is 2e-13
@@ -38,7 +39,7 @@ def gain_of(errors):
     """
     E = (errors @ _GAIN).reshape(6, 6)
     for turn, rows in zip(_TURNS, _SENSORS, strict=True):
-        E[rows, rows] += _turned(errors[turn])[0]
+        E[rows, rows] += _turned(errors[turn] + errors[_MOUNTING])[0]
     return E
 
 
@@ -60,8 +61,8 @@ def imu_reading(true, change, time_s, errors):
     d_errors[:, _ROWS, _BIAS + 3] = t
     d_errors[:, _ROWS, _BIAS + 6] = own
     for turn, rows in zip(_TURNS, _SENSORS, strict=True):
-        R, along = _turned(errors[turn])
-        d_errors[:, rows, turn] = hat(own[:, rows] @ R.T) @ along
+        R, along = _turned(errors[turn] + errors[_MOUNTING])
+        d_errors[:, rows, turn] = d_errors[:, rows, _MOUNTING] = hat(own[:, rows] @ R.T) @ along
     d_errors[:, :3, 26:29], d_errors[:, 3:, 29:32] = _sym(own[:, :3]), _sym(own[:, 3:])
     d_errors[:, :, _DELAY] = -change @ E.T
     d_errors[:, :, _CLOCK] = -(t * change + _POWERS * true) @ E.T

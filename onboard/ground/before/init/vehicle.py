@@ -241,11 +241,10 @@ held_at_start = true           # false: it is caught in flight
 gyro_bias_rad_s = 8.7e-3
 gyro_drift_rad_s2 = 8.7e-5
 gyro_scale = 0.003
-gyro_misalignment_rad = 3.5e-3
 accelerometer_bias_m_s2 = 0.1
 accelerometer_drift_m_s3 = 1e-3
 accelerometer_scale = 0.003
-accelerometer_misalignment_rad = 3.5e-3
+mounting_rad = 3.5e-3          # of its housing
 delay_s = 1e-4
 
 [estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours

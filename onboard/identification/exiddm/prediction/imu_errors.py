@@ -3,11 +3,15 @@
 With u the rate or specific force in the IMU's nominal axes at the tick's middle t (t = 0 where the drift begins):
 
     u' = u - (delay + rate_error t) du/dt - n rate_error u,   n = 1 for a rate, 2 for a specific force
-    shown = (exp(-hat(misalignment)) + diag(scale) + sym(cross_axis)) u' + bias + drift t
+    shown = (exp(-hat(mounting + misalignment)) + diag(scale) + sym(cross_axis)) u' + bias + drift t
 
 The first line is the Taylor series of a delayed reading on a clock with a rate error, which scales rates (angle by
 time) once and specific forces (length by time squared) twice. Second-order terms in the errors are neglected, but for
 those of a sensor that is turned: of one turned by 0.08 rad they are as large as a scale error of 0.3 %.
+
+The mounting turns the housing, gyro and accelerometer alike; a misalignment is of one of them. With two misalignments
+in its place a housing that is off counts twice: where two were 2.3 sigmas off about one axis of the base, the zero of a
+joint, which was right, had evidence of 8.6 nats; it has 3.9 with the mounting.
 
 Axes that are not orthogonal: six off-diagonal elements, of which ``hat`` has the antisymmetric part (as a rotation of
 the whole sensor has, which is ``exp(-hat)``) and ``sym(c)`` the symmetric one, c_x between y and z: the magnitudes of
@@ -42,6 +46,7 @@ class ImuPrior(NamedTuple):
     clock_rate_error: float = 0.0  # relative excess of an interval on the IMU's clock over the joints' clock
     gyro_cross_axis: float = 0.0  # symmetric part
     accelerometer_cross_axis: float = 0.0
+    mounting_rad: float = 0.0  # of the housing
 
     def with_cross_axis(self, gyro: float, accelerometer: float) -> "ImuPrior":
         """The same with off-diagonal elements of each triad's matrix of so many sigmas, each independent of the others.

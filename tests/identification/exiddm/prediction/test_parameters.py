@@ -34,7 +34,7 @@ def test_what_is_certain_is_left_out_and_stays_zero():
 
 
 def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
-    assert len(ImuPrior._fields) == 12
+    assert len(ImuPrior._fields) == 13
     time_s = np.linspace(-2.0, 2.0, 401)
     true, change = np.zeros((401, 6)), np.zeros((401, 6))
     true[:, 2], change[:, 2] = np.cos(time_s), -np.sin(time_s)
@@ -65,7 +65,8 @@ def test_axes_that_are_not_orthogonal_and_a_sensor_that_is_turned(rng, turned_ra
     turn *= turned_rad / np.linalg.norm(turn)
     errors = np.zeros(SIZE)
     errors[18:21] = M.diagonal()  # of the accelerometer
-    errors[21:24] = turn
+    errors[21:24], errors[32:35] = 0.75 * turn, 0.25 * turn  # the sensor's own, and its housing's
+    errors[9:12] = -0.25 * turn  # of the gyro, which is not turned
     errors[29:32] = off[1, 2], off[0, 2], off[0, 1]
     M = off + Rotation.from_rotvec(-turn).as_matrix()
     found = imu_reading(true, still, np.zeros(20), errors)
