@@ -55,7 +55,7 @@ def add(commands: Commands) -> None:
         action="append",
         default=[],
         metavar="KIND:DEVICE:START:END[:VALUE]",
-        help="something breaks between two times of the mission [s], e.g. off:imu_base:10:12; repeatable",
+        help="something breaks between two mission times [s], e.g. off:imu_base:10:12 (no END: to its end); repeatable",
     )
     hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
     add_until(hil)
@@ -205,7 +205,12 @@ def _list_faults(possible: Mapping[str, Iterable[str]], effects: Mapping[Any, st
     """The devices and buses with the faults they can have; then what each of these does."""
     from rich.table import Table
 
-    devices = Table(box=None, pad_edge=False, title="--fault KIND:DEVICE:START:END[:VALUE]", title_justify="left")
+    devices = Table(
+        box=None,
+        pad_edge=False,
+        title="--fault KIND:DEVICE:START:END[:VALUE], no END: to its end",
+        title_justify="left",
+    )
     devices.add_column("device or bus", no_wrap=True)
     devices.add_column("can have")
     kinds = Table(box=None, pad_edge=False)

@@ -131,10 +131,13 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
         print(path)
     for note in notes:
         print(f"note: {note}")
-    if mappings := [path for path in files if path.name == "import.toml"]:
-        print(f"next: put your numbers in, then heft import {mappings[0]} RECORDING -o logs, and heft identify")
-    else:
+    if "\n[bus." in files[0].read_text(encoding="utf-8"):
         print(f"next: heft hil {files[0]} rehearses it; put your numbers in, then heft preflight {files[0]}")
+    else:
+        own = "".join(f", or in {path}" for path in files if path.name == "import.toml")
+        print("next: put your numbers in; say which column of a recording is what, by")
+        print(f"heft import --guess RECORDING --vehicle {files[0]} -o MAPPING{own};")
+        print("then heft import MAPPING RECORDING -o logs, and heft identify")
     return OK
 
 

@@ -141,8 +141,9 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
-            moved = f"; the nearest body that can exist, {one.away:.1f} sigmas from the estimate" if one.away else ""
-            yield one.link, said + moved
+            if one.away:
+                said += f"; for the URDF: nearest to the table of bodies that can exist, {one.away:.1f} sigmas off"
+            yield one.link, said
     if log.refused.get("stuck"):
         said = "readings repeat where they must change; where a recorder writes them more than once, say repeats = true"
         yield "stuck", f"{said} in the [device] of its channel"

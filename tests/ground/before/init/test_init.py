@@ -64,6 +64,22 @@ def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> No
         assert mine.urdf_path.read_bytes() == theirs.urdf_path.read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("asked", "next_step"),
+    [
+        (["--from", "dymaflex"], "next: heft hil {} rehearses it"),
+        (["--from", "tudelft"], "heft import --guess RECORDING --vehicle {} -o MAPPING;"),
+        (["--base", "free", "--encoder", "cia406"], "next: heft hil {} rehearses it"),
+        (["--base", "fixed", "--encoder", "recorded"], "heft import --guess RECORDING --vehicle {} -o MAPPING, or in "),
+    ],
+)
+def test_the_next_step_is_a_rehearsal_where_devices_are_on_buses_and_else_an_import(
+    asked: list[str], next_step: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["init", str(tmp_path / "mine"), *asked]) == cli.OK
+    assert next_step.format(tmp_path / "mine" / "vehicle.toml") in capsys.readouterr().out
+
+
 def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter(["prescribed", "boom", "", "", "cia404"])
     monkeypatch.setattr(scan, "urls", list)
