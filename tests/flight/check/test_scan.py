@@ -194,6 +194,20 @@ class Line:
 def test_whatever_a_line_says_is_no_crash(noise: bytes) -> None:
     for one in scan.on_line(Line(noise), lambda seconds: None, "serial"):
         assert one.number <= 0xFF
+    assert not list(scan.on_line(Line(noise), lambda seconds: None, "tcp")) or noise[2:3] == b"V"
+
+
+def test_a_controller_is_known_by_its_packages() -> None:
+    """By the guide: an answer is its size, its letter and what it says; here 1 for accepted, and four numbers."""
+    accepted, software = b"\x00\x04V\x01", b"\x00\x13v" + bytes([0, 0, 0, 5, 0, 0, 0, 16, 0, 0, 0, 1, 0, 0, 0, 7])
+    nothing: Callable[[float], None] = lambda _: None  # noqa: E731
+    six = list(scan.on_line(Line(accepted + software), nothing, "tcp"))
+    assert [(one.kind, one.number) for one in six] == [("ur_joint", n) for n in range(1, 7)]
+    assert six[1].what == "UR controller, URControl 5.16.1.7: number = 2"
+    assert next(iter(scan.on_line(Line(accepted), nothing, "tcp"))).what == "UR controller: number = 1"
+    [old] = scan.on_line(Line(b"\x00\x04V\x00"), nothing, "tcp")
+    assert (old.kind, "update the controller's software" in old.what) == ("", True)
+    assert not list(scan.on_line(Line(b"HTTP/1.1 400 Bad Request\r\n"), nothing, "tcp"))
 
 
 def test_answers_to_a_ping_are_found_in_any_company() -> None:
