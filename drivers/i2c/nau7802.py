@@ -38,7 +38,8 @@ ANALOG_NS = 200 * MS  # of the regulator and the reference
 CALIBRATION_LOOK_NS, CALIBRATION_LIMIT = 20 * MS, 100  # looks
 SETTLING = 4  # conversions, after which the filter has forgotten what was before
 OSCILLATOR = 0.03  # relative bound of the period until it is fitted
-FEWEST = 16  # conversions that a period is fitted to
+FEWEST, MOST = 16, 1000  # conversions that a period is fitted to; then the fit begins anew, from half of them on
+DRIFT_S = 5e-6  # of its oscillator, relative: 0.05 K/s of a chip that warms, at 100 ppm/K
 SURE = 0.25  # conversions: error of a count below which the clock goes on
 SILENCE_PERIODS = 8
 MOST_EARLY = 8
@@ -118,8 +119,9 @@ class ConversionCount:
         self.ended_ns = 0.0
         self.period_ns = self._nominal_ns = period_ns
         self._error = OSCILLATOR  # relative, of the period
-        self._blur_ns = 0.0  # bound of the error of ``ended_ns``
-        self._first: tuple[int, float] | None = None  # number and end of the first one of this run
+        self._blur_ns = 0.0  # bound of the error of ``ended_ns``: what all looks leave, one after the other
+        self._first: tuple[int, float, float] | None = None  # number, end and bound of the first one of the fit
+        self._later = (0, 0.0, 0.0)  # from which the next fit begins
 
     def seen(self, not_before_ns: int, at_ns: int) -> tuple[int, bool] | None:
         """A conversion was found at ``at_ns`` that was not there at ``not_before_ns``.
@@ -143,18 +145,34 @@ class ConversionCount:
             ):
                 return None
             ended_ns = self.ended_ns + since * self.period_ns
-        if width_ns <= 0.5 * self.period_ns:
-            self._blur_ns = 0.5 * width_ns
         sure = self.number < 0 or since * self._error < SURE
+        if width_ns <= 0.5 * self.period_ns:
+            ended_ns, self._blur_ns = self._narrowed(ended_ns, 0.5 * width_ns, since)
+        else:
+            self._blur_ns += since * self._error * self.period_ns
         self.number, self.ended_ns = self.number + since, ended_ns
         if self._first is None or not sure:
-            self._first = self.number, ended_ns
+            self._first = self._later = self.number, ended_ns, self._blur_ns
         counted = self.number - self._first[0]
         if counted >= FEWEST:
-            fitted_ns = (ended_ns - self._first[1]) / counted
-            if abs(fitted_ns / self._nominal_ns - 1.0) < 2.0 * OSCILLATOR:
-                self.period_ns, self._error = fitted_ns, min(self._error, width_ns / (counted * fitted_ns))
+            spanned_ns = ended_ns - self._first[1]
+            if abs(spanned_ns / counted / self._nominal_ns - 1.0) < 2.0 * OSCILLATOR:
+                self.period_ns = spanned_ns / counted
+                wide_ns = self._first[2] + self._blur_ns
+                self._error = min(OSCILLATOR, wide_ns / spanned_ns + 1e-9 * DRIFT_S * spanned_ns)
+        if self.number - self._later[0] >= MOST // 2:
+            self._first, self._later = self._later, (self.number, ended_ns, self._blur_ns)
         return (0 if self.number == 0 else since - 1), sure
+
+    def _narrowed(self, ended_ns: float, blur_ns: float, since: int) -> tuple[float, float]:
+        """When it ended and the bound of that, by its own look and by those before it, where these agree."""
+        if self._first is None:
+            return ended_ns, blur_ns
+        expected_ns = self.ended_ns + since * self.period_ns
+        wide_ns = self._blur_ns + since * self._error * self.period_ns
+        first_ns = max(ended_ns - blur_ns, expected_ns - wide_ns)
+        last_ns = min(ended_ns + blur_ns, expected_ns + wide_ns)
+        return (ended_ns, blur_ns) if first_ns > last_ns else (0.5 * (first_ns + last_ns), 0.5 * (last_ns - first_ns))
 
     def is_early(self, now_ns: int) -> bool:
         """Whether none can have ended since the last one seen."""

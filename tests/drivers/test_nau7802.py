@@ -99,6 +99,51 @@ def test_the_count_is_right_whatever_the_phase(error, width, seed):
     assert np.diff(numbers[99:]).tolist() == [1] * 29
 
 
+def looks(rng, ends, of_others):
+    """Times of two looks one after the other, the second of which found a conversion, and its number from 0.
+
+    Looks come every millisecond; every ten another device of the bus is read, which takes ``of_others`` ms.
+    """
+    now = before = following = 0.0
+    found = -1
+    while now < ends[-2]:
+        if now >= following:
+            now += 1e6 * rng.uniform(*of_others)
+            following = max(following + 10e6, now)
+        latest = int(np.searchsorted(ends, now, "right")) - 1
+        if latest > found:
+            found = latest
+            yield round(before), round(now), latest
+        before, now = now, now + 1e6 * rng.uniform(0.8, 1.5)
+
+
+@pytest.mark.parametrize("drift_s", [0.0, -5e-6, 5e-6])
+def test_a_bus_that_others_keep_busy_costs_few_rows_and_no_number(rng, drift_s):
+    """An oscillator that drifts; drains of 5 to 8 ms now and then hide when a conversion of 12.5 ms ended."""
+    steps = np.arange(8000)
+    ends = 3e6 + 12.53e6 * (steps + 0.5 * drift_s * 12.53e-3 * steps**2)
+    count, dropped, off = ConversionCount(12.5e6), 0, set()
+    for before, now, number in looks(rng, ends, (5.0, 8.0)):
+        if count.seen(before, now) is None:
+            dropped += 1
+        else:
+            off.add(number - count.number)
+    assert len(off) == 1
+    assert dropped < 0.02 * len(ends)
+
+
+@pytest.mark.parametrize(("lost", "sure"), [(3000, True), (6000, False)])
+def test_how_many_conversions_an_outage_may_hide_is_what_its_oscillator_drifts_by(rng, lost, sure):
+    """The fit of 500 to 1000 conversions is good for 5e-6/s of its 6 to 12 s: a quarter of a conversion in 4000."""
+    count, ends = ConversionCount(12.5e6), 3e6 + 12.53e6 * np.arange(3001)
+    for before, now, _ in looks(rng, ends, (0.0, 1.0)):
+        count.seen(before, now)
+    end_ns = round(ends[-1] + 12.53e6 * lost)
+    found = count.seen(end_ns - 500_000, end_ns + 500_000)
+    assert found is not None
+    assert found[1] == sure
+
+
 # Set-up
 
 
