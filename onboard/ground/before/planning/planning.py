@@ -112,11 +112,14 @@ def plan_motion(
 
 
 def told_by(bound: Bound, moved: FloatArray) -> BoolArray:
-    """Which quantities a motion of all joints, (3, n, joints), tells anything of, (k,)."""
+    """Which quantities a motion of all joints, (3, n, joints), tells anything of, (k,).
+
+    The sigma at rest is NaN where nothing determines the quantity there.
+    """
     rest = np.zeros_like(moved)
     rest[0] = moved[0, 0]
     still, moving = (np.diag(bound.of(one).covariance) for one in (rest, moved))
-    return np.asarray(np.sqrt(moving) < _TOLD * np.sqrt(still), np.bool_)
+    return np.asarray(np.sqrt(moving) < _TOLD * np.nan_to_num(np.sqrt(still), nan=np.inf), np.bool_)
 
 
 def ticks_of(plan: MotionPlan, start_s: float, end_s: float) -> slice:
