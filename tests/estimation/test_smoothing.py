@@ -192,6 +192,20 @@ def test_inflation_makes_correlated_rows_weigh_what_they_are_worth(rng):
     assert smoothed.values.mean(axis=0).std() == pytest.approx(claimed, rel=0.1)
 
 
+def test_accelerations_are_less_alike_than_ticks_by_themselves(rng):
+    """By sums with a slow motion, 0.1 to 0.6 Hz: of white samples, and of a gear's ripple in swings of 0.1 rad."""
+    t, at = np.arange(0, 20, 0.002), np.arange(0.5, 19.5, 0.01)
+    window, slow = SmoothingWindow(t, at, 0.25), np.sin(2.0 * np.pi * np.outer([0.1, 0.3, 0.6], at))
+    noise = window.apply(rng.normal(size=(t.size, 100)), 2)
+    swing, turns = 2.0 * np.pi * 0.3, 200.0
+    ripple = window.apply(np.sin(turns * 0.1 * np.sin(swing * t)[:, None] + rng.uniform(0.0, 2.0 * np.pi, 100)), 2)
+    passed = 0.5**0.5 * Response(0.25).gain(turns * 0.1 * swing * np.abs(np.cos(swing * at)), 2)
+    for values, sigma in ((noise.values, noise.noise_gain), (ripple.values, passed)):
+        variance, alone = ((slow @ values) ** 2).mean(axis=1), ((slow * sigma) ** 2).sum(axis=1)
+        assert (variance < alone).all()
+        assert (variance > 0.0).all()
+
+
 def test_rows_further_apart_than_the_kernel_are_independent():
     assert correlation_inflation(0.1, 0.2) == 1.0
     with pytest.raises(RowError):

@@ -175,5 +175,6 @@ class Noise:
         return np.where(refused != 0, np.inf, sigma)
 
     def of_joints(self, dq: FloatArray) -> FloatArray:
-        """Of rates and accelerations of the joints at rates (n, joints), inflated, (n, 2, joints)."""
-        return np.asarray(self._inflation * np.moveaxis(self._joints.at(dq)[1:], 0, 1), np.float64)
+        """Of rates, inflated, and accelerations of the joints at rates (n, joints), (n, 2, joints)."""
+        _, rates, accelerations = self._joints.at(dq)
+        return np.stack([self._inflation * rates, accelerations], axis=1)

@@ -58,7 +58,7 @@ class Ticks(NamedTuple):
     ddq: FloatArray
     measured: FloatArray  # (n, m) means of rate and specific force, IMU axes, then of further instruments; NaN: none
     sigma: FloatArray  # (n, m) of these
-    joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
+    joint_sigma: FloatArray  # (n, 2, joints) of dq, inflated for the correlation of neighbouring ticks, and of ddq
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
     thrust: FloatArray  # (n, k) of the thrusters, N, means
 
@@ -101,7 +101,10 @@ class Ticks(NamedTuple):
 
 
 def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
-    """Signals as ticks, with noise inflated for the correlation of neighbours.
+    """Signals as ticks, the noise of rates inflated for the correlation of neighbours.
+
+    Errors of accelerations cancel in the sums of a slow motion, by samples' noise as by a gear's ripple: each tick's by
+    itself, they count for more than they are. Inflated they made the noise of a load cell three times what it was.
 
     Args:
         signals: at n ticks; joints without a noise are taken for exact.
@@ -109,7 +112,7 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
     """
     joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
     if signals.noise is not None:
-        joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
+        joint_sigma = np.stack([signals.noise.inflation * signals.noise.dq, signals.noise.ddq], axis=1)
     cyclic = np.zeros((len(signals.time_s), 3, 0)) if signals.cyclic is None else signals.cyclic
     thrust = np.zeros((len(signals.time_s), 0)) if signals.thrust is None else signals.thrust
     joints = signals.q, signals.dq, signals.ddq

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.regressor.rows import BaseMotion
+from onboard.regressor.signals import SignalNoise, Signals
 
 
 def test_a_flight_by_the_second_imu_needs_nothing_of_an_instrument_that_is_silent() -> None:
@@ -18,3 +20,11 @@ def test_a_flight_by_the_second_imu_needs_nothing_of_an_instrument_that_is_silen
     np.testing.assert_array_equal(flight.specific_force[0], [9, 10, 11])
     np.testing.assert_allclose(flight.rate_sigma, [0.6, 0.7, 0.8])
     np.testing.assert_allclose(flight.specific_force_sigma, [0.9, 1.0, 1.1])
+
+
+def test_the_noise_of_rates_is_inflated_and_that_of_accelerations_is_not() -> None:
+    q, still, lines = np.zeros((4, 2)), np.zeros((4, 3)), np.zeros((4, 6))
+    noise = SignalNoise(q, np.full((4, 2), 3.0), np.full((4, 2), 5.0), still, still, still, 2.0)
+    signals = Signals(np.arange(4.0), q, q, q, BaseMotion(still, still, still), lines, lines, noise=noise)
+    found = ticks_of(signals, lines).joint_sigma
+    np.testing.assert_array_equal(found, np.broadcast_to([[6.0, 6.0], [5.0, 5.0]], (4, 2, 2)))
