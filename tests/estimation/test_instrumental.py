@@ -52,6 +52,7 @@ def test_rows_as_their_own_instruments_make_the_least_squares(rng, memory):
     for a, b in zip(jackknife.combination(np.eye(3)), plain.combination(np.eye(3)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
     np.testing.assert_allclose(jackknife.covariance, plain.covariance, rtol=1e-6)
+    np.testing.assert_allclose(jackknife.causes(np.eye(3)), plain.causes(np.eye(3)), rtol=1e-6)
     np.testing.assert_allclose(one.least_squares(), solution.mean, rtol=1e-9)
 
 

@@ -195,7 +195,8 @@ class InstrumentalEstimate(JackknifeEstimate):
         self.mean = inverse @ (b[:, -1] + right)
         self._root = inverse @ half_of(G.sum(axis=0) + information)
         causes = inverse @ b[:, :-1]
-        self._common = causes * sigma if sigma.ndim == 1 else causes @ sigma
+        causes = causes * sigma if sigma.ndim == 1 else causes @ sigma
+        self._common = np.column_stack([causes, np.zeros(len(causes))])  # the noise of the regressor biases nothing
         self._prior_half = inverse @ half_of(information)
         scores = g[..., -1] - H @ self.mean  # (b, p)
         rest = A - H + np.eye(len(A)) * (1e-12 * np.abs(np.diag(A)))
