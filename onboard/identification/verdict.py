@@ -119,7 +119,7 @@ def _contradictions(evidence: Evidence) -> list[str]:
         )
     for link, away in evidence.away.items():
         if away > refused_from(len(evidence.away)):
-            far = f"{away:.0f} sigmas from any body" if away < np.inf else "its mass is not positive"
+            far = f"{away:.0f} sigmas from any body" if away < np.inf else "no body is near it"
             said.append(f"the estimate of {link} cannot exist: {far}; check signs and units")
     said += too_large(evidence.corrections)
     if evidence.misfit is not None and evidence.misfit > MISFIT_REFUSED:

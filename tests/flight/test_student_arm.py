@@ -1,5 +1,6 @@
 """A student's arm: four servos on one line, an IMU and a load cell on one I2C bus; flown in virtual time."""
 
+import json
 from pathlib import Path
 
 from onboard import config
@@ -37,7 +38,15 @@ def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
     assert 0.0 < told["high"] - told["low"] < 0.025
     currents = [channel for channel in run.log.channels if channel.endswith("_torque")]
     assert currents == [f"{joint}_torque" for joint in SERVOS]
-    assert main(["identify", str(run.path)]) == OK
+    assert main(["init", str(tmp_path / "mine"), "--from", "student_arm"]) == OK
+    file, answer = tmp_path / "mine/vehicle.toml", tmp_path / "answer.json"
+    packaged = file.read_text()
+    for wanted, told_as in ((0.2, ""), (0.01, "M_payload: its interval is as wide as")):
+        file.write_text(f"{packaged}\n[estimation.useful]\nmass = {wanted}\n")
+        assert main(["identify", str(run.path), "--vehicle", str(file), "--json", str(answer)]) == OK
+        [log] = json.loads(answer.read_text())["logs"]
+        assert (log["verdict"]["level"] == "good") == (not told_as), log["verdict"]
+        assert told_as in "; ".join(log["verdict"]["reasons"])
 
 
 def test_what_is_unplugged_for_a_while_costs_its_rows_and_no_more(tmp_path: Path) -> None:

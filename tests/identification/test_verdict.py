@@ -82,7 +82,7 @@ def test_what_is_not_determined_is_named():
         ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
         ({"away": {"payload": 6.0}}, "the estimate of payload cannot exist: 6 sigmas from any body"),
-        ({"away": {"payload": np.inf}}, "its mass is not positive"),
+        ({"away": {"payload": np.inf}}, "no body is near it"),
         (
             {"findings": Findings(("load_cell reads 2% of what was drawn",))},
             "load_cell reads 2%",
@@ -296,7 +296,11 @@ def test_what_is_no_body_is_told_with_its_distance():
     narrow, wide = (np.diag(np.r_[1e-4, [1e-4] * 3, [sigma] * 6] ** 2) for sigma in (1e-3, 1e-1))
     assert link_estimate("payload", standard_of(thin), narrow).away > 10.0
     assert link_estimate("payload", standard_of(thin), wide).away < 1.0
-    assert link_estimate("payload", -standard_of(thin), wide).body is None
+    below = -standard_of(thin)  # 2 kg below zero
+    for sigma, freedom, sigmas_away in ((1.0, np.inf, 2.0), (1.0, 4.0, 1.57), (40.0, np.inf, 0.05)):  # 4: p = 0.1161
+        covariance = np.diag(np.r_[sigma, [1e-4] * 3, [1e-3] * 6] ** 2)
+        found = link_estimate("payload", below, covariance, lambda along, n=freedom: n if along[0] else 0.0)
+        assert (found.body, found.away) == (None, pytest.approx(sigmas_away, abs=0.01))
     whole = RigidBody(2.0, np.zeros(3), np.diag([0.1, 0.1, 0.02]))
     assert link_estimate("payload", standard_of(whole), narrow).away == 0.0
 

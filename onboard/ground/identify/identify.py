@@ -200,7 +200,8 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     if load is not None:
         unlike = throws.unlike_the_carrier(vehicle, load, estimate)
         findings = findings._replace(doubts=(*findings.doubts, *unlike))
-    evidence = evidence._replace(findings=findings, standings=_standings(estimate, thrown, useful))
+    each = standings(answers, useful)
+    evidence = evidence._replace(findings=findings, standings=each | _standings(estimate, thrown, useful))
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
@@ -220,7 +221,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
         drawing=drawing,
-        standings=standings(answers, useful),
+        standings=each,
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
 
@@ -270,7 +271,7 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
     return tuple(
         Answer(
             printable(row["name"]),
-            printable(row["unit"]),
+            printable(row["unit"]) or ("kg" if printable(row["name"]).startswith("M_") else ""),  # of a base parameter
             float(row["value"]),
             float(row["sigma"]),
             float(row["low"]),

@@ -35,7 +35,7 @@ class LinkEstimate(NamedTuple):
     body: (
         RigidBody | None
     )  # physically possible: the estimate, or the most likely one; None: mass below zero, or not found
-    away: float  # sigmas of a normal that are as rare as the estimate is of any body; zero if it is possible
+    away: float  # sigmas of a normal that are as rare as the estimate is of any body; zero if possible; inf: none found
 
 
 def link_estimate(
@@ -45,7 +45,8 @@ def link_estimate(
 
     Mass and centre of mass may be any, so what the nearest body is away lies in the six moments of inertia. Its square,
     in the metric of the covariance, is at most Hotelling's of so many dimensions (Ann. Math. Stat. 2, 1931), which is
-    that of a point: of a body that is as thin as can be in every direction.
+    that of a point: of a body that is as thin as can be in every direction. A mass below zero is as many sigmas away as
+    zero is, by Student's distribution.
 
     Args:
         link: its name.
@@ -54,7 +55,8 @@ def link_estimate(
         freedom: degrees of freedom with which the covariance is known along a direction, (10,).
     """
     if not mean[0] > 0.0:
-        return LinkEstimate(link, mean, covariance, None, np.inf)
+        squared = mean[0] ** 2 / covariance[0, 0] if covariance[0, 0] > 0.0 else np.inf
+        return LinkEstimate(link, mean, covariance, None, _as_rare(squared, freedom(np.eye(10)[0]), 1))
     try:
         body = possible_body(mean, covariance)
     except ConvergenceError:
@@ -63,17 +65,17 @@ def link_estimate(
         return LinkEstimate(link, mean, covariance, body, 0.0)
     gap = standard_of(body) - mean
     along = np.linalg.pinv(covariance, hermitian=True) @ gap
-    return LinkEstimate(link, mean, covariance, body, _as_rare(max(float(gap @ along), 0.0), freedom(along)))
+    return LinkEstimate(link, mean, covariance, body, _as_rare(max(float(gap @ along), 0.0), freedom(along), _MOMENTS))
 
 
-def _as_rare(squared: float, freedom: float) -> float:
+def _as_rare(squared: float, freedom: float, dimensions: int) -> float:
     """Sigmas of a normal as rare as Hotelling's statistic with a covariance of so many degrees of freedom."""
-    rest = freedom - _MOMENTS + 1.0
+    rest = freedom - dimensions + 1.0
     if not rest > 0.0:
         return 0.0
-    chance = (
-        fdtrc(_MOMENTS, rest, squared * rest / (freedom * _MOMENTS)) if rest < np.inf else chdtrc(_MOMENTS, squared)
-    )
+    estimated = rest < np.inf
+    scaled = squared * rest / (freedom * dimensions) if estimated else squared
+    chance = fdtrc(dimensions, rest, scaled) if estimated else chdtrc(dimensions, scaled)
     return sigmas(max(float(chance), _RAREST))
 
 
