@@ -247,7 +247,9 @@ class PolledDevice(SerialDevice):
             self._untold[channel] = _Channel(self._next, last_ns)
 
     def _finish(self, now_ns: int) -> None:
+        is_open = self._asked_ns is not None and not self._is_aside  # nobody knows whether its sample was made
         self._lose("stopped")
         self._count_lost(now_ns)
         for channel in self._value_channels():
+            self._untold[channel].counted &= not is_open
             self._name_gap(now_ns, channel)

@@ -132,7 +132,8 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
     for note in notes:
         print(f"note: {note}")
     if "\n[bus." in files[0].read_text(encoding="utf-8"):
-        print(f"next: heft hil {files[0]} rehearses it; put your numbers in, then heft preflight {files[0]}")
+        print(f"next: heft hil {files[0]} rehearses it")
+        print(f"then: put your numbers in, and heft preflight {files[0]}")
     else:
         own = "".join(f", or in {path}" for path in files if path.name == "import.toml")
         print("next: put your numbers in; say which column of a recording is what, by")

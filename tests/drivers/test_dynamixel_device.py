@@ -305,7 +305,7 @@ def test_a_stop_names_the_open_question(flight):
     flight.stop()
     for channel in flight.device.channels:
         flight.rows(channel)
-    assert {gap["cause"] for gap in of(flight.batches, "gap")} == {b"stopped"}
+    assert {(gap["cause"], gap["counted"]) for gap in of(flight.batches, "gap")} == {(b"stopped", 0)}
 
 
 def test_a_fault_at_any_call_is_survived(clock):

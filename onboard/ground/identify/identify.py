@@ -271,7 +271,7 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
     return tuple(
         Answer(
             printable(row["name"]),
-            printable(row["unit"]) or ("kg" if printable(row["name"]).startswith("M_") else ""),  # of a base parameter
+            printable(row["unit"]) or ("kg" if printable(row["name"]) in (f"M_{link}", f"M_{link}_R") else ""),
             float(row["value"]),
             float(row["sigma"]),
             float(row["low"]),
