@@ -88,8 +88,9 @@ class Changed(NamedTuple):
     def sizes(self, which: Sequence[int]) -> Known:
         """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
         at = np.asarray(which)
-        P = np.linalg.inv(np.eye(len(at)) + self.J[np.ix_(at, at)])
-        return P @ self.d[at], np.linalg.cholesky(P)
+        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[np.ix_(at, at)])
+        root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
+        return root @ (root.T @ self.d[at]), root
 
     def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
         """Each step, and each two that are likelier than either and half of what follows; weights are one."""

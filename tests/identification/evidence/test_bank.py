@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm
 from onboard.estimation import policy
 from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, tails
 from onboard.identification.evidence import bank as bank_module
-from onboard.identification.evidence.bank import Bank, Hypothesis, Mixture, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Mixture, Suspect, Weighed
 
 SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known
 BODY = Suspect("body", np.array([1, 2, 3]), np.array([[0.9, 0.3], [-0.4, 0.0], [2.0, 1.5]]), 1e-2)
@@ -202,3 +202,24 @@ def test_a_limit_that_is_doubled_is_noticed(name: str, monkeypatch: pytest.Monke
     before = LIMITS[name]()
     monkeypatch.setattr(bank_module, name, 2.0 * getattr(policy, name))
     assert LIMITS[name]() != before
+
+
+def test_two_steps_whose_information_rounding_made_negative_are_weighed_all_the_same(rng):
+    """Two that do the same to what is read, of which large numbers were subtracted: their covariance is one still."""
+    suspects = [Suspect(f"step {k}", np.arange(1), np.ones((1, 1)), 0.1) for k in range(2)]
+    J = np.array([[1e4, 1.001e4], [1.001e4, 1e4]])
+    changed = Changed(rng.normal(size=(3, 2)), np.array([150.0, -150.0]), J)
+    assert np.linalg.eigvalsh(np.eye(2) + J)[0] < 0.0
+    mean, root = changed.sizes((0, 1))
+    assert np.linalg.eigvalsh(root @ root.T)[0] > 0.0
+    np.testing.assert_allclose(mean, [150.0, -150.0])  # their difference is known by what is stated alone
+    assert any(one.steps == (0, 1) for one in changed.hypotheses(suspects))
+
+
+def test_sizes_of_steps_are_those_of_their_normal_equations(rng):
+    A, d = rng.normal(size=(4, 9)), rng.normal(size=4)
+    J = A @ A.T
+    mean, root = Changed(np.zeros((3, 4)), d, J).sizes((0, 2, 3))
+    at = np.ix_([0, 2, 3], [0, 2, 3])
+    np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + J[at]))
+    np.testing.assert_allclose(mean, np.linalg.solve(np.eye(3) + J[at], d[[0, 2, 3]]))
