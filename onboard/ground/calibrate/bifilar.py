@@ -97,9 +97,8 @@ def _of_gyro(vehicle: config.Vehicle, role: ImuRole) -> tuple[AxisErrors, str]:
         prior = vehicle.file.estimation.imu_prior
         own, housing = prior.gyro_misalignment_rad, prior.mounting_rad
         key = "mounting_rad" if housing > own else "gyro_misalignment_rad"
-        return AxisErrors(
-            math.hypot(own, housing), prior.gyro_scale, prior.cross_axis[0]
-        ), f"estimation.imu_prior.{key}"
+        axes = AxisErrors(math.hypot(own, housing), prior.gyro_scale, prior.cross_axis[0])
+        return axes, f"estimation.imu_prior.{key}"
     if role.misalignment_sigma_rad:
         return AxisErrors(role.misalignment_sigma_rad, role.gyro_scale_sigma), "misalignment_sigma_rad"
     return AxisErrors(AXIS_rad, role.gyro_scale_sigma), "assumed: state misalignment_sigma_rad"

@@ -2,7 +2,6 @@
 
 import errno
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -117,11 +116,10 @@ def test_buses_of_a_computer(tmp_path: Path) -> None:
 
 
 def test_a_bus_that_cannot_be_opened_is_said(tmp_path: Path) -> None:
-    nothing: Callable[[float], None] = lambda _: None  # noqa: E731
-    bus = scan.scan(f"i2c://{tmp_path}/i2c-9", lambda: 0, nothing)
+    bus = scan.scan(f"i2c://{tmp_path}/i2c-9", lambda: 0, at_once)
     assert (bus.found, "cannot be used" in bus.problem) == ((), True)
     with pytest.raises(DriverError, match="serial"):
-        scan.scan("serial:///dev/ttyUSB0", lambda: 0, nothing)
+        scan.scan("serial:///dev/ttyUSB0", lambda: 0, at_once)
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -189,25 +187,28 @@ class Line:
         pass
 
 
+def at_once(seconds: float) -> None:
+    """What a line says is there already."""
+
+
 @settings(max_examples=300)
 @given(st.binary(max_size=200))
 def test_whatever_a_line_says_is_no_crash(noise: bytes) -> None:
-    for one in scan.on_line(Line(noise), lambda seconds: None, "serial"):
+    for one in scan.on_line(Line(noise), at_once, "serial"):
         assert one.number <= 0xFF
-    assert not list(scan.on_line(Line(noise), lambda seconds: None, "tcp")) or noise[2:3] == b"V"
+    assert not list(scan.on_line(Line(noise), at_once, "tcp")) or noise[2:3] == b"V"
 
 
 def test_a_controller_is_known_by_its_packages() -> None:
     """By the guide: an answer is its size, its letter and what it says; here 1 for accepted, and four numbers."""
     accepted, software = b"\x00\x04V\x01", b"\x00\x13v" + bytes([0, 0, 0, 5, 0, 0, 0, 16, 0, 0, 0, 1, 0, 0, 0, 7])
-    nothing: Callable[[float], None] = lambda _: None  # noqa: E731
-    six = list(scan.on_line(Line(accepted + software), nothing, "tcp"))
+    six = list(scan.on_line(Line(accepted + software), at_once, "tcp"))
     assert [(one.kind, one.number) for one in six] == [("ur_joint", n) for n in range(1, 7)]
     assert six[1].what == "UR controller, URControl 5.16.1.7: number = 2"
-    assert next(iter(scan.on_line(Line(accepted), nothing, "tcp"))).what == "UR controller: number = 1"
-    [old] = scan.on_line(Line(b"\x00\x04V\x00"), nothing, "tcp")
+    assert next(iter(scan.on_line(Line(accepted), at_once, "tcp"))).what == "UR controller: number = 1"
+    [old] = scan.on_line(Line(b"\x00\x04V\x00"), at_once, "tcp")
     assert (old.kind, "update the controller's software" in old.what) == ("", True)
-    assert not list(scan.on_line(Line(b"HTTP/1.1 400 Bad Request\r\n"), nothing, "tcp"))
+    assert not list(scan.on_line(Line(b"HTTP/1.1 400 Bad Request\r\n"), at_once, "tcp"))
 
 
 def test_answers_to_a_ping_are_found_in_any_company() -> None:
@@ -215,10 +216,10 @@ def test_answers_to_a_ping_are_found_in_any_company() -> None:
     one = bytes.fromhex("FFFFFD00010700550006042665 5D".replace(" ", ""))
     two = bytes.fromhex("FFFFFD000207005500060426 6F6D".replace(" ", ""))
     for line in (one + two, b"\xff\x00junk" + one + b"\xff\xff\xfd\x00" + two + b"\xff"):
-        found = list(scan.on_line(Line(line), lambda seconds: None, "serial"))
+        found = list(scan.on_line(Line(line), at_once, "serial"))
         assert [(each.number, each.what) for each in found] == [
             (n, "DYNAMIXEL, model 1030, firmware 38") for n in (1, 2)
         ]
     assert ping_request() == bytes.fromhex("FFFFFD00FE03000131 42".replace(" ", ""))
     broken = one[:-1] + bytes([one[-1] ^ 1])
-    assert list(scan.on_line(Line(broken), lambda seconds: None, "serial")) == []
+    assert list(scan.on_line(Line(broken), at_once, "serial")) == []

@@ -78,7 +78,7 @@ class Identified:
 
     log: Path
     method: str
-    answers: tuple[Answer, ...]  # base parameters without a unit, then the quantities
+    answers: tuple[Answer, ...]  # base parameters, only a held mass with a unit, then the quantities
     rows_used: int
     refused: dict[str, int]  # rows by reason
     damage: tuple[object, ...]

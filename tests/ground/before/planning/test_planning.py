@@ -16,7 +16,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import limits
-from onboard.ground.before.planning.bound import TICK_HZ, Bound, MotionBound, RowsBound
+from onboard.ground.before.planning.bound import TICK_HZ, RowsBound
 from onboard.ground.before.planning.criteria import Criterion, cost, weakest
 from onboard.ground.before.planning.planning import Wanted, plan_motion, told_by
 from onboard.ground.before.planning.splines import Splines
@@ -221,24 +221,11 @@ def test_a_planar_base_is_planned_for_what_its_motions_can_tell(tmp_path, capsys
     assert np.array(bound.names)[told].tolist() == ["m_payload", "c_x_payload", "c_y_payload", "I_zz_payload"]
 
 
-class Known(Bound):
-    """Whose sigmas at rest and in motion are given."""
-
-    def __init__(self, still, moving):
-        self._still, self._moving = np.array(still), np.array(moving)
-
-    def of(self, moved):
-        return MotionBound(np.diag((self._moving if moved[1].any() else self._still) ** 2), None)
-
-    def base(self, moved, period_s):
-        raise NotImplementedError
-
-    def along(self, moved):
-        raise NotImplementedError
-
-
 def test_what_nothing_determines_at_rest_is_told_by_a_motion_that_does():
     """A cell in a wrist whose zero is not known: at rest no number is given, of the mass either."""
-    unknown = float("nan")
-    bound = Known([unknown, unknown, 1.0, 1.0], [0.01, unknown, 0.5, 0.99])
-    assert told_by(bound, np.ones((3, 4, 2))).tolist() == [True, False, True, False]
+    vehicle = config.named("lab_ur").with_row_rate(TICK_HZ)
+    plan = plan_of(vehicle, default_plan(rehearsal(vehicle.path), 1.0 / TICK_HZ))
+    bound = RowsBound(vehicle, plan, slice(0, len(plan.time_s)))
+    told = told_by(bound, np.stack([plan.q, plan.dq, plan.ddq]))
+    assert {"m_payload", "c_x_payload", "c_y_payload", "c_z_payload"} <= set(np.array(bound.names)[told])
+    assert "I_xx_payload" in bound.names
