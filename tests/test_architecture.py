@@ -81,24 +81,25 @@ def imports(path: str, source: str) -> tuple[Import, ...]:
     if not path.endswith("__init__.py"):
         package = package[:-1]
 
-    def visit(node: ast.AST, lazy: bool) -> Iterator[Import]:
+    found: list[Import] = []
+    waiting: list[tuple[ast.AST, bool]] = [(parsed(path, source), False)]
+    while waiting:
+        node, lazy = waiting.pop()
         match node:
             case ast.Import():
-                yield from (Import(node.lineno, alias.name, lazy) for alias in node.names)
+                found += [Import(node.lineno, alias.name, lazy) for alias in node.names]
             case ast.ImportFrom():
                 base = package[: len(package) - node.level + 1] if node.level else []
                 prefix = ".".join([*base, *([node.module] if node.module else [])])
-                yield from (Import(node.lineno, f"{prefix}.{alias.name}", lazy) for alias in node.names)
+                found += [Import(node.lineno, f"{prefix}.{alias.name}", lazy) for alias in node.names]
             case ast.Call(
                 func=ast.Attribute(attr="import_module") | ast.Name(id="import_module" | "__import__"),
                 args=[ast.Constant(value=str(name)), *_],
             ):
-                yield Import(node.lineno, name, lazy)
+                found.append(Import(node.lineno, name, lazy))
         inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-        for child in ast.iter_child_nodes(node):
-            yield from visit(child, inside)
-
-    return tuple(visit(parsed(path, source), False))
+        waiting += [(child, inside) for child in ast.iter_child_nodes(node)]
+    return tuple(sorted(found))
 
 
 def drivers_import_nothing_of_ours(path: str, source: str) -> list[str]:

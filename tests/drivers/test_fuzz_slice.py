@@ -12,16 +12,16 @@ from drivers.errors import FrameError
 from drivers.transports.can.can_slcan import decode_line
 
 SEED = 20190812
-EXECUTIONS = {  # about 2 s each, most of it the trace function
+EXECUTIONS = {  # about 1 s each, most of it the trace function
     "mpu6050": 80,
-    "canopen": 60,
-    "slcan": 600,
-    "nimu": 250,
-    "qsb": 100,
-    "modbus": 500,
-    "dsc": 900,
+    "canopen": 30,
+    "slcan": 300,
+    "nimu": 150,
+    "qsb": 50,
+    "modbus": 150,
+    "dsc": 200,
     "dynamixel": 120,
-    "node_frame": 500,
+    "node_frame": 200,
     "sync_pulse": 500,
     "nau7802": 60,
     "as5600": 60,

@@ -130,14 +130,14 @@ def test_lapack_refusing_is_not_passed_over(monkeypatch):
         SquareRootRls(1).update(np.ones((1, 1)), np.ones(1), np.ones(1))
 
 
-def test_a_million_updates_stay_positive_definite():
-    """Constant regressor with forgetting: covariance filters wind up and go non-finite here."""
-    rls = SquareRootRls(3, forgetting=0.999)
+def test_after_a_thousand_time_constants_it_is_positive_definite():
+    """Constant regressor with forgetting: covariance filters wind up by e^1000 and go non-finite here."""
+    rls = SquareRootRls(3, forgetting=0.99)
     rls.prior(np.zeros(3), np.array([1.0, 1e-3, 1e3]))
     row, y, one = np.array([[1.0, 1e-3, 1e3]]), np.array([2.0]), np.ones(1)
-    for k in range(1_000_000):
+    for k in range(100_000):
         rls.update(row, y, one)
-        if k % 100_000 == 0:
+        if k % 10_000 == 0:
             assert np.linalg.eigvalsh(rls.solve().covariance).min() > 0.0
     found = rls.solve()
     scale = np.sqrt(np.diag(found.covariance))

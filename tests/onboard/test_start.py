@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import with_library
+
 _HEAVY = [
     *(f"scipy.{part}" for part in ("signal", "stats", "optimize", "interpolate", "spatial", "ndimage", "integrate")),
     *("glfw", "xml.sax", "http.client", "matplotlib", "filterpy", "canopen", "asyncssh", "dask", "pandas", "pyarrow"),
@@ -67,7 +69,7 @@ def test_modules_of_a_start(
 @pytest.mark.parametrize("mission", ["rocksat", "dymaflex"])
 def test_modules_of_foresight(mission: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table before a flight loads no part of SciPy that the flight does without."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(with_library(tmp_path)))
     done = subprocess.run(
         [sys.executable, "-c", _FORESIGHT, mission], cwd=tmp_path, capture_output=True, text=True, check=True
     )

@@ -33,7 +33,7 @@ from onboard.telemetry.packets import Packet
 from onboard.telemetry.process import sending
 from onboard.telemetry.stream import Series, Stream
 from tests.flight.missions import SHORT_REAL, Result, inline
-from tests.telemetry.rows import estimates, health, said
+from tests.telemetry.rows import estimates, health, said, slower
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 FAST = Telemetry(status_hz=5, answers_hz=5, bytes_s=20_000)
@@ -213,7 +213,8 @@ def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
     line, log, over = Line(tmp_path / "tty", [parse("mark 7")]), tmp_path / "flight.mcap", tmp_path / "over.toml"
     assert cli.main(["init", str(tmp_path / "mine"), "--from", "rocksat"]) == cli.OK
     vehicle = tmp_path / "mine/vehicle.toml"
-    vehicle.write_text(f'{vehicle.read_text()}\n[telemetry]\ncommands = ["mark"]\n')
+    text = slower(vehicle.read_text())
+    vehicle.write_text(f'{text}\n[telemetry]\ncommands = ["mark"]\n')
     over.write_text(f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n")
     to = f"serial://{tmp_path}/tty?baud=19200"
     command = [sys.executable, "-m", "onboard.cli", "hil", str(vehicle), "--scenario", str(over), "--realtime"]
