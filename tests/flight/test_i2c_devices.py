@@ -39,17 +39,21 @@ def rehearsed(directory, init, *further, swing=6.0, seed=3, change=("", "")):
     return json.loads(result.read_text()), LogReader(log), code
 
 
-@pytest.mark.parametrize("rate", [80, 320])
-def test_a_cell_on_an_nau7802_is_weighed_with(tmp_path, rate):
+@pytest.mark.parametrize(("rate", "faults"), [(80, []), (320, ["--fault", "saturated:load_cell:5:6:1"])])
+def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(tmp_path, rate, faults):
     change = ("sample_rate_hz = 320 ", f"sample_rate_hz = {rate} ")
-    result, log, _ = rehearsed(tmp_path, CELL, change=change)
+    result, log, _ = rehearsed(tmp_path, CELL, *faults, change=change)
     assert result["accounted"]
     honest(answers(result))
     assert answers(result)["XZ_payload_R"]["supported"]
     rows = log.read("load_cell")
     assert len(rows) > 8.0 * rate
     assert result["channels"]["load_cell"]["missing"] == 0
-    assert rows["status"].nonzero()[0].tolist() == [0, 1, 2, 3]  # its filter settles
+    saturated = rows["status"] & SampleStatus.SATURATED != 0
+    assert (rows["status"].astype(bool) & ~saturated).nonzero()[0].tolist() == [0, 1, 2, 3]  # its filter settles
+    if faults:
+        assert 280 < saturated.sum() < 340
+        assert set(rows["value_raw"][saturated]) == {(1 << 23) - 1}
 
 
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
@@ -67,15 +71,6 @@ def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
     rows = log.read("load_cell")
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 2
     assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
-
-
-def test_a_cell_beyond_its_range_is_saturated_and_not_weighed_with(tmp_path):
-    result, log, _ = rehearsed(tmp_path, CELL, "--fault", "saturated:load_cell:5:6:1")
-    rows = log.read("load_cell")
-    saturated = rows["status"] & SampleStatus.SATURATED != 0
-    assert 280 < saturated.sum() < 340
-    assert set(rows["value_raw"][saturated]) == {(1 << 23) - 1}
-    honest(answers(result))
 
 
 def test_what_the_file_says_of_the_bridge_must_fit_the_converter(tmp_path, capsys):
@@ -109,7 +104,7 @@ def test_conversions_are_put_on_the_time_when_they_ended(tmp_path, monkeypatch):
 
 def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
     """Two joints with an AS5600 each, on two buses, and their eccentric magnets."""
-    result, log, _ = rehearsed(tmp_path, JOINTS, swing=14.0, seed=6)
+    result, log, _ = rehearsed(tmp_path, JOINTS, swing=8.0, seed=6)
     assert result["accounted"]
     honest(answers(result))
     moment = answers(result)["MY_payload"]
@@ -117,7 +112,7 @@ def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
     assert abs(moment["value"] - moment["truth"]) < 2e-3  # kg m; through 100 ms it was 12 to 18e-3 off
     for joint in ("joint_1", "joint_2"):
         rows = log.read(joint)
-        assert len(rows) > 16.5 * 200
+        assert len(rows) > 10.5 * 200
         assert set(rows["status"]) == {0}
         assert set(rows["device_status"]) == {0x20}
 
@@ -140,19 +135,11 @@ def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_pat
 @pytest.mark.realtime
 @pytest.mark.timeout(180)
 def test_an_arm_of_magnets_and_a_bridge_flies_in_real_time(tmp_path):
-    result, log, _ = rehearsed(tmp_path, JOINTS, "--realtime", "--fault", "silent:joint_1:4:5")
+    faults = ["--fault", "silent:joint_1:2:3", "--fault", "silent:load_cell:3:4"]
+    result, log, _ = rehearsed(tmp_path, JOINTS, "--realtime", *faults, swing=4.0)
     assert result["accounted"]
     assert len(log.read("joint_2")) > 800
+    assert len(log.read("load_cell")) > 300
     events = log.read("event")
-    assert b"bus_recovered" in events["code"][events["source"] == b"joint_1"].tolist()
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(180)
-def test_a_cell_on_an_nau7802_flies_in_real_time(tmp_path):
-    result, log, _ = rehearsed(tmp_path, CELL, "--realtime", "--fault", "silent:load_cell:4:5")
-    assert result["accounted"]
-    rows = log.read("load_cell")
-    assert len(rows) > 300
-    events = log.read("event")
-    assert b"bus_recovered" in events["code"][events["source"] == b"load_cell"].tolist()
+    for device in (b"joint_1", b"load_cell"):
+        assert b"bus_recovered" in events["code"][events["source"] == device].tolist()

@@ -22,7 +22,7 @@ COULOMB, VISCOUS, ROTOR, OFFSET = (
     np.array(v) for v in ([3.0, 2.0, 1.0], [4.0, 2.0, 1.5], [1.0, 0.5, 0.3], [1, -2, 0.5])
 )
 WRIST = (0.8, 0.6, 0.2)  # Coulomb, viscous, rotor of the motor that turns with joints 2 and 3
-RATE_HZ, END_S, NOISE_N_m = 200.0, 24.0, 0.3
+RATE_HZ, END_S, NOISE_N_m = 200.0, 12.0, 0.3
 
 HEAD = """
 [vehicle]

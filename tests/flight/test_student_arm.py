@@ -8,18 +8,15 @@ from onboard.cli import OK, main
 from onboard.flight.estimate.problem.identification import build_identifier
 from tests.flight.missions import Result, fly
 
-SHORT = [
-    {"phase": 0, "action": "hold", "duration_s": 1.0},
-    {"phase": 1, "action": "swing", "duration_s": 14.0},
-    {"phase": 9, "action": "hold", "duration_s": 0.5},
-]
 HELD = {"mass_kg": [0.25, 0.25], "size_mm": [60, 50, 50], "centre_of_mass_mm": [4, -6, 28]}
 SERVOS = [f"joint_{k}" for k in range(1, 5)]
 
 
-def flown(path: Path, *faults: dict[str, object]) -> Result:
+def flown(path: Path, swing_s: float, *faults: dict[str, object]) -> Result:
     """The packaged mission, shorter, with 250 g."""
-    return fly(path / "arm.mcap", vehicle="student_arm", payload=HELD, sequence=SHORT, fault=list(faults))
+    steps = ((0, "hold", 1.0), (1, "swing", swing_s), (9, "hold", 0.5))
+    sequence = [{"phase": phase, "action": action, "duration_s": lasts} for phase, action, lasts in steps]
+    return fly(path / "arm.mcap", vehicle="student_arm", payload=HELD, sequence=sequence, fault=list(faults))
 
 
 def mass(run: Result) -> dict[str, float]:
@@ -29,7 +26,7 @@ def mass(run: Result) -> dict[str, float]:
 
 
 def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
-    run = flown(tmp_path)
+    run = flown(tmp_path, 9.0)
     assert run.table["accounted"]
     told = mass(run)
     assert told["truth"] == 0.25
@@ -52,7 +49,7 @@ def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
 def test_what_is_unplugged_for_a_while_costs_its_rows_and_no_more(tmp_path: Path) -> None:
     """A servo, then the cell, then the IMU: each is named, comes back, and the mass stays inside its interval."""
     away = [("joint_3", 3.0, 4.0), ("load_cell", 6.0, 7.0), ("imu_base", 9.0, 10.0)]
-    run = flown(tmp_path, *({"kind": "off", "device": d, "start_s": a, "end_s": b} for d, a, b in away))
+    run = flown(tmp_path, 14.0, *({"kind": "off", "device": d, "start_s": a, "end_s": b} for d, a, b in away))
     assert run.table["accounted"]
     assert any(text.startswith("joint_3: ") for text in run.events("silent"))
     assert any(text.startswith("joint_3: ") for text in run.events("recovered"))
