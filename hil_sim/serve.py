@@ -35,12 +35,14 @@ import numpy as np
 from hil_sim.buses.i2c_socket import I2cSocket
 from hil_sim.buses.in_process import EdgePort
 from hil_sim.buses.media import CanBus, I2cBus
+from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.buses.tcp_bus import ListeningTcp, TcpBus
+from hil_sim.buses.tcp_ends import ListeningTcp
+from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.faults import parse
 from hil_sim.scenario.bus_tables import (
     BusTable,
@@ -49,6 +51,7 @@ from hil_sim.scenario.bus_tables import (
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
+    UdpBusTable,
 )
 
 _LEASH_PERIOD_S: Final = 0.1
@@ -127,14 +130,18 @@ class PseudoTerminal(Port):
         self._terminal.close()
 
 
-class TcpListener(Port):
-    """A port of this computer; kernel tier and this one share it."""
+class NetworkPort(Port):
+    """A port of this computer; kernel tier and this one share it.
 
-    def __init__(self) -> None:
-        self._listener = ListeningTcp()
-        self._network = TcpBus(self._listener)
+    Args:
+        table: Of the bus: TCP or UDP.
+    """
+
+    def __init__(self, table: TcpBusTable | UdpBusTable) -> None:
+        self._listener = ListeningTcp() if isinstance(table, TcpBusTable) else UdpEnd()
+        self._network = NetworkBus(self._listener)
         host, port = self._listener.address
-        super().__init__(self._network, f"tcp://{host}:{port}")
+        super().__init__(self._network, f"{table.kind}://{host}:{port}")
 
     @property
     def files(self) -> list[int]:
@@ -171,8 +178,8 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
-            case TcpBusTable():
-                return TcpListener()
+            case TcpBusTable() | UdpBusTable():
+                return NetworkPort(table)
 
     return open_ports(tables, open_port, seed)
 

@@ -6,8 +6,8 @@ from typing import TypeVar
 import numpy as np
 
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
+from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.serial_bus import SerialBus
-from hil_sim.buses.tcp_bus import TcpBus
 from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
@@ -160,8 +160,8 @@ class Twins:
             self._bus(table.bus, I2cBus).add(twin.device)
         elif table.needs == "can":
             self._bus(table.bus, CanBus).add(twin.device)
-        elif table.needs == "tcp":
-            self._bus(table.bus, TcpBus).add(twin.device)
+        elif table.needs in ("tcp", "udp"):
+            self._bus(table.bus, NetworkBus).add(twin.device)
         else:
             made = self._plug_serial(self._bus(table.bus, SerialBus), twin)
         self._produced.append((twin, made))

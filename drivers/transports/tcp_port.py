@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+from collections.abc import Mapping
 from typing import Self
 
 from drivers.errors import UrlError
@@ -10,6 +11,23 @@ from drivers.transports.url import parse
 TCP_URLS = {"tcp": ("host",)}
 CONNECT_S = 1.0  # a host that is off answers nothing: its bus, which has a thread of its own, waits as long
 _MOST = 1 << 16
+
+
+def host_and_port(url: str, kinds: Mapping[str, tuple[str, ...]], example: str) -> tuple[str, int]:
+    """Host and port of a URL.
+
+    Args:
+        url: ``SCHEME://HOST:PORT``.
+        kinds: Schemes that it can have.
+        example: One that is right.
+
+    Raises:
+        UrlError: The URL is not of this form.
+    """
+    host, _, port = parse(url, kinds).host.rpartition(":")
+    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 1 << 16:
+        raise UrlError(f"bus URL {url!r} needs a host and a port: write {example}")
+    return host.strip("[]"), int(port)
 
 
 class TcpPort:
@@ -34,10 +52,8 @@ class TcpPort:
             UrlError: The URL is not of this form.
             OSError: Nobody answers there.
         """
-        host, _, port = parse(url, TCP_URLS).host.rpartition(":")
-        if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 1 << 16:
-            raise UrlError(f"bus URL {url!r} needs a host and a port: write tcp://192.168.0.10:30004")
-        connection = socket.create_connection((host.strip("[]"), int(port)), CONNECT_S)
+        address = host_and_port(url, TCP_URLS, "tcp://192.168.0.10:30004")
+        connection = socket.create_connection(address, CONNECT_S)
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return cls(connection)

@@ -11,10 +11,12 @@ from pathlib import Path
 from hil_sim.buses.can_virtual import VirtualCan, install_can
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
+from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
-from hil_sim.buses.tcp_bus import TcpBus, VirtualTcp
+from hil_sim.buses.tcp_ends import VirtualTcp
+from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.scenario.bus_tables import (
     BusTable,
     CanBusTable,
@@ -22,6 +24,7 @@ from hil_sim.scenario.bus_tables import (
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
+    UdpBusTable,
 )
 
 
@@ -82,7 +85,16 @@ class _SerialPort(Port):
 class _TcpPort(Port):
     def __init__(self, host: str) -> None:
         self._host = VirtualTcp(host)
-        super().__init__(TcpBus(self._host), f"tcp://{host}:30004")
+        super().__init__(NetworkBus(self._host), f"tcp://{host}:30004")
+
+    def close(self) -> None:
+        self._host.close()
+
+
+class _UdpPort(Port):
+    def __init__(self, host: str) -> None:
+        self._host = UdpEnd(host)
+        super().__init__(NetworkBus(self._host), f"udp://{host}:49152")
 
     def close(self) -> None:
         self._host.close()
@@ -114,5 +126,7 @@ def in_process(
                 return _SerialPort(f"/dev/hil-{name}-{bus}", table, seed)
             case TcpBusTable():
                 return _TcpPort(f"hil-{name}-{bus}")
+            case UdpBusTable():
+                return _UdpPort(f"hil-{name}-{bus}")
 
     return open_ports(tables, open_port, seed)

@@ -122,17 +122,17 @@ class UrController(PoweredTwin):
         self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
 
     def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
-        """See ``TcpDevice``."""
+        """See ``NetworkDevice``."""
         self._transmit = transmit
 
     def connected(self) -> None:
-        """See ``TcpDevice``."""
+        """See ``NetworkDevice``."""
         self._request.clear()
         self._sent.clear()
         self._stop("package")
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """See ``TcpDevice``."""
+        """See ``NetworkDevice``."""
         self._request += data
         while len(self._request) >= 3 and len(self._request) >= (size := int.from_bytes(self._request[:2], "big")) >= 3:
             letter, rest = chr(self._request[2]), bytes(self._request[3:size])
@@ -140,7 +140,7 @@ class UrController(PoweredTwin):
             self._asked(letter, rest, now_ns)
 
     def delivered(self, data: bytes) -> None:
-        """See ``TcpDevice``."""
+        """See ``NetworkDevice``."""
         if self._sent and self._sent[0][0] is data:
             _, number = self._sent.popleft()
             self._samples += 1 if self._counted is None else number - self._counted

@@ -225,11 +225,11 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
             case "serial":
                 line = {"parity": options.get("parity", "N"), "stop_bits": int(options.get("stop_bits", 1))}
                 return {"kind": "serial", "baud_rate": int(options["baud"]), **line}
-            case "tcp":
-                return {"kind": "tcp"}
+            case "tcp" | "udp" as network:
+                return {"kind": network}
     except (KeyError, ValueError) as error:
         raise ScenarioError(f"bus.{name}: {url} lacks or has a wrong {error}; correct it") from error
-    raise ScenarioError(f"bus.{name}: {scheme} is no bus that can be rehearsed; i2c, can, serial, tcp and gpio are")
+    raise ScenarioError(f"bus.{name}: {scheme} can not be rehearsed; i2c, can, serial, tcp, udp and gpio can")
 
 
 def _as_built(estimation: Table, drawing: Drawing) -> Table:

@@ -22,8 +22,9 @@ from hil_sim.scenario.bus_tables import (
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
+    UdpBusTable,
 )
-from hil_sim.serve import PseudoTerminal, TcpListener
+from hil_sim.serve import NetworkPort, PseudoTerminal
 
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
 _BURST_NS: Final = 3_000_000  # but none waits longer
@@ -114,8 +115,8 @@ def open_nodes(
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
-            case TcpBusTable():
-                return TcpListener()
+            case TcpBusTable() | UdpBusTable():
+                return NetworkPort(table)
 
     return open_ports(tables, open_port, seed)
 

@@ -45,8 +45,15 @@ class TcpBusTable(Table):
     kind: Literal["tcp"]
 
 
+class UdpBusTable(Table):
+    """A network with one device that sends datagrams."""
+
+    kind: Literal["udp"]
+
+
 BusTable = Annotated[
-    I2cBusTable | CanBusTable | PulseLineTable | SerialBusTable | TcpBusTable, Field(discriminator="kind")
+    I2cBusTable | CanBusTable | PulseLineTable | SerialBusTable | TcpBusTable | UdpBusTable,
+    Field(discriminator="kind"),
 ]
 
 

@@ -4,6 +4,7 @@
 and reports when it cannot.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -16,10 +17,10 @@ from drivers.device import Device
 from drivers.ports import I2cPort, PulsePort, SerialPort
 from drivers.records import PULSE, SCALAR
 from drivers.transports.url import parse
-from onboard.devices.base import BusDevice, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
-from onboard.section import Positive
+from onboard.devices.base import BusDevice, Channels, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
+from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, PolledChannel
+from onboard.timebase.specs import ChannelClock, FollowerChannel, FreeChannel, PolledChannel
 
 Identify = Callable[[I2cPort, int], str | None]
 OpenSerial = Callable[[], SerialPort]
@@ -108,6 +109,95 @@ class PolledLoadCellDevice(SerialLineDevice, LoadCellDevice):
         answer_ns = 1e9 * on_wire_s(self.exchange_bytes[1], around.baud(self.bus))
         on_wire = [Delay(channel, "", answer_ns * 1e-9, 0.0, cause) for channel in self.channels(name)]
         return super().delays(name, around) + on_wire
+
+
+class StreamedDevice(BusDevice):
+    """A part of what one instrument sends unasked; all on one bus come in the same packages, by one driver."""
+
+    shares_bus = True
+    records = SCALAR
+    tick_ns: ClassVar[float]
+    rate_hz: Annotated[Positive, Field(description="Packages a second.")]
+    poll_period_ms: PollPeriod
+    silence_ms: Annotated[Positive, Field(description="Time without a package after which it is asked anew.")]
+    latency_ms: Annotated[
+        NotNegative | None,
+        Field(
+            description="From the time stamp to the arrival of its package, as measured; half a period if not given."
+        ),
+    ] = None
+    latency_sigma_ms: Annotated[NotNegative, Field(description="Standard deviation of `latency_ms`.")] = 0.0
+
+    def parts(self, name: str) -> Mapping[str, str]:
+        """Channels, and which part of the instrument each is."""
+        raise NotImplementedError
+
+    @classmethod
+    def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
+        """See ``BusDevice``: one driver asks for all."""
+        first, leader = next(iter(devices.items()))
+        taken: dict[str, str] = {}
+        for name, one in devices.items():
+            if isinstance(one, StreamedDevice) and isinstance(leader, StreamedDevice):
+                if (one.settings(name), one.delay_ns) != (leader.settings(first), leader.delay_ns):
+                    text = (
+                        f"{name!r} and {first!r} come in one package; give both the same rate_hz, periods and latency"
+                    )
+                    yield ["device", name], text
+                for part in one.parts(name).values():
+                    other = taken.setdefault(part, name)
+                    if other != name:
+                        yield ["device", name], f"{name!r} and {other!r} are {part}; give each its own"
+
+    @property
+    def delay_ns(self) -> tuple[float, float]:
+        """From time stamp to arrival, and sigma: within a period where not measured, and till the port is read."""
+        period_ms = 1e3 / self.rate_hz
+        latency_ms, sigma_ms = 0.5 * period_ms, period_ms / math.sqrt(12.0)
+        if self.latency_ms is not None:
+            latency_ms, sigma_ms = self.latency_ms, self.latency_sigma_ms
+        sigma_ms = math.hypot(sigma_ms, self.poll_period_ms / math.sqrt(12.0))
+        return 1e6 * (latency_ms + 0.5 * self.poll_period_ms), 1e6 * sigma_ms
+
+    def channels(self, name: str) -> Channels:
+        """See ``DeviceSection``."""
+        return dict.fromkeys(self.parts(name), SCALAR)
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``: the first channel of the instrument leads."""
+        first, leader = next(iter(around.devices_on(self.bus).items()))
+        leads = next(iter(leader.channels(first)))
+        free: dict[str, ChannelClock] = {leads: FreeChannel(self.tick_ns, *self.delay_ns)} if first == name else {}
+        return {**dict.fromkeys(self.channels(name), FollowerChannel(leads)), **free}
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        delay_ns, sigma_ns = self.delay_ns
+        cause = f"{self.bus}: from time stamp to package, and till the port is read; the same for all on it"
+        common = [Delay(channel, "", 1e-9 * delay_ns, 1e-9 * sigma_ns, cause) for channel in self.channels(name)]
+        return [*super().delays(name, around), *common]
+
+
+class ComponentDevice(LoadCellDevice):
+    """A component of a six-axis sensor.
+
+    `component`: 1 to 3 are forces, 4 to 6 moments, about `axis` of `frame`. Where a known weight reads as if it
+    pulled the other way, turn `axis` round.
+    """
+
+    component: Annotated[int, Field(ge=1, le=6, description="1 to 3: force along x, y, z; 4 to 6: moment about them.")]
+
+    @property
+    def unit(self) -> str:
+        """Of its rows."""
+        return "N" if self.component < 4 else "N m"
+
+    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
+        """See ``DeviceSection``."""
+        yield from super().problems(name, around)
+        if self.measures != ("force" if self.component < 4 else "moment") or self.lever_m != 1.0:
+            text = "components 1 to 3 are forces, 4 to 6 moments, without lever_m"
+            yield ["device", name, "measures"], f"{name!r} is component {self.component}: {text}; correct it"
 
 
 class PulseDevice(BusDevice):

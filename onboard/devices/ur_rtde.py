@@ -8,16 +8,13 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from drivers.device import Device
-from drivers.records import SCALAR
 from drivers.transports.tcp_port import TCP_URLS, TcpPort
 from drivers.ur_rtde import RtdeChannel, RtdeConfig, UrRtde
 from drivers.ur_rtde.asking import answering
-from onboard.devices.base import Answering, BusDevice, Channels, LoadCellDevice, OpeningBus, Problem, Surroundings
-from onboard.devices.buses import PollPeriod
+from onboard.devices.base import Answering, OpeningBus, Problem, Surroundings
+from onboard.devices.buses import ComponentDevice, PollPeriod, StreamedDevice
 from onboard.devices.driven import MotorDevice
-from onboard.section import NotNegative, Positive
-from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, FollowerChannel, FreeChannel
+from onboard.section import Positive
 
 TICK_NS = 1000.0  # rows count microseconds
 COUNTS = 1 << 32  # of a turn: the controller tells doubles
@@ -25,14 +22,13 @@ STEP = 2.0**-32  # of what is told in other units
 Place = Annotated[int, Field(ge=1, le=6)]
 
 
-class UrOutputs(BusDevice):
+class UrOutputs(StreamedDevice):
     """A part of what a controller sends; all on one bus come in the same packages."""
 
     bus_type = "TCP"
     urls = TCP_URLS
-    shares_bus = True
-    records = SCALAR
     driver_configs = (RtdeConfig,)
+    tick_ns = TICK_NS
     about_clock = (
         "The controller's `timestamp`, fitted to the least delayed arrivals; `latency_ms` and half of `poll_period_ms` "
         "are taken off. All devices of a controller have the same times: an error of them is common to all."
@@ -40,13 +36,6 @@ class UrOutputs(BusDevice):
     rate_hz: Positive = RtdeConfig.rate_hz
     poll_period_ms: PollPeriod = RtdeConfig.poll_period_ms
     silence_ms: Positive = RtdeConfig.silence_ms
-    latency_ms: Annotated[
-        NotNegative | None,
-        Field(
-            description="From the time stamp to the arrival of its package, as measured; half a period if not given."
-        ),
-    ] = None
-    latency_sigma_ms: Annotated[NotNegative, Field(description="Standard deviation of `latency_ms`.")] = 0.0
 
     def outputs(self, name: str) -> Sequence[RtdeChannel]:
         """Channels, and what of the controller they are."""
@@ -60,56 +49,9 @@ class UrOutputs(BusDevice):
         config = next(iter(parts.values())).settings(bus.name)
         return [UrRtde(bus.name, channels, partial(TcpPort.open, bus.url), bus.clock, config)]
 
-    @classmethod
-    def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
-        """See ``BusDevice``: they are asked for at once."""
-        first, leader = next(iter(devices.items()))
-        taken: dict[tuple[str, int], str] = {}
-        for name, one in devices.items():
-            if isinstance(one, UrOutputs) and isinstance(leader, UrOutputs):
-                if (one.timing, one.delay_ns) != (leader.timing, leader.delay_ns):
-                    text = (
-                        f"{name!r} and {first!r} come in one package; give both the same rate_hz, periods and latency"
-                    )
-                    yield ["device", name], text
-                for channel in one.outputs(name):
-                    other = taken.setdefault((channel.variable, channel.place), name)
-                    if other != name:
-                        text = f"{name!r} and {other!r} are {channel.variable} {channel.place + 1}; give each its own"
-                        yield ["device", name], text
-
-    @property
-    def timing(self) -> RtdeConfig:
-        """How the controller is read."""
-        return self._settings(RtdeConfig)
-
-    @property
-    def delay_ns(self) -> tuple[float, float]:
-        """From time stamp to arrival, and sigma: within a period where not measured, and till the port is read."""
-        period_ms = 1e3 / self.rate_hz
-        latency_ms, sigma_ms = 0.5 * period_ms, period_ms / math.sqrt(12.0)
-        if self.latency_ms is not None:
-            latency_ms, sigma_ms = self.latency_ms, self.latency_sigma_ms
-        sigma_ms = math.hypot(sigma_ms, self.poll_period_ms / math.sqrt(12.0))
-        return 1e6 * (latency_ms + 0.5 * self.poll_period_ms), 1e6 * sigma_ms
-
-    def channels(self, name: str) -> Channels:
-        """See ``DeviceSection``."""
-        return dict.fromkeys((one.channel for one in self.outputs(name)), SCALAR)
-
-    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
-        """See ``DeviceSection``: the first channel of the controller leads."""
-        first, leader = next(iter(around.devices_on(self.bus).items()))
-        leads = next(iter(leader.channels(first)))
-        free: dict[str, ChannelClock] = {leads: FreeChannel(TICK_NS, *self.delay_ns)} if first == name else {}
-        return {**dict.fromkeys(self.channels(name), FollowerChannel(leads)), **free}
-
-    def delays(self, name: str, around: Surroundings) -> list[Delay]:
-        """See ``DeviceSection``."""
-        delay_ns, sigma_ns = self.delay_ns
-        cause = "controller: from time stamp to package, and till the port is read; the same for all of it"
-        common = [Delay(channel, "", 1e-9 * delay_ns, 1e-9 * sigma_ns, cause) for channel in self.channels(name)]
-        return [*super().delays(name, around), *common]
+    def parts(self, name: str) -> Mapping[str, str]:
+        """See ``StreamedDevice``."""
+        return {one.channel: f"{one.variable} {one.place + 1}" for one in self.outputs(name)}
 
 
 class UrJointDevice(UrOutputs, MotorDevice):
@@ -157,26 +99,14 @@ torque_scale_sigma = 0.1       # yours: of that, relative
             yield ["device", name, "torque_sigma_N_m"], f"{name!r} measures a current; give gain_N_m_A"
 
 
-class UrWrenchDevice(UrOutputs, LoadCellDevice):
-    """A component of an e-Series' wrist sensor, `ft_raw_wrench`, in the axes of the flange: nothing is taken off it.
-
-    `component`: 1 to 3 are forces, 4 to 6 moments, about `axis` of `frame`, the flange. Where a known weight reads as
-    if it pulled the other way, turn `axis` round.
-    """
+class UrWrenchDevice(UrOutputs, ComponentDevice):
+    """A component of an e-Series' wrist sensor, `ft_raw_wrench`, in the axes of the flange: nothing is taken off it."""
 
     kind: Literal["ur_wrench"]
-    component: Annotated[Place, Field(description="1 to 3: force along x, y, z; 4 to 6: moment about them.")]
 
     def outputs(self, name: str) -> Sequence[RtdeChannel]:
         """See ``UrOutputs``."""
-        return [RtdeChannel(name, "ft_raw_wrench", self.component - 1, STEP, "N" if self.component < 4 else "N m")]
-
-    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
-        """See ``DeviceSection``."""
-        yield from super().problems(name, around)
-        if self.measures != ("force" if self.component < 4 else "moment") or self.lever_m != 1.0:
-            text = "components 1 to 3 are forces, 4 to 6 moments, without lever_m"
-            yield ["device", name, "measures"], f"{name!r} is component {self.component}: {text}; correct it"
+        return [RtdeChannel(name, "ft_raw_wrench", self.component - 1, STEP, self.unit)]
 
 
 class UrOutputDevice(UrOutputs):

@@ -15,6 +15,7 @@ from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.net_box import NetBox
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
@@ -26,7 +27,14 @@ from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.devices.ur_controller import UrController
 from hil_sim.devices.ur_tables import rate
-from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable, TcpBusTable
+from hil_sim.scenario.bus_tables import (
+    CanBusTable,
+    I2cBusTable,
+    PulseLineTable,
+    SerialBusTable,
+    TcpBusTable,
+    UdpBusTable,
+)
 from onboard import config
 from onboard.flight.acquire.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
@@ -113,6 +121,7 @@ class MixedWorld:
             "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
             "robot": TcpBusTable(kind="tcp"),
+            "box": UdpBusTable(kind="udp"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -158,6 +167,9 @@ class MixedWorld:
         }
         self.robot = UrController(shown, RateClock(-3e-5), START_NS)
         bus["robot"].add(self.robot)
+        counts = {1: lambda time_s: (1e6 * force_n(time_s), False)}
+        self.hand = NetBox(counts, RateClock(4e-5), START_NS, rate_hz=500.0)
+        bus["box"].add(self.hand)
         for _ in range(BOOT_MS):
             self.advance(MS)
 

@@ -17,6 +17,7 @@ from drivers.marks import MARK
 from drivers.records import CAN_SYNC, IMU, POSE, PULSE, SCALAR
 from onboard import config
 from onboard.devices.base import BusDevice, DeviceSection, ImuDevice, JointDevice
+from onboard.devices.buses import ComponentDevice, StreamedDevice
 from onboard.devices.can.canopen import CanopenNodeDevice
 from onboard.devices.can.canopen_object import MappedObjectDevice
 from onboard.devices.driven import MotorDevice
@@ -95,6 +96,8 @@ SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, the
     (MotorDevice, "A joint's motor", "cia402"),
     (MappedObjectDevice, "A mapped object", "canopen_object"),
     (CanopenNodeDevice, "A CANopen node", "cia404"),
+    (StreamedDevice, "A part of an instrument that streams", "net_ft"),
+    (ComponentDevice, "A component of a six-axis sensor", "net_ft"),
     (UrOutputs, "A part of a UR controller", "ur_output"),
 ]
 HEAD = """# Devices
@@ -113,6 +116,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
 | `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one device, or several servos; speed and format |
 | `tcp://192.168.56.101:30004` | joints, wrench and other outputs of one UR controller |
+| `udp://192.168.1.1:49152` | components of one wrist sensor |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
@@ -133,7 +137,7 @@ TITLES = {
     "i2c": "Devices on I2C",
     "can": "Devices on CAN",
     "serial": "Devices on serial lines",
-    "tcp": "Devices on TCP",
+    "tcp": "Devices on a network",
     "pulse": "Pulse inputs and outputs",
     "recorded": "Recorded data as devices",
 }
@@ -143,6 +147,7 @@ ROOMS = {
     "can": "can",
     "serial_line": "serial",
     "ur_rtde": "tcp",
+    "net_ft": "tcp",
     "recorded": "recorded",
 }
 
@@ -150,7 +155,7 @@ ROOMS = {
 def bus(model: type[BaseModel]) -> str:
     """Of the :data:`TITLES`, by the module that the class stands in; empty for what several have."""
     room = model.__module__.split(".")[2]
-    return "" if room in ("base", "driven", "roles") else ROOMS.get(room, "pulse")
+    return "" if room in ("base", "buses", "driven", "roles") else ROOMS.get(room, "pulse")
 
 
 def pages() -> dict[str, str]:

@@ -2,7 +2,8 @@
 
 Nothing is set up and no state of a device is changed: chips are read at addresses of known kinds, and of every CANopen
 node the objects 1000h and 1018h. Serial ports are listed and not opened: opening one resets many boards. One that is
-named is asked: servos by a ping, Modbus stations by a read; and so is a robot's controller on TCP, for its software.
+named is asked: servos by a ping, Modbus stations by a read; and so are a
+robot's controller on TCP, for its software, and a wrist sensor on UDP, for one record.
 """
 
 import errno
@@ -19,6 +20,7 @@ from drivers.errors import SdoAbortError
 from drivers.i2c.bus import NOT_ACKNOWLEDGED, explain
 from drivers.ports import CanPort, I2cPort, SerialPort
 from drivers.transports.tcp_port import TCP_URLS, TcpPort
+from drivers.transports.udp_port import UDP_URLS, UdpPort
 from drivers.transports.url import parse
 from onboard.devices.base import BusDevice
 from onboard.devices.buses import I2cDevice
@@ -29,6 +31,7 @@ ANSWERED_S = 0.2  # the read of an object
 ASKED_EVERY_S = 2e-3  # a read and its answer take 0.5 ms at 500 kbit/s
 STEP_S = 0.01
 NODES = range(1, 128)
+NETWORK = (TCP_URLS, TcpPort.open), (UDP_URLS, UdpPort.open)
 CAN_LINK_TYPE = "280"  # ARPHRD_CAN in Linux' if_arp.h
 
 Clock = Callable[[], int]
@@ -89,9 +92,9 @@ def scan(url: str, clock: Clock, wait: Wait) -> Bus:
     Raises:
         DriverError: the URL is of none.
     """
-    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS | transports.SERIAL_URLS | TCP_URLS)
+    bus = parse(url, transports.I2C_URLS | transports.CAN_URLS | transports.SERIAL_URLS | TCP_URLS | UDP_URLS)
     try:
-        for urls_of_it, opens in ((transports.SERIAL_URLS, transports.open_serial), (TCP_URLS, TcpPort.open)):
+        for urls_of_it, opens in ((transports.SERIAL_URLS, transports.open_serial), *NETWORK):
             if bus.kind in urls_of_it:
                 line = opens(url)
                 try:

@@ -223,3 +223,10 @@ def test_answers_to_a_ping_are_found_in_any_company() -> None:
     assert ping_request() == bytes.fromhex("FFFFFD00FE03000131 42".replace(" ", ""))
     broken = one[:-1] + bytes([one[-1] ^ 1])
     assert list(scan.on_line(Line(broken), at_once, "serial")) == []
+
+
+def test_a_wrist_sensor_is_known_by_a_record() -> None:
+    """By its manual: 36 bytes; the port puts their number before them."""
+    six = list(scan.on_line(Line(b"\x00\x24" + bytes(36)), at_once, "udp"))
+    assert [(one.kind, one.number) for one in six] == [("net_ft", n) for n in range(1, 7)]
+    assert not list(scan.on_line(Line(b"\x00\x04HTTP"), at_once, "udp"))

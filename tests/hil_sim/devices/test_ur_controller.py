@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from hil_sim.buses.tcp_bus import ListeningTcp, TcpBus, VirtualTcp
+from hil_sim.buses.network import NetworkBus
+from hil_sim.buses.tcp_ends import ListeningTcp, VirtualTcp
 from hil_sim.devices.ur_controller import UrController
 from hil_sim.devices.ur_tables import rate
 from hil_sim.faults import Fault, FaultError, FaultPlan
@@ -27,7 +28,7 @@ def served(start_ns=None, **how):
     """Its port, while a thread serves it on the real clock."""
     start_ns = time.monotonic_ns() if start_ns is None else start_ns
     listener = ListeningTcp()
-    bus, stop = TcpBus(listener), threading.Event()
+    bus, stop = NetworkBus(listener), threading.Event()
     bus.add(UrController(INPUTS, RateClock(start_ns=start_ns), start_ns, **how))
 
     def run():
@@ -73,7 +74,7 @@ class Session:
 
     def __init__(self, faults=(), **how) -> None:
         self.end = VirtualTcp("here")
-        self.bus = TcpBus(self.end)
+        self.bus = NetworkBus(self.end)
         self.now_ns = START_NS
         plan = FaultPlan([Fault(*fault) for fault in faults], START_NS)
         self.twin = UrController(INPUTS, RateClock(), START_NS, jitter_ns=0, faults=plan.of("arm"), **how)

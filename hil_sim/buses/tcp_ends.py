@@ -1,131 +1,14 @@
-"""TCP between a device that listens and the flight computer, in this process (T0) or by a real socket (T1).
+"""The flight computer's end of TCP: in this process (T0) or by a real socket (T1), for ``NetworkBus``.
 
-``TcpBus`` is the medium: what is sent arrives whole and in order, or the connection breaks. In T0
-``socket.create_connection`` finds the simulated hosts by their names. The device has one client at a time: a new one
-takes the place of the one before.
+In T0 ``socket.create_connection`` finds the simulated hosts by their names.
 """
 
 import contextlib
 import socket
-from collections import deque
-from collections.abc import Callable
-from typing import Any, Final, Protocol
-
-from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
+from typing import Any, Final
 
 _MOST: Final = 65_536
 _real: Final = socket.create_connection
-
-
-class TcpDevice(Protocol):
-    """A device that listens on a port."""
-
-    @property
-    def due_ns(self) -> int:
-        """When it next does something of its own accord."""
-
-    @property
-    def listens(self) -> bool:
-        """Whether it takes connections: it is on."""
-
-    def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
-        """Give it the network: ``transmit`` sends bytes at a time, CLOCK_MONOTONIC ns."""
-
-    def join(self, other: Any) -> None:
-        """Another table of the same device."""
-
-    def connected(self) -> None:
-        """There is a new client."""
-
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Bytes of the client."""
-
-    def delivered(self, data: bytes) -> None:
-        """Bytes that it sent have reached the client."""
-
-    def act(self, until_ns: int) -> None:
-        """Do, in order, everything that is due at ``until_ns``."""
-
-
-class HostEnd(Protocol):
-    """The flight computer's end."""
-
-    def look(self) -> tuple[bool, bytes]:
-        """Whether there is a new connection since the last call, and what came on it."""
-
-    def give(self, data: bytes) -> bool:
-        """Hand over bytes; False without a connection."""
-
-    def listen(self, is_on: bool) -> None:
-        """Take connections from now on, or break the one that there is and refuse others."""
-
-
-class TcpBus:
-    """A network with one device on it.
-
-    Args:
-        end: The flight computer's end.
-    """
-
-    def __init__(self, end: HostEnd) -> None:
-        self.to_host = self.to_device = 0  # bytes
-        self._end = end
-        self._device: TcpDevice | None = None
-        self._under_way = deque[tuple[int, bytes]]()
-        self._faults = NO_FAULTS
-        self._listens = False
-        self._now_ns = 0
-
-    @property
-    def due_ns(self) -> int:
-        """When something next happens."""
-        times = [t for w in self._faults.windows for t in (w.start_ns, w.end_ns) if t > self._now_ns]
-        if self._under_way:
-            times.append(self._under_way[0][0])
-        return min([*times, NEVER if self._device is None else self._device.due_ns])
-
-    def add(self, device: TcpDevice) -> None:
-        """Connect the device, or one more table of it."""
-        if self._device is not None:
-            self._device.join(device)
-            return
-        self._device = device
-        self._listens = device.listens
-        self._end.listen(self._listens)
-        device.plug_in(lambda data, ready_ns: self._under_way.append((ready_ns, data)))
-
-    def inject(self, faults: DeviceFaults) -> None:
-        """Set what breaks: the cable.
-
-        Raises:
-            FaultError: a fault that a network cannot have.
-        """
-        self._faults = faults.require(FaultKind.UNPLUG)
-
-    def advance(self, now_ns: int) -> None:
-        """Let the device go on, and deliver what has arrived."""
-        self._now_ns = now_ns
-        device = self._device
-        if device is None:
-            return
-        device.act(now_ns)
-        listens = device.listens and self._faults.active(FaultKind.UNPLUG, now_ns) is None
-        if listens != self._listens:
-            self._listens = listens
-            self._end.listen(listens)
-            self._under_way.clear()
-        anew, data = self._end.look()
-        if anew:
-            self._under_way.clear()
-            device.connected()
-        if data:
-            self.to_device += len(data)
-            device.receive(data, now_ns)
-        while self._under_way and self._under_way[0][0] <= now_ns:
-            _, sent = self._under_way.popleft()
-            if self._end.give(sent):
-                self.to_host += len(sent)
-                device.delivered(sent)
 
 
 class VirtualConnection:

@@ -1,0 +1,196 @@
+"""The sensor as a stream of SCALAR rows: asked once, lost and repeated records found by their numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, FrameError
+from drivers.net_ft.record import ERROR, RECORD, START, STOP, RecordStream, request
+from drivers.records import SCALAR, SampleStatus, Severity
+from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+
+LARGEST_RATE_HZ = 8000.0  # a Net F/T sends up to 7000 records a second, an Axia 7912
+FASTER = 1.1  # than ``rate_hz``, at most: records of a stream may not be numbered ahead of what can have been sent
+ARRIVES_WITHIN_S = 0.2  # and so much later a record may arrive
+_NUMBERS = 1 << 32
+
+
+class NetFtChannel(NamedTuple):
+    """A channel of SCALAR rows.
+
+    Attributes:
+        channel: Its name.
+        component: Which of the six: 0 to 2 force along x, y, z, 3 to 5 torque about them.
+        scale: ``unit`` per count of the rows.
+        unit: SI.
+    """
+
+    channel: str
+    component: int
+    scale: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class NetFtConfig:
+    """How a sensor is read.
+
+    Attributes:
+        rate_hz: Records a second: *RDT Output Rate* of the sensor's configuration page.
+        poll_period_ms: How often the port is read.
+        silence_ms: Time without a record after which the sensor is asked anew.
+
+    Raises:
+        ConfigurationError: A value out of range.
+    """
+
+    rate_hz: float = 1000.0
+    poll_period_ms: float = 2.0
+    silence_ms: float = 1000.0
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.rate_hz <= LARGEST_RATE_HZ:
+            raise ConfigurationError(f"rate_hz = {self.rate_hz:g}: a sensor sends 1 to 8000 records a second")
+
+
+class NetFt(SerialDevice):
+    """Components of one sensor as SCALAR rows; all channels of a record have its number.
+
+    ``tick`` is that number, ``device_status`` the high byte of the sensor's status. ``status`` is NOT_VALID where the
+    sensor says that it has an error, AFTER_RESET where it was asked anew: its numbers begin at 1 then, and how many
+    were lost is estimated by the time that has passed.
+
+    Args:
+        name: Source of its events.
+        channels: At least one, with different names.
+        open_port: Opens the port: of a UDP port, see ``drivers.transports.udp_port``.
+        clock: CLOCK_MONOTONIC, ns.
+        config: How it is read.
+
+    Raises:
+        ConfigurationError: No channel, or two with one name.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        channels: Sequence[NetFtChannel],
+        open_port: OpenPort,
+        clock: Clock,
+        config: NetFtConfig | None = None,
+    ) -> None:
+        self.config = NetFtConfig() if config is None else config
+        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
+        self._channels = {one.channel: one for one in channels}
+        if not channels or len(self._channels) < len(channels):
+            raise ConfigurationError(f"{name}: channels {[one.channel for one in channels]}: give each its own name")
+        self._period_of_record_ns = 1e9 / self.config.rate_hz
+        self._stream = RecordStream()
+        self._number: int | None = None  # of the last record of this stream
+        self._next = 0  # number of the next row
+        self._last_ns: int | None = None  # arrival of the last record
+        self._last_sample = 0  # internal, of the last record
+        self._status = 0
+
+    @property
+    def channels(self) -> Channels:
+        """See ``SerialDevice``."""
+        return dict.fromkeys(self._channels, SCALAR)
+
+    def _opened(self, now_ns: int) -> None:
+        self._stream = RecordStream()
+        self._broken = False  # a datagram is whole, or it is not there
+        self._number = None
+        self._link.write(now_ns, request(START))
+
+    def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
+        data = b"".join(self._frames_in(chunk, self._stream))
+        if data:
+            self._hand_over(chunk.host_ns, np.frombuffer(data, RECORD))
+
+    def _hand_over(self, host_ns: int, table: NDArray[np.void]) -> None:
+        """Rows of records that came together; those that came before, or cannot be, are left out."""
+        used, numbers, status = [], [], []
+        for place, number in enumerate(table["rdt_sequence"].tolist()):
+            if self._number is None:
+                ahead = 1
+                status.append(self._began(host_ns, int(table["ft_sequence"][place])))
+            else:
+                ahead = (number - self._number + _NUMBERS // 2) % _NUMBERS - _NUMBERS // 2
+                if ahead <= 0:
+                    text = "a record came twice, or after a later one, and is left out"
+                    self._report.event(host_ns, Severity.WARNING, "repeated", text)
+                    continue
+                if ahead - 1 > self._most_lost(host_ns):
+                    text = f"record {number} after {self._number}: more than can have been sent"
+                    self._bad_frame(host_ns, FrameError(text))
+                    continue
+                if ahead > 1:
+                    self._lose(host_ns, ahead - 1, "records_lost", counted=True)
+                status.append(0)
+            self._number, self._last_ns, self._broken = number, host_ns, False
+            used.append(place)
+            numbers.append(self._next)
+            self._next += 1
+        if not used:
+            return
+        self._heard(host_ns)
+        table = table[used]
+        self._last_sample = int(table["ft_sequence"][-1])
+        self._tell_status(host_ns, table["status"])
+        bad = np.where(table["status"] & ERROR, np.uint8(SampleStatus.NOT_VALID), np.uint8(0))
+        for one in self._channels.values():
+            rows = np.zeros(len(table), SCALAR)
+            rows["sequence"], rows["tick"], rows["host_ns"] = numbers, numbers, host_ns
+            rows["value_raw"] = table["counts"][:, one.component]
+            rows["scale"], rows["unit"] = one.scale, one.unit.encode()
+            rows["device_status"] = table["status"] >> 24
+            rows["status"] = bad | np.array(status, np.uint8)
+            self._report.rows(one.channel, rows)
+
+    def _began(self, host_ns: int, sample: int) -> int:
+        """A stream begins: count what was lost before it; the status of its first row."""
+        if self._last_ns is None:
+            self._report.event(host_ns, Severity.INFO, "started", "receiving data")
+            return 0
+        if sample < self._last_sample:
+            self._report.event(host_ns, Severity.WARNING, "restarted", "the sensor has been without power")
+        lost = round((host_ns - self._last_ns) / self._period_of_record_ns) - 1
+        if lost > 0:
+            self._lose(host_ns, lost, "silent", counted=False)
+        return int(SampleStatus.AFTER_RESET)
+
+    def _most_lost(self, host_ns: int) -> float:
+        """Records that can be missing since the last one."""
+        assert self._last_ns is not None
+        return FASTER * (host_ns - self._last_ns + 1e9 * ARRIVES_WITHIN_S) / self._period_of_record_ns
+
+    def _lose(self, host_ns: int, lost: int, cause: str, *, counted: bool) -> None:
+        for channel in self._channels:
+            first, last, duration_ns = self._next, self._next + lost - 1, round(lost * self._period_of_record_ns)
+            self._report.gap(host_ns, channel, first, last, duration_ns, cause, counted=counted)
+        self._next += lost
+
+    def _tell_status(self, host_ns: int, status: NDArray[np.uint32]) -> None:
+        """Changes of the sensor's status; one that is over within one read is told, too."""
+        for code in [*np.unique(status).tolist(), int(status[-1])]:
+            if code != self._status:
+                self._status = code
+                if code & ERROR:
+                    text = f"status {code:08x}h: see the table of status codes in its manual; its rows are not used"
+                    self._report.event(host_ns, Severity.ERROR, "sensor_error", text)
+                elif code:
+                    self._report.event(host_ns, Severity.WARNING, "sensor_status", f"status {code:08x}h")
+                else:
+                    self._report.event(host_ns, Severity.INFO, "sensor_normal", "it has no error any more")
+
+    def _finish(self, now_ns: int) -> None:
+        self._link.write(now_ns, request(STOP))
+        if self._last_ns is not None:
+            silent_ns = now_ns - self._last_ns
+            lost = int(silent_ns / self._period_of_record_ns)
+            if lost and self._misses_its_end(silent_ns, self._period_of_record_ns):
+                self._lose(now_ns, lost, "silent", counted=False)

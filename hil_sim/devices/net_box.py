@@ -1,0 +1,213 @@
+"""A wrist sensor's network box that streams RDT records over UDP, typed from ATI's Net F/T manual, section 10.
+
+========  ==============================================================================================================
+request   uint16 1234h, uint16 command, uint32 records; commands: 0 stop, 2 start; others are heard only
+record    uint32 number in this stream, uint32 internal sample, uint32 status, 6 x int32 counts of Fx Fy Fz Tx Ty Tz
+========  ==============================================================================================================
+
+Big-endian. A stream's numbers begin at 1; a request takes the place of the one before, and so does its sender. Internal
+samples are 7000 a second since power-up. Bit 31 of the status is an error: here, a component beyond its range.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+import numpy as np
+from pydantic import Field, PositiveFloat
+
+from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.powered import PoweredTwin
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.scenario.sensor_tables import NonNegative
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.sensing.analog import ChipClock
+from hil_sim.sensing.sensors import LoadCellSensor
+
+_INTERNAL_HZ: Final = 7000
+_BOOT_NS: Final = 500_000_000  # a real one takes some seconds
+_ERROR: Final = 0x8000_0000
+_START, _STOP = 2, 0
+_MOST: Final = 2**31 - 1
+Input = Callable[[float], tuple[float, bool]]
+"""Counts at a mission time, and whether that is beyond the range."""
+
+
+class NetBox(PoweredTwin):
+    """One sensor.
+
+    Args:
+        inputs: What it measures, by component from 0; others are 0.
+        clock: Its oscillator.
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        rate_hz: Records a second.
+        latency_ns: From a record's sample to its sending.
+        jitter_ns: Mean of an exponential time more.
+        seed: Of the jitter.
+        faults: What breaks.
+
+    Raises:
+        FaultError: a fault that it cannot have.
+    """
+
+    def __init__(
+        self,
+        inputs: Mapping[int, Input],
+        clock: ChipClock,
+        start_ns: int,
+        *,
+        rate_hz: float = 1000.0,
+        latency_ns: int = 400_000,
+        jitter_ns: int = 50_000,
+        seed: int = 0,
+        faults: DeviceFaults = NO_FAULTS,
+    ) -> None:
+        faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, *INPUT_KINDS, *CLOCK_KINDS)
+        self.listens = True
+        self.leader = self
+        self._inputs = dict(inputs)
+        self._clock = FaultyClock(clock, faults)
+        self._period_ns, self._latency_ns, self._jitter_ns = 1e9 / rate_hz, latency_ns, jitter_ns
+        self._rng = np.random.default_rng([seed, 0x4654])
+        self._all_faults = [faults]
+        self._transmit: Callable[[bytes, int], None] = lambda data, ready_ns: None
+        self._powered_chip_ns = 0
+        self._next = 0  # number of the next record since power-up, at its rate
+        self._number = self._left = 0  # in this stream; records to send
+        self._sent = deque[tuple[bytes, int]]()  # under way, and their numbers since power-up
+        self._counted: int | None = None  # the last that was delivered
+        self._samples = 0
+        super().__init__(start_ns, faults)
+
+    @property
+    def produced(self) -> int:
+        """Records from the first delivered to the last, those that were lost or not asked for included."""
+        return self.leader._samples
+
+    def join(self, other: "NetBox") -> None:
+        """Take over the inputs and faults of another table of the same sensor."""
+        other.leader = self
+        self._inputs |= other._inputs
+        self._all_faults += other._all_faults
+        for cycle in other._faults.power_cycles():
+            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
+        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
+
+    def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
+        """See ``NetworkDevice``."""
+        self._transmit = transmit
+
+    def connected(self) -> None:
+        """See ``NetworkDevice``: nothing goes to the client before."""
+        self._sent.clear()
+        self._stop("record")
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """See ``NetworkDevice``: a datagram."""
+        if len(data) != 8 or data[:2] != b"\x12\x34":
+            return
+        command, records = struct.unpack(">HI", data[2:])
+        if command == _START:
+            self._number, self._left = 0, records or -1
+            since_ns = self._clock.chip_ns(now_ns + self._latency_ns) - self._powered_chip_ns
+            self._next = int(since_ns / self._period_ns) + 1
+            self._arm()
+        elif command == _STOP:
+            self._stop("record")
+
+    def delivered(self, data: bytes) -> None:
+        """See ``NetworkDevice``."""
+        number = next(number for sent, number in iter(self._sent.popleft, None) if sent is data)  # others were lost
+        self._samples += 1 if self._counted is None else number - self._counted
+        self._counted = number
+
+    # For PoweredTwin
+
+    def _gain_power(self, now_ns: int) -> None:
+        self._powered_chip_ns = self._clock.chip_ns(now_ns)
+        self._counted = None
+        self._at("boot", now_ns + (_BOOT_NS if now_ns > self._start_ns else 0), self._booted)
+
+    def _lose_power(self, now_ns: int) -> None:
+        self.listens = False
+        self.connected()
+        super()._lose_power(now_ns)
+
+    def _booted(self, now_ns: int) -> None:
+        self.listens = True
+
+    def _arm(self) -> None:
+        at_ns = self._clock.time_ns(self._powered_chip_ns + round(self._next * self._period_ns))
+        self._at("record", at_ns, self._sample)
+
+    def _sample(self, now_ns: int) -> None:
+        time_s = self._seconds(now_ns)
+        measured = [self._inputs[k](time_s) if k in self._inputs else (0.0, False) for k in range(6)]
+        counts = [max(-_MOST, min(_MOST, round(value))) for value, _ in measured]
+        status = _ERROR if any(beyond for _, beyond in measured) else 0
+        internal = int(self._next * self._period_ns * 1e-9 * _INTERNAL_HZ)
+        self._number += 1
+        data = struct.pack(">III6i", self._number & 0xFFFF_FFFF, internal & 0xFFFF_FFFF, status, *counts)
+        if any(faults.active(FaultKind.GARBAGE, now_ns) is not None for faults in self._all_faults):
+            data = self._rng.bytes(len(data))
+        late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
+        self._sent.append((data, self._next))
+        self._transmit(data, now_ns + late_ns)
+        self._next += 1
+        self._left -= 1
+        if self._left:
+            self._arm()
+
+
+class NetFtTable(MeasuringEmulator):
+    """A component of the sensor; a bus has one twin."""
+
+    needs: ClassVar[str] = "udp"
+    quantities = FORCES
+
+    kind: Literal["net_ft"]
+    bus: str
+    component: Annotated[int, Field(ge=1, le=6)] = 1
+    rate_hz: PositiveFloat = 1000.0
+    counts: PositiveFloat = 1e6  # of a newton or newton metre
+    range: PositiveFloat = 1e6  # N or N m
+    latency_ms: NonNegative = 0.4
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        counts = said.get("counts_per_N" if said["component"] < 4 else "counts_per_N_m", 1e6)
+        table = {
+            "component": said["component"],
+            "measures": name,
+            "at": said["frame"],
+            "counts": counts,
+            "range": said["capacity_N"],
+        }
+        table |= {key: said[key] for key in ("rate_hz",) if key in said}
+        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
+
+    @property
+    def place(self) -> str:
+        """See ``Emulator``."""
+        return f"component {self.component}"
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        cell = FaultyScalar(bench.sensor(LoadCellSensor), bench.faults, bench.start_ns)
+
+        def measured(time_s: float) -> tuple[float, bool]:
+            value = cell.value(time_s)
+            return self.counts * value, abs(value) > self.range
+
+        box = NetBox(
+            {self.component - 1: measured},
+            bench.clock,
+            bench.start_ns,
+            rate_hz=self.rate_hz,
+            latency_ns=round(1e6 * self.latency_ms),
+            seed=bench.seed,
+            faults=bench.faults,
+        )
+        return Twin(box, lambda: box.produced, (bench.name,))
