@@ -93,7 +93,7 @@ def test_on_board_the_run_is_recorded_and_not_estimated(log: Path) -> None:
 
 
 def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
-    log = write(tmp_path / "table.mcap", fly(np.random.default_rng(3), 6.0))
+    log = write(tmp_path / "table.mcap", fly(np.random.default_rng(3), 4.0))
     text = TEXT.replace("accel_noise_m_s2 = 0.062", "accel_noise_m_s2 = 0.02")
     (found,) = identify(config.parse(text, PATH), [log]).logs
     assert found.verdict.level is Level.DO_NOT_USE

@@ -75,7 +75,7 @@ duration_s = 1.0
 [[sequence]]
 phase = 1
 action = "swing"
-duration_s = 14.0
+duration_s = 7.0
 """
 
 

@@ -108,8 +108,10 @@ def test_clocks_are_locked_and_right(mission: Result) -> None:
     assert sync["rejected"] == 0
 
 
-def test_replay_gives_the_onboard_estimates_to_the_bit(mission: Result, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["replay", str(mission.path)]) == cli.OK
+def test_replay_gives_the_onboard_estimates_to_the_bit(
+    short_mission: Result, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["replay", str(short_mission.path)]) == cli.OK
     assert "identical to the last bit" in capsys.readouterr().out
 
 
@@ -174,10 +176,10 @@ def test_the_table_fits_a_terminal_and_says_what_it_cannot(mission: Result) -> N
     assert screen.getvalue().count("not determined") == 3
 
 
-def test_info_and_dump_read_it_back(mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["info", str(mission.path)]) == cli.OK
+def test_info_and_dump_read_it_back(short_mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(short_mission.path)]) == cli.OK
     assert "imu_base" in capsys.readouterr().out
-    assert cli.main(["dump", str(mission.path), "--to", "csv", str(tmp_path / "csv")]) == cli.OK
+    assert cli.main(["dump", str(short_mission.path), "--to", "csv", str(tmp_path / "csv")]) == cli.OK
     header, first = (tmp_path / "csv" / "load_cell.csv").read_text().splitlines()[:2]
     assert "[N]" in header or "_N" in header or "(N)" in header
     assert len(first.split(",")) == len(header.split(","))
