@@ -10,6 +10,8 @@ reading. Each look has the chance that keeps that of any alarm within the budget
 A limit in sigmas is such a chance, of a normal's two sides.
 """
 
+import math
+
 import numpy as np
 from scipy.special import ndtri
 
@@ -74,6 +76,17 @@ def of_each(budget: float, looks: float = 1.0) -> float:
 def sigmas(chance: float) -> float:
     """Standard deviations that a normal is farther from its mean than, on either side, with a chance."""
     return float(-ndtri(0.5 * chance))
+
+
+def chance_text(chance: float) -> str:
+    """``chance 3e-05``; one that is smaller than any number here is ``chance below 1e-300``."""
+    return f"chance {chance:.0e}" if chance > 1e-300 else "chance below 1e-300"
+
+
+def times_text(nats: float) -> str:
+    """How much likelier by so much evidence: ``7.39``, ``1e+12``."""
+    digits = nats / math.log(10.0)
+    return f"{math.exp(nats):.3g}" if digits < 3.0 else f"1e+{digits:.0f}"
 
 
 READING = of_each(DOUBT, 1e6)

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onboard.estimation.policy import DOUBLINGS, DOUBT, HALF, INTERVAL, ODDS, READING, REFUSE, TESTS, of_each, sigmas
+from onboard.estimation.policy import (
+    DOUBLINGS,
+    DOUBT,
+    HALF,
+    INTERVAL,
+    ODDS,
+    READING,
+    REFUSE,
+    TESTS,
+    chance_text,
+    of_each,
+    sigmas,
+    times_text,
+)
 
 
 def test_as_many_flights_are_doubted_as_are_wrong_and_a_hundredth_of_them_refused() -> None:
@@ -32,3 +45,9 @@ def test_rows_of_an_hour_double_twelve_times_from_those_of_a_second() -> None:
 
 def test_a_reading_is_one_of_a_million_of_each_test() -> None:
     assert pytest.approx(0.01 / 6e6, rel=0.01) == READING
+
+
+def test_chances_and_evidence_have_words_where_numbers_end() -> None:
+    told = ["chance 3e-05", "chance 1e-299", "chance below 1e-300"]
+    assert [chance_text(chance) for chance in (3.2e-5, 1e-299, 0.0)] == told
+    assert [times_text(nats) for nats in (0.0, 2.0, 6.9, 11.6, 5000.0)] == ["1", "7.39", "992", "1e+5", "1e+2171"]

@@ -19,7 +19,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.estimation.policy import DOUBT
+from onboard.estimation.policy import DOUBT, chance_text
 from onboard.identification.exiddm.prediction.further import FurtherCell, instrument_of
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import total_of
@@ -61,7 +61,7 @@ class Kind(Chance):
     def text(self) -> str:
         """``accelerometer_scale of the IMU, common to its axes, is not as stated (chance 3e-05)``."""
         which = f"{self.name} of {self.of}{', common to its axes,' if self.common else ''}"
-        return f"{which} is not as stated (chance {self.chance:.0e})"
+        return f"{which} is not as stated ({chance_text(self.chance)})"
 
 
 def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:

@@ -14,7 +14,7 @@ import numpy as np
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, of_each
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, chance_text, of_each
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.quantities import Findings
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
@@ -71,7 +71,7 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
             (against if misfit > MISFIT_REFUSED else doubts).append(said)
     bodies = bodies_of(flight, found)
     if bodies.chance < of_each(DOUBT):
-        said = f"links and joints are not as stated together (chance {bodies.chance:.0e})"
+        said = f"links and joints are not as stated together ({chance_text(bodies.chance)})"
         (against if bodies.chance < of_each(REFUSE) else doubts).append(said)
     corrections, of_bodies = _corrections(flight, found), _by_the_data(flight, found)
     against += [*contradicted(of_bodies), *too_large(corrections)]

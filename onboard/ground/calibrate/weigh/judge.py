@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY, times_text
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.quantities import Findings
 from onboard.identification.standing import Level, Standing, standing
@@ -82,7 +82,7 @@ def _findings(answer: Answer) -> Findings:
         if axis.frozen:
             against.append(f"{axis.name} reads the same in poses that differ: it is stuck, or another column is meant")
     if answer.wrong is not None and not against:
-        against.append(f"{answer.wrong.what}: so the readings agree, by {answer.wrong.nats:.0f} nats")
+        against.append(f"{answer.wrong.what}: so the readings agree, {times_text(answer.wrong.nats)} times likelier")
     mass, *centre = answer.quantities[:4]
     far = float(np.linalg.norm([one.mean for one in centre]))
     if mass.supported and far > FARTHEST_m:
@@ -149,7 +149,8 @@ def _notes(answer: Answer) -> list[str]:
     said = [f"{count['poses']} poses of {count['rows']} rows: {answer.poses.convention.text}"]
     if len(answer.others) > 1:
         second = max((one for one in answer.others if one[0] != answer.poses.convention), key=lambda one: one[1])
-        said.append(f"the next likeliest of {len(answer.others)}, worse by {-second[1]:.0f} nats: {second[0].text}")
+        less = times_text(-second[1])
+        said.append(f"the next likeliest of {len(answer.others)}, {less} times less likely: {second[0].text}")
     for kind, why in (("bad", "a cell that is no number, or no orientation"), ("moving", "taken between poses")):
         if count[kind]:
             said.append(f"{count[kind]} rows left out: {why}")
