@@ -1,17 +1,16 @@
-"""The recursive non-linear ExIDDM on a free-flyer's flights, beside the maximum likelihood and the UKF of filterpy.
+"""The recursive non-linear ExIDDM on a free-flyer's flights, beside the maximum likelihood.
 
-All are shown against the same Cramer-Rao bound. The UKF goes on from the same windows with the same prediction.
+Both are shown against the same Cramer-Rao bound.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
 from bench.identification import free_flyer as case
-from onboard.dynamics.model.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.payload import BodyEstimate
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.errors import ConvergenceError
@@ -21,12 +20,9 @@ from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm, SOLVED_AT_s
+from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 
 Floats = NDArray[np.float64]
-
-
-UNSCENTED_FROM = round(SOLVED_AT_s[-1] * 500.0 / case.SAMPLES_PER_TICK)  # ticks: the windows are solved
 
 
 class Inputs(NamedTuple):
@@ -55,27 +51,6 @@ def estimator(
     return RecursiveExiddm(predictor, case.PAYLOAD_SIGMA, held)
 
 
-def unscented(online: RecursiveExiddm, ticks: Ticks) -> BodyEstimate:
-    """The UKF of filterpy over the rest of a flight, from where ``online`` is."""
-    assert online.state is not None
-    predictor, p = online.predictor, len(online.state)
-    points = MerweScaledSigmaPoints(p, 1e-2, 2.0, 3.0 - p)
-    width = 6 * BATCH_TICKS
-    peer = UnscentedKalmanFilter(p, width, 1.0, lambda x: x, lambda x, dt: x, points)
-    peer.x, peer.P, peer.Q, peer.R = online.state.copy(), online.covariance.copy(), np.zeros((p, p)), np.eye(width)
-    for first in range(0, len(ticks.time_s) - BATCH_TICKS - 1, BATCH_TICKS):
-        part = ticks.part(slice(first, first + BATCH_TICKS + 2))
-        joints, sigma = (part.q, part.dq, part.ddq), part.sigma[1:-1]
-
-        def shown(x: Floats, joints=joints, sigma=sigma) -> Floats:  # type: ignore[no-untyped-def]
-            return np.asarray((predictor.predict(*joints, x).values / sigma).ravel(), np.float64)
-
-        peer.predict()
-        peer.update((part.measured[1:-1] / sigma).ravel(), hx=shown)
-        peer.predict(fx=lambda x, dt, joints=joints: predictor.predict(*joints, x).state)
-    return body_estimate(peer.x[3:13], peer.P[3:13, 3:13])
-
-
 def likelihood(told: Inputs) -> BodyEstimate:
     """The maximum likelihood of the whole flight."""
     return told.exiddm.fit().payload
@@ -89,23 +64,14 @@ def recursive(told: Inputs) -> BodyEstimate | None:
     return told.online.estimate()
 
 
-def after_windows(told: Inputs) -> BodyEstimate:
-    """The UKF, from the windows solved at the beginning on."""
-    for first in range(0, UNSCENTED_FROM, BATCH_TICKS):
-        told.online.update(told.ticks.part(slice(first, first + BATCH_TICKS)))
-    told.online.finish()
-    return unscented(told.online, told.ticks.part(slice(UNSCENTED_FROM - 2, None)))
-
-
 METHODS: dict[str, Callable[[Inputs], BodyEstimate | None]] = {
     "maximum likelihood": likelihood,
     "recursive": recursive,
-    "filterpy's UKF": after_windows,
 }
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
-    """One flight of ``bench/plans/noise.toml``, ``filters.toml`` or ``recursive.toml``.
+    """One flight of ``bench/plans/noise.toml`` or ``recursive.toml``.
 
     Args:
         seed: of everything drawn.

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bench.identification.linear import feed, identifier, signals_of
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import standard_of
@@ -11,6 +10,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.instruments import MotionRows, whitening
 from onboard.identification.rows.predicted_motion import PredictedMotion
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin
+from tests.identification.rows.free_flyer_rows import feed, identifier, signals_of
 
 WIDTH_S = 0.2
 
@@ -116,4 +116,4 @@ def test_whitening_makes_the_errors_of_a_tick_independent(rng):
 def test_a_base_that_is_held_has_no_instruments():
     spec = VehicleSpec(BaseKind.PRESCRIBED, "base", "payload")
     with pytest.raises(SignalError, match="free bases only"):
-        identifier(VehicleModel(URDF.read_text(), spec), True)
+        identifier(VehicleModel(URDF.read_text(), spec), True, WIDTH_S)
