@@ -1,7 +1,4 @@
-"""Campaigns on real worker processes, with a worker, the scheduler or the client killed: the results of a serial run.
-
-``bench/campaign_kills.py`` does the same with real missions and kills at random instants.
-"""
+"""Campaigns on real worker processes, a worker, the scheduler or the client killed: the results of a serial run."""
 
 import json
 import os
@@ -14,7 +11,6 @@ from pathlib import Path
 import pyarrow.dataset
 import pytest
 
-from bench.campaign_kills import MISSION, campaign, dask, free_port, results, running, serial, until, workers_of
 from onboard import cli
 from onboard.cli.campaign import fly
 from onboard.ground.campaign import plan_file
@@ -22,6 +18,17 @@ from onboard.ground.campaign.design import items
 from onboard.ground.campaign.flights import OtherCodeError
 from onboard.ground.campaign.revision import revision
 from onboard.recording.reader import LogReader
+from tests.ground.campaign.processes import (
+    MISSION,
+    campaign,
+    dask,
+    free_port,
+    results,
+    running,
+    serial,
+    until,
+    workers_of,
+)
 
 LONGEST_S = 120.0
 CALLED = """[campaign]

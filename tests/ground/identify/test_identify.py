@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import spoilt_throws
 from drivers.records import IMU, SCALAR
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody, parallel_axis, symmetric
@@ -23,7 +22,7 @@ from onboard.identification.standing import Level
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
-from tests.ground.identify import throws
+from tests.ground.identify import spoilt_throws, throws
 
 TUDELFT = config.load(config.packaged("tudelft"))
 LOAD = RigidBody(
@@ -283,9 +282,8 @@ def test_the_vehicle_file_holds_what_its_calibration_gives(logs: list[Path]) -> 
 
 
 def test_spoilt_copies_of_real_throws_are_not_good_and_wrong(logs: list[Path]) -> None:
-    """A slice of ``python -m bench.spoilt_throws``."""
     chosen = [logs[index] for index in (0, 7, 15, 30)]  # of each load
-    ways = spoilt_throws.spoils()
+    ways = spoilt_throws.WAYS
     for name in (
         "gyro x 1.03",
         "gyro x 1.1",
