@@ -37,7 +37,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
 
 
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
-    result, _, _ = rehearsed(tmp_path, WITH_CELL, swing=8.0, seed=6)
+    result, _, _ = rehearsed(tmp_path, WITH_CELL, swing=14.0, seed=6)
     assert result["accounted"]
     honest(answers(result))
     moment = answers(result)["MY_payload"]
