@@ -278,7 +278,8 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
         task = bar.add_task(f"{arguments.what} bench, seed {arguments.seed}", total=1.0)
         world, urls = open_bench(arguments.what, scenario, arguments.seed, set(vehicle.file.device), settings)
         with world:
-            bench.record_simulated(vehicle.with_urls(urls), world, log, lambda done: bar.update(task, completed=done))
+            on_bench = bench.on_simulated(vehicle, urls)
+            bench.record_simulated(on_bench, world, log, lambda done: bar.update(task, completed=done))
         if arguments.what == "bifilar" and arguments.mass_kg is None:  # the bench has a scale, too
             arguments.mass_kg = round(world.truth()["weighed_kg"], 3)
 

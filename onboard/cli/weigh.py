@@ -211,7 +211,7 @@ def _simulated(a: argparse.Namespace, vehicle: "config.Vehicle", session: "Sessi
 
     world, urls = open_bench("weigh", a.hil or vehicle.file.vehicle.name, a.seed, set(vehicle.file.device), {})
     with world:
-        bench.run_simulated(vehicle.with_urls(urls), world, log, session)
+        bench.run_simulated(bench.on_simulated(vehicle, urls), world, log, session)
 
 
 def _meaning(a: argparse.Namespace) -> "Meaning":

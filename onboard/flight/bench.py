@@ -50,6 +50,20 @@ def only(vehicle: config.Vehicle, devices: Iterable[str]) -> config.Vehicle:
     return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"device": kept})})
 
 
+def on_simulated(vehicle: config.Vehicle, urls: dict[str, str]) -> config.Vehicle:
+    """The vehicle on the buses of a simulated bench.
+
+    Raises:
+        ConfigError: the bench lacks one of its buses: it is of another file with the same vehicle name.
+    """
+    buses = {device.bus for device in vehicle.file.device.values() if isinstance(device, BusDevice)}
+    if lacking := sorted(buses - set(urls)):
+        raise config.ConfigError(
+            f"the simulated bench has no bus {lacking[0]!r}; simulate the file: --hil {vehicle.label}"
+        )
+    return vehicle.with_urls(urls)
+
+
 class BenchRun:
     """The devices of a vehicle, recorded to a log. A context manager: the log is whole when it ends.
 

@@ -274,6 +274,16 @@ def test_the_simulated_workshop(tmp_path, monkeypatch, capsys):
     assert "done, the mass is known to" in capsys.readouterr().out
 
 
+def test_a_bench_without_a_bus_of_the_file_is_refused(tmp_path, monkeypatch, capsys):
+    """Where the file is a copy of a packaged vehicle, with another bus."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "lab", "--from", "workshop"]) == OK
+    file = tmp_path / "lab" / "vehicle.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("can_0", "can_7"), encoding="utf-8")
+    assert main(["weigh", "--device", "lab/vehicle.toml", "--hil"]) == BAD_INPUT
+    assert "no bus 'can_7'; simulate the file: --hil lab/vehicle.toml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("command", "said"),
     [
