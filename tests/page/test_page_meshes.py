@@ -21,7 +21,6 @@ from tests.page.served import ask, served
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)])
 BOX = np.array([CORNERS[[q[0], q[k], q[k + 1]]] for q in QUADS for k in (1, 2)])
-SCREENS = [(*size, scheme) for size in ((1280, 800), (390, 844)) for scheme in ("light", "dark")]
 
 
 def stl(triangles: np.ndarray) -> bytes:
@@ -174,7 +173,7 @@ def test_a_urdf_that_is_not_there_is_refused(made_log: Path, capsys: pytest.Capt
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize(("width", "height", "scheme"), SCREENS)
+@pytest.mark.parametrize(("width", "height", "scheme"), [(1280, 800, "light"), (390, 844, "dark")])
 def test_in_a_browser_they_move_with_their_links(
     tab: Tab, made_log: Path, tmp_path: Path, width: int, height: int, scheme: str
 ) -> None:

@@ -34,7 +34,13 @@ def flyer(tmp_path_factory):
     assert main(asked) == 0
     file = directory / "mine" / "vehicle.toml"
     exact = "[estimation.imu_prior]\ngyro_cross_axis = 0\naccelerometer_cross_axis = 0 "  # so its simulated IMU is
-    file.write_text(file.read_text().replace("[estimation.imu_prior]", exact))
+    text = file.read_text().replace("[estimation.imu_prior]", exact)
+    for rate, slower in (
+        ("sample_rate_hz = 1000", "sample_rate_hz = 250"),
+        ("poll_period_ms = 10", "poll_period_ms = 40"),
+    ):
+        text = text.replace(rate, slower)
+    file.write_text(text)
     with file.open("a") as more:
         more.write("\n[estimation.useful]\nmoment = 0.3\n")  # so little is learned here in few segments
     (directory / "over.toml").write_text(SCENARIO)
@@ -126,7 +132,7 @@ def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library):
         f"capture = false\npayload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\nejection.at_s = 12.0\n{held}"
     )
     log, own = flyer / "lost.mcap", str(flyer / "mine" / "vehicle.toml")
-    asked = ["hil", own, "--scenario", str(flyer / "lost.toml"), "--most", "32", "--log", str(log)]
+    asked = ["hil", own, "--scenario", str(flyer / "lost.toml"), "--most", "26", "--log", str(log)]
     main([*asked, "--until", "mass 0.1 %", "--segments", str(library)])
     start_ns = truth.read(log)["start_ns"]
     [gone] = events(log, "ejection")

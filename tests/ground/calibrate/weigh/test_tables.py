@@ -11,6 +11,7 @@ from onboard.ground.calibrate.weigh import columns, conventions, table
 from onboard.ground.calibrate.weigh.errors import PosesError
 from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, HEADER, holds, record, turn, weighed, write
 
+pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # what a table means is told by the fits of its meanings
 WRENCH = HEADER[4:]
 
 
@@ -154,6 +155,7 @@ def test_two_files_decimal_commas_and_other_columns(one, tmp_path):
     ("header", "made", "options"),
     [
         (("roll_deg", "pitch_deg", "yaw_deg"), ("xyz", 1.0), ()),
+        (("roll", "pitch", "yaw"), ("XYZ", 1.0), ()),
         (("A", "B", "C"), ("ZYX", 1.0), ()),
         (("rx", "ry", "rz"), ("rotvec", np.pi / 180.0), ()),
         (("rx", "ry", "rz"), ("XYZ", 1.0), ("--orientation", "XYZ")),
@@ -258,11 +260,3 @@ def test_a_file_that_is_no_table(tmp_path):
     path.write_text("\n\n", encoding="utf-8")
     with pytest.raises(PosesError, match="no rows"):
         table.read([path])
-
-
-@pytest.mark.parametrize("order", ["xyz", "XYZ"])
-def test_roll_pitch_yaw_may_be_about_fixed_or_moving_axes(one, tmp_path, order):
-    angles = Rotation.from_matrix(one.R).as_euler(order, degrees=True)
-    code, answer = weighed(tmp_path, np.hstack([angles, one.wrench]), header=("roll", "pitch", "yaw", *HEADER[4:]))
-    assert (code, answer["verdict"]["level"]) == (OK, "good")
-    assert all(holds(answer, one.true).values())

@@ -29,6 +29,7 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
     assert (tmp_path / "weighed.png").stat().st_size > 10_000
     answer = json.loads((tmp_path / "weighed.json").read_text(encoding="utf-8"))
     assert answer["verdict"]["level"] == "good"
+    assert "is left over" not in answer["verdict"]["text"]
     assert all(holds(answer, one.true).values())
     text = (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8")
     written = dict(
@@ -44,6 +45,7 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
         assert float(written[name]) == pytest.approx(true, abs=4.0 * sigma), name
 
 
+@pytest.mark.usefixtures("axes_as_they_are")
 def test_conventions_are_found(one, tmp_path):
     turned = np.einsum("nab,nkb->nka", one.R, one.wrench.reshape(-1, 2, 3)).reshape(-1, 6)
     inverse = np.hstack([one.rows[:, :1], -one.rows[:, 1:4]])
@@ -62,6 +64,7 @@ def test_conventions_are_found(one, tmp_path):
         assert re.search(r"[\d.e+]+ times less likely: (Euler|.*orientation is)", second)
 
 
+@pytest.mark.usefixtures("axes_as_they_are")
 def test_a_tilted_base_and_an_arm_on_a_wall(tmp_path):
     tilted = record(12, tilt_deg=8.0)
     code, answer = weighed(tmp_path, tilted.rows)
@@ -228,13 +231,13 @@ def test_recorded_poses_of_another_laboratory(datasets, tmp_path):
     assert told["convention"]["axes"] == "base"
 
 
-@pytest.mark.parametrize(("shifted", "level"), [(0, "good"), (1, "do not use"), (4, "do not use")])
-def test_rows_of_poses_and_wrenches_that_do_not_belong_together_are_refused(one, tmp_path, shifted, level):
+@pytest.mark.parametrize("shifted", [1, 4])
+def test_rows_of_poses_and_wrenches_that_do_not_belong_together_are_refused(one, tmp_path, shifted):
     """The mass of what is left was 0.2 to 0.6 of the true one, weak."""
     rows = np.hstack([np.roll(one.rows[:, :4], shifted, axis=0), one.wrench])
     _, answer = weighed(tmp_path, rows)
-    assert answer["verdict"]["level"] == level
-    assert ("is left over" in answer["verdict"]["text"]) == (level != "good")
+    assert answer["verdict"]["level"] == "do not use"
+    assert "is left over" in answer["verdict"]["text"]
 
 
 def test_noise_as_large_as_most_of_the_weight_is_wide_and_not_refused(one, tmp_path):
