@@ -1,23 +1,17 @@
 """Missions flown in virtual time for tests: a scenario, perhaps changed, and what came of it."""
 
 import json
-from collections.abc import Callable, Collection, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.records import Batch, Rows
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from hil_sim.scenario.load import Scenario
 from onboard import config
 from onboard.flight import hil
-from onboard.flight.estimate.estimation import SUFFIX
-from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.mission import mission_table as table
-from onboard.ground.identify.replay.feed import feed
 from onboard.recording.reader import LogReader
-from onboard.recording.writer import LogWriter
 
 
 def sweep(strokes: int, transfer_s: float) -> dict[str, Any]:
@@ -70,39 +64,6 @@ def fly(
     with world:
         flown = hil.fly_simulated(config.load(config.packaged(vehicle)), world, urls, path)
     return Result(path, flown, table.result(flown))
-
-
-class Spoilt(LogReader):
-    """A log whose samples of some channels are changed by ``spoil`` as they are read."""
-
-    def __init__(self, path: Path, spoil: Callable[[Rows], None], *names: str) -> None:
-        super().__init__(path)
-        self._spoil, self._names = spoil, names
-
-    def batches(
-        self, channels: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
-    ) -> Iterator[Batch]:
-        for batch in super().batches(channels, start_ns, end_ns):
-            if batch.channel in self._names:
-                self._spoil(batch.rows)
-            yield batch
-
-
-def estimated_again(flown: Result, path: Path, spoil: Callable[[Rows], None], *names: str) -> Result:
-    """What comes of a flight whose channels ``names`` had other samples: a log with these and the answers of them."""
-    log, vehicle = Spoilt(flown.path, spoil, *names), config.load(config.packaged(flown.table["vehicle"]))
-    estimator = Estimator(vehicle)
-    with LogWriter.create(path, durable=False) as writer:
-        kept = [name for name in log.channels if name not in estimator.outputs and not name.endswith(SUFFIX)]
-        for name, rows in log.batches(kept):
-            writer.register(name, rows.dtype)
-            writer.write(name, rows)
-        for name, rows in feed(estimator, log):
-            told = name + SUFFIX if name == "event" else name
-            writer.register(told, rows.dtype)
-            writer.write(told, rows)
-    again = flown.flown._replace(log=path, answers={})
-    return Result(path, again, table.result(again, vehicle))
 
 
 def inline(step: dict[str, object]) -> str:

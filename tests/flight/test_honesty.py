@@ -6,17 +6,15 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bench.honest_flights.drawn import MISSION
 from bench.honest_flights.flown import flight
-from drivers.records import Rows
 from hil_sim.scenario.load import load
 from onboard import config
 from onboard.estimation.gates import GateReason
 from onboard.ground.identify.identify import identify
-from tests.flight.missions import Result, estimated_again, fly
+from tests.flight.missions import Result, fly
 
 SEED = 5
 
@@ -27,15 +25,6 @@ def lied_to(path: Path, vehicle: str, *faults: dict[str, Any]) -> Result:
 
 def fault(kind: str, device: str, value: float = 0.0, start_s: float = 0.5, **end: float) -> dict[str, Any]:
     return {"kind": kind, "device": device, "value": value, "start_s": start_s, **end}
-
-
-def scaled(flown: Result, directory: Path, name: str, factor: float) -> Result:
-    """The flight, had a channel read ``factor`` times what it did."""
-
-    def spoil(rows: Rows) -> None:
-        rows["value_raw"] = np.rint(factor * rows["value_raw"])
-
-    return estimated_again(flown, directory / "log.mcap", spoil, name)
 
 
 def standings(flown: Result) -> set[str]:
@@ -80,8 +69,8 @@ def test_an_encoder_that_becomes_another_one_early_leaves_no_answer(tmp_path: Pa
     assert (gates[after] & int(GateReason.JUMPED)).all()
 
 
-def test_a_cell_at_half_its_scale_is_told_by_the_drawn_arm(short_mission: Result, tmp_path: Path) -> None:
-    flown = scaled(short_mission, tmp_path, "load_cell", 0.5)
+def test_a_cell_at_half_its_scale_is_told_by_the_drawn_arm(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", -0.5, 0.0))
     assert standings(flown) == {"do not use"}
     assert "check load_cell scale_sigma" in flown.mass("m_arm")["standing"]
     assert not any(mass["supported"] for mass in flown.table["masses"])
@@ -103,8 +92,8 @@ def test_an_imu_that_warms_up_does_not_cost_the_answers(tmp_path: Path) -> None:
     assert (rows["gate"][later] & int(GateReason.DRAG) != 0).mean() < 0.05
 
 
-def test_a_cell_of_the_wrong_sign_finds_no_body(short_mission: Result, tmp_path: Path) -> None:
-    flown = scaled(short_mission, tmp_path, "load_cell", -1.0)
+def test_a_cell_of_the_wrong_sign_finds_no_body(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", -2.0, 0.0))
     assert standings(flown) == {"do not use"}
     assert "m_arm is -0.2" in flown.mass("m_tip_mass")["standing"]
 
