@@ -59,7 +59,7 @@ def add(commands: Commands) -> None:
     weigh.add_argument(
         "--link", default="", metavar="LINK", help="of --urdf or --device, that the sensor is on (the last)"
     )
-    weigh.add_argument("--gravity", default="0,0,-1", metavar="X,Y,Z", help="downwards in the base's axes (0,0,-1)")
+    weigh.add_argument("--gravity", metavar="X,Y,Z", help="downwards in the base's axes (the likeliest of its axes)")
     weigh.add_argument("--latitude-deg", type=float, help="of the place, for gravity; without it 0.15 %% are added")
     weigh.add_argument("--height-m", type=float, default=0.0, help="above the sea (0)")
     weigh.add_argument(
@@ -160,7 +160,7 @@ def _by_device(a: argparse.Namespace) -> "tuple[Session, Path]":
     """Weigh live, or in a simulated world; the poses, and the log of all that was read."""
     from onboard.flight import bench
     from onboard.ground.calibrate import vehicle_file
-    from onboard.ground.calibrate.weigh.conventions import Said
+    from onboard.ground.calibrate.weigh.conventions import DOWN, Said
     from onboard.ground.calibrate.weigh.live import Session
     from onboard.ground.calibrate.weigh.wrist_sensor import wrist_sensor
 
@@ -169,7 +169,7 @@ def _by_device(a: argparse.Namespace) -> "tuple[Session, Path]":
         vehicle_file.require_writable(load_vehicle(a.vehicle))
     sensor = wrist_sensor(vehicle, a.link)
     known = _known(a, 100.0 * sensor.scale_sigma or None)
-    down = vehicle.file.vehicle.gravity_m_s2 or known.down
+    down = vehicle.file.vehicle.gravity_m_s2 or known.down or DOWN
     say = console().print
     session = Session(
         *(sensor, known.place, down, known.scale, known.tilt_rad, 1e-2 * a.until_percent),
@@ -243,19 +243,22 @@ def _known(a: argparse.Namespace, scale_percent: float | None = None) -> "Known"
     from onboard.ground.calibrate.weigh.conventions import Said
     from onboard.ground.calibrate.weigh.weigh import Known
 
-    try:
-        x, y, z = (float(part) for part in a.gravity.split(","))
-    except ValueError as error:
-        raise ValueError(f"--gravity {a.gravity}: write three numbers, 0,0,-1 for instance") from error
-    if not 0.0 < math.hypot(x, y, z) < math.inf:
-        raise ValueError(f"--gravity {a.gravity}: it has no direction; write 0,0,-1 for instance")
+    down = None
+    if a.gravity is not None:
+        try:
+            x, y, z = (float(part) for part in a.gravity.split(","))
+        except ValueError as error:
+            raise ValueError(f"--gravity {a.gravity}: write three numbers, 0,0,-1 for instance") from error
+        if not 0.0 < math.hypot(x, y, z) < math.inf:
+            raise ValueError(f"--gravity {a.gravity}: it has no direction; write 0,0,-1 for instance")
+        down = x, y, z
     scale = next((one for one in (a.scale_percent, scale_percent) if one is not None), 1.0)
     for name, value in (("scale-percent", scale), ("tilt-deg", a.tilt_deg)):
         if not 1e-3 <= value <= 90.0:
             raise ValueError(f"--{name} {value:g}: give 1 sigma, from 0.001 to 90")
     where = place(a.latitude_deg, a.height_m)
     said = Said(a.sense, a.axes, a.sign)
-    return Known(where, (x, y, z), 1e-2 * scale, math.radians(a.tilt_deg), said=said)
+    return Known(where, down, 1e-2 * scale, math.radians(a.tilt_deg), said=said)
 
 
 def _tare(a: argparse.Namespace, answer: "Answer", refused: bool) -> dict[str, Any]:

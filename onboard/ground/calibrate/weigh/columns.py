@@ -15,10 +15,13 @@ from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.ground.calibrate.weigh.table import Table
 
-FORCE_UNITS = {"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216}
+FORCE_UNITS = {
+    **{"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "un": 1e-6},
+    **{"kgf": 9.80665, "kp": 9.80665, "gf": 0.00980665, "lbf": 4.4482216},
+}
 MOMENT_UNITS = {
     **{"nm": 1.0, "nmm": 1e-3, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "kgfm": 9.80665},
-    **{"kgfcm": 0.0980665, "lbfin": 0.11298483, "lbfft": 1.3558179, "ozfin": 0.0070615518},
+    **{"kgfcm": 0.0980665, "lbfin": 0.11298483, "lbfft": 1.3558179, "ozfin": 0.0070615518, "unm": 1e-6},
 }
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
@@ -34,21 +37,22 @@ _ORIENTATION = (
     ("quaternion", r"(?:.*quat(?:ernion)?|.*orientation|.*ori|.*rot(?:ation)?|(?:.*[^a-z])?q)([wxyz])$", "wxyz"),
     ("quaternion?", r"(?:.*quat(?:ernion)?|q)([0-3])$", "0123"),
     ("quaternion?", r"(?:.*quat(?:ernion)?|q)([1-4])$", "1234"),  # ABB
-    ("matrix", r"(?:.*rot(?:ation)?(?:matrix|mat)?|r|m)([0-3][0-3])$", ""),
+    ("matrix", r"(?:.*rot(?:ation)?(?:matrix|mat)?|r|m|t|h)([0-3][0-3])$", ""),
     ("rotvec", r".*(?:rotvec|rotationvector|axisangle|rotvector)([xyz])$", "xyz"),
     ("angles", r"(?:.*)(roll|pitch|yaw)$", ("roll", "pitch", "yaw")),
     ("angles", r"(?:.*(?:rpy|euler))([xyz])$", "xyz"),
     ("sequence", r"(?:.*[^a-z])?(phi|theta|psi)$", ("phi", "theta", "psi")),
     ("sequence", r"(?:.*[^a-z])?(alpha|beta|gamma)$", ("alpha", "beta", "gamma")),
-    ("angles?", r"(?:.*[^a-z])?r([xyz])$", "xyz"),
+    ("angles?", r"(?:(?:.*[^a-z])?r|.*rot(?:ation)?)([xyz])$", "xyz"),
     ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
     ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
     ("quaternion", r"^([wxyz])$", "wxyz"),
 )
 _NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
-    (r"(?:.*\.)?(?:wrench|force|ft)", ("fx", "fy", "fz", "mx", "my", "mz")),
+    (r"(?:.*\.)?(?:wrench|force|ft|f\.ext(?:\.hat)?\.k)", ("fx", "fy", "fz", "mx", "my", "mz")),
     (r"(?:.*\.)?pose", ("x", "y", "z", "rx", "ry", "rz")),
     (r"(?:.*\.)?pose", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
+    (r".*", tuple(f"t{row}{column}" for row in range(4) for column in range(4))),
 )
 
 
@@ -91,7 +95,7 @@ class Units(NamedTuple):
 
 def split_name(text: str) -> Column:
     """``Fx [N]`` is ``fx`` in ``n``."""
-    text = re.sub(r"(?<=\w)\[(\d)\]", r"_\1", text)  # `wrench[0]` is no unit
+    text = re.sub(r"(?<=\w)\[(\d+)\]", r"_\1", text)  # `wrench[0]` is no unit
     bracket = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", text)
     name, unit = (bracket[1], bracket[2]) if bracket else (text, "")
     if not bracket and (tail := re.fullmatch(r"(.+[^a-zA-Z])([a-zA-Z°]+)", text.strip())):
@@ -103,7 +107,7 @@ def split_name(text: str) -> Column:
 
 
 def _plain(text: str) -> str:
-    return re.sub(r"[^a-z0-9°]", "", text.lower())
+    return re.sub(r"[^a-z0-9°]", "", re.sub("[µμ]", "u", text.lower()))
 
 
 def _marked(text: str) -> str:
@@ -143,6 +147,8 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
     else:
         kind, at = _orientation(table, columns, {*force, *moment})
     values = table.values[:, at]
+    if kind == "homogeneous":
+        kind, values = "matrix", _turned(values)
     if kind not in ("quaternion", "quaternion?", "matrix"):
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
@@ -151,7 +157,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
 
 def _numbered(columns: list[Column]) -> list[Column]:
     """With ``wrench_0`` to ``wrench_5`` named ``wrench.fx`` to ``wrench.mz``, and so on."""
-    parts = [re.fullmatch(r"(.*?[a-z])\.?(\d)", column.name) for column in columns]
+    parts = [re.fullmatch(r"(.*?[a-z])\.?(\d{1,2})", column.name) for column in columns]
     stems = dict.fromkeys(part[1] for part in parts if part)
     for stem, (pattern, axes) in product(stems, _NUMBERED):
         at = {int(part[2]): k for k, part in enumerate(parts) if part and part[1] == stem}
@@ -207,6 +213,10 @@ def _vector(
 def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tuple[str, list[int]]:
     for kind, pattern, axes in _ORIENTATION:
         if kind == "matrix":
+            sixteen = tuple(f"{row}{column}" for row in range(4) for column in range(4))
+            at = _vector(table, columns, [r"(?:.*\.)?t([0-3][0-3])"], sixteen, tuple(taken))
+            if at is not None and len(_turned(table.values[:, at])):
+                return "homogeneous", at
             for first in "10":
                 wanted = tuple(f"{int(first) + i}{int(first) + j}" for i in range(3) for j in range(3))
                 if (at := _vector(table, columns, [pattern], wanted, tuple(taken))) is not None:
@@ -259,6 +269,9 @@ def _scaled(
         (moment, MOMENT_UNITS, units.moment, "nm", "--moment-unit"),
     ):
         names = {columns[k].unit for k in at}
+        if number := re.fullmatch(r"\s*\d*\.?\d+(?:e[-+]?\d+)?\s*", given, re.IGNORECASE):  # N or N m in one
+            factors.append(float(number[0]))
+            continue
         unit = _plain(given) or (names.pop() if len(names) == 1 else "?")
         known = bool(unit)
         if unit == "mn" and option == "--moment-unit":
@@ -266,7 +279,7 @@ def _scaled(
         if (unit or usual) not in table_of:
             raise PosesError(
                 f"{table.label}: the unit {given or unit!r} of {_shown([table.names[k] for k in at])} is not known; "
-                f"give {option}, one of {', '.join(table_of)}"
+                f"give {option}, one of {', '.join(table_of)}, or how many {usual} one is, 1e-6 for instance"
             )
         factors.append(table_of[unit or usual])
     if not known:
@@ -296,17 +309,24 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     values = table.values
     width = values.shape[1]
     kinds = []
-    for first in range(width - 9):
+    blocks = [
+        (first, size)
+        for size in (16, 12)
+        for first in range(width - size - 5)
+        if len(_turned(values[:, first : first + size]))
+    ]
+    for first in range(0 if blocks else width - 9):
         if _of_unit_length(values[:, first : first + 4]):
             kinds.append(("quaternion?", first, 4))
-        if first + 15 <= width:
-            nine = values[:, first : first + 9].reshape(-1, 3, 3)
-            off = np.abs(nine @ nine.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-            if np.nanmedian(off) < 1e-2:
-                kinds.append(("matrix", first, 9))
+        if first + 15 <= width and np.nanmedian(_off(values[:, first : first + 9].reshape(-1, 3, 3))) < 1e-2:
+            kinds.append(("matrix", first, 9))
     if orientation and orientation not in ("xyzw", "wxyz", "matrix"):  # three angles before the wrench, as is said
         kinds = [("angles", width - 9, 3)]
-    if joints or len(kinds) != 1 or kinds[0][1] < 0 or width - kinds[0][1] - kinds[0][2] != 6:
+    elif joints:
+        kinds = [("joints", 0, len(joints))]
+    elif blocks:
+        kinds = [("matrix", *blocks[0])]
+    if len(kinds) != 1 or kinds[0][1] < 0 or width - kinds[0][1] - kinds[0][2] != 6:
         raise PosesError(f"{table.label} has {width} columns without names: {_remedy(width, bool(kinds))}")
     kind, first, count = kinds[0]
     said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
@@ -314,9 +334,26 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     last = range(first + count, width)
     wrench, named = _scaled(table, names, last[:3], last[3:], units, said)
     found = values[:, first : first + count]
-    if kind == "angles":
+    if blocks and kind == "matrix":
+        found = _turned(found)
+    if kind in ("angles", "joints"):
         found = found * _angle(found, [], units.angle, said)
     return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
+
+
+def _turned(values: FloatArray) -> FloatArray:
+    """Rotation matrices by rows, (n, 9), of homogeneous ones (n, 12 or 16) by rows or columns; else (0, 9)."""
+    whole = values.reshape(len(values), -1, 4)
+    for T in (whole, whole.transpose(0, 2, 1)) if whole.shape[1] == 4 else (whole,):
+        R, last = T[:, :3, :3], T[:, 3:] - [0.0, 0.0, 0.0, 1.0]
+        if np.nanmax(np.abs(last), initial=0.0) < 1e-9 and np.nanmedian(_off(R)) < 1e-2:
+            return R.reshape(-1, 9)
+    return np.empty((0, 9))
+
+
+def _off(R: FloatArray) -> FloatArray:
+    """How far matrices (n, 3, 3) are from rotations, (n,)."""
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)), np.float64)
 
 
 def _remedy(width: int, quaternion: bool) -> str:

@@ -5,6 +5,7 @@ a person has to say.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ _SETTLED = 3  # rows that a pose has at least then
 Sense = Literal["sensor-in-base", "base-in-sensor"]
 Axes = Literal["sensor", "base"]
 Sign = Literal["weight", "reaction"]
+Down = tuple[float, float, float]
+DOWN: Down = (0.0, 0.0, -1.0)
 
 
 class Said(NamedTuple):
@@ -39,13 +42,20 @@ class Convention(NamedTuple):
     sense: Sense
     axes: Axes
     sign: Sign
+    down: Down = DOWN
 
     @property
     def text(self) -> str:
         """In words."""
         pose = "the sensor's in the base" if self.sense == "sensor-in-base" else "the base's in the sensor"
         force = "the weight on the sensor" if self.sign == "weight" else "what the sensor pushes with (the reaction)"
-        return f"{self.orientation}; orientation is {pose}; wrench in the {self.axes}'s axes, {force}"
+        turned = "" if self.down == DOWN else f"; downwards in the base's axes is {self.gravity}"
+        return f"{self.orientation}; orientation is {pose}; wrench in the {self.axes}'s axes, {force}{turned}"
+
+    @property
+    def gravity(self) -> str:
+        """``down`` as an option writes it."""
+        return ",".join(f"{part:g}" for part in self.down)
 
 
 class Poses(NamedTuple):
@@ -169,8 +179,17 @@ def averaged(R: FloatArray, wrench: FloatArray, groups: Sequence[FloatArray]) ->
     return np.array(means).reshape(-1, 3, 3), np.array([wrench[rows].mean(axis=0) for rows in groups]).reshape(-1, 6)
 
 
-def meanings(orientation: str, R: FloatArray, wrench: FloatArray, said: Said) -> Iterator[Poses]:
-    """Every meaning that a person did not exclude, the usual one first."""
+def meanings(
+    orientation: str, R: FloatArray, wrench: FloatArray, said: Said, down: Down | None = DOWN
+) -> Iterator[Poses]:
+    """Every meaning that a person did not exclude, the usual one first.
+
+    Without ``down`` the base may stand, hang, or be fixed to a wall; where the sign is not said either, half of these
+    directions do, as the opposite one with the other sign is the same.
+    """
+    downs: list[Down] = [down] if down else [DOWN, (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)]
+    if down is None and said.sign:
+        downs += [(-x, -y, -z) for x, y, z in downs]
     senses: tuple[Sense, ...] = ("sensor-in-base", "base-in-sensor") if said.sense is None else (said.sense,)
     axes: tuple[Axes, ...] = ("sensor", "base") if said.axes is None else (said.axes,)
     signs: tuple[Sign, ...] = ("weight", "reaction") if said.sign is None else (said.sign,)
@@ -179,9 +198,9 @@ def meanings(orientation: str, R: FloatArray, wrench: FloatArray, said: Said) ->
         for which in axes:
             parts = wrench.reshape(-1, 2, 3)
             own = parts if which == "sensor" else parts @ turned  # R' f, by rows
-            for sign in signs:
+            for sign, towards in product(signs, downs):
                 yield Poses(
-                    Convention(orientation, sense, which, sign),
+                    Convention(orientation, sense, which, sign, towards),
                     turned,
                     (own if sign == "weight" else -own).reshape(-1, 6),
                 )

@@ -1,11 +1,13 @@
 """Level and reasons of a weighing, by the rules of all estimates (:mod:`onboard.identification.verdict`)."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY, times_text
 from onboard.ground.calibrate.weigh.weigh import Answer
+from onboard.identification.corrections import doubtful_from
 from onboard.identification.quantities import Findings
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Size, Useful
@@ -14,6 +16,8 @@ from onboard.identification.verdict import Evidence, Verdict, verdict
 FARTHEST_m = 2.0
 """Centre of mass beyond which a unit is wrong: no wrist that a person handles holds a tool so; moments of a held tool
 in N mm that are taken for N m are a thousand times too large."""
+HEAVIEST_kg = 2300.0
+"""Mass beyond which a unit is wrong: the largest payload of an arm that is sold (Fanuc M-2000iA/2300)."""
 _SEATED_rad = np.deg2rad(3.0)  # a sensor on its flange: by bolts and a pin
 _DENSITY_kg_m3 = 500.0  # of a body whose size is not told, as of the fits' first guess
 
@@ -97,6 +101,13 @@ def _findings(answer: Answer) -> Findings:
             "poses and of wrenches that do not belong together (shifted, sorted), another kind of orientation "
             "(--orientation), or noise larger than the weight"
         )
+    if mass.supported and mass.mean > HEAVIEST_kg:
+        against.append(
+            f"{mass.mean:.3g} kg is more than any arm holds: its forces are in another unit than N, or are counts "
+            "(--force-unit and --moment-unit: a name, or N and N m in one, 1e-6 for instance)"
+        )
+    if answer.said_down and (lean := _lean(answer)):
+        doubts.append(f"{lean}: say how far it may lean (--tilt-deg)")
     if answer.outliers:
         doubts.append(f"{len(answer.outliers)} of {answer.count['poses']} poses contradict the others: left out")
     if odd := _odd(answer):
@@ -134,6 +145,17 @@ def _odd(answer: Answer) -> list[int]:
     )
 
 
+def _lean(answer: Answer) -> str:
+    """That the base leans by more than chance makes of its stated sigma; empty where it does not."""
+    tilts, stated = [one.mean for one in answer.quantities[-2:]], answer.known.tilt_rad
+    if max(map(abs, tilts)) <= stated * doubtful_from(len(tilts)):
+        return ""
+    return (
+        f"the base leans by {np.rad2deg(math.hypot(*tilts)):.0f} deg against --gravity="
+        f"{answer.poses.convention.gravity}, which is stated to {np.rad2deg(stated):.2g}"
+    )
+
+
 def alone(answer: Answer) -> str:
     """``x, y, z alone give 1.189, 1.165, 1.254 kg``."""
     return f"x, y, z alone give {', '.join(f'{one.alone_kg:.4g}' for one in answer.axes[:3])} kg"
@@ -151,6 +173,8 @@ def _notes(answer: Answer) -> list[str]:
         second = max((one for one in answer.others if one[0] != answer.poses.convention), key=lambda one: one[1])
         less = times_text(-second[1])
         said.append(f"the next likeliest of {len(answer.others)}, {less} times less likely: {second[0].text}")
+    if not answer.said_down and (lean := _lean(answer)):
+        said.append(f"{lean}, as the readings agree; nobody said how it stands")
     for kind, why in (("bad", "a cell that is no number, or no orientation"), ("moving", "taken between poses")):
         if count[kind]:
             said.append(f"{count[kind]} rows left out: {why}")

@@ -94,6 +94,9 @@ def _one(path: Path) -> Table:
     if not any(_is_number(cell) for cell in rows[0][1]):
         names = [cell.strip().strip("\"'") for cell in rows[0][1]]
         rows = rows[1:]
+        if rows and len(rows[0][1]) == len(names) and not any(_is_number(cell) for cell in rows[0][1]):
+            names = [f"{name} [{unit.strip(' []()')}]" for name, unit in zip(names, rows[0][1], strict=True)]
+            rows = rows[1:]
     elif comments and len(_cells(comments[-1][1], between)) == len(rows[0][1]):
         names = [cell.strip() for cell in _cells(comments[-1][1], between)]
     if not rows:
@@ -106,7 +109,10 @@ def _one(path: Path) -> Table:
         cells = row[:-1] if len(row) == width + 1 and not row[-1].strip() else row
         if len(cells) == width:
             values[k] = [_number(cell) for cell in cells]
-    return Table(tuple(names) or ("",) * width, values, tuple(number for number, _ in rows), path.name)
+    at = tuple(number for number, _ in rows)
+    if width == 4 and not names and not len(values) % 4 and (values[3::4] == [0.0, 0.0, 0.0, 1.0]).all():
+        values, at, width = values.reshape(-1, 16), at[::4], 16  # homogeneous matrices, a line a row
+    return Table(tuple(names) or ("",) * width, values, at, path.name)
 
 
 def _text(path: Path, raw: bytes) -> str:

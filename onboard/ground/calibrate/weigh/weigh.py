@@ -14,7 +14,7 @@ from onboard.estimation.calibration import wrist
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.weigh.columns import Meaning
-from onboard.ground.calibrate.weigh.conventions import Poses, Said, averaged, meanings, rotations, still
+from onboard.ground.calibrate.weigh.conventions import DOWN, Down, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
@@ -35,14 +35,14 @@ class Known(NamedTuple):
 
     Attributes:
         place: gravity.
-        down: (3,) unit vector in base axes.
+        down: (3,) unit vector in base axes; None: nobody said.
         scale: 1 sigma of an axis of the sensor, relative.
         tilt_rad: 1 sigma of the base's tilt.
         said: conventions.
     """
 
     place: Place
-    down: tuple[float, float, float]
+    down: Down | None
     scale: float
     tilt_rad: float
     said: Said = Said()
@@ -50,7 +50,7 @@ class Known(NamedTuple):
     @property
     def prior(self) -> wrist.Prior:
         """For the fit."""
-        down = np.array(self.down, np.float64)
+        down = np.array(self.down or DOWN, np.float64)
         gravity = self.place.gravity_m_s2 * down / np.linalg.norm(down)
         return wrist.Prior(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
 
@@ -98,7 +98,8 @@ class Wrong(NamedTuple):
 class Answer:
     """What a table tells, before it is judged."""
 
-    known: Known
+    known: Known  # by the likeliest direction of gravity, where nobody said
+    said_down: bool
     poses: Poses  # used
     weighing: wrist.Weighing
     quantities: tuple[QuantityEstimate, ...]  # m, c_x, c_y, c_z, mounting, tilt
@@ -126,14 +127,14 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     Raises:
         PosesError: too few poses, or a meaning that a person has to say.
     """
-    prior = known.prior
-    found = list(_fits(meaning, known, prior, tell))
+    found = list(_fits(meaning, known, tell))
     # A negative mass is the other sign of the readings, which is among them or was excluded by a person
     found = [each for each in found if each[1].state.mass > 0.0] or found
     most = max(one.evidence for _, one, _ in found)
     near = [each for each in found if each[1].evidence > most + np.log(ODDS)]
     poses, first, count = near[0]
-    groups = count.pop("groups")
+    said_down, known = known.down is not None, known._replace(down=poses.convention.down)
+    prior, groups = known.prior, count.pop("groups")
     others = tuple((other.convention, one.evidence - first.evidence) for other, one, _ in found)
     tell("rows that contradict the others")
     out = wrist.outliers(poses.R, poses.wrench, prior)
@@ -151,6 +152,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     value, sigma, moved = wrist.zeros(weighing.best, wrist.jacobian(poses.R, weighing.best.state, prior))
     return Answer(
         known,
+        said_down,
         poses,
         weighing,
         tuple(_quantities(weighing, poses, prior, known)),
@@ -169,7 +171,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
 
 
 def _fits(
-    meaning: Meaning, known: Known, prior: wrist.Prior, tell: Callable[[str], None]
+    meaning: Meaning, known: Known, tell: Callable[[str], None]
 ) -> Iterator[tuple[Poses, wrist.Fit, dict[str, Any]]]:
     """A fit of each meaning."""
     ways = list(rotations(meaning))
@@ -188,9 +190,12 @@ def _fits(
             raise PosesError(f"{len(held.groups)} poses, {MOST_POSES} at most: average the rows of each pose")
         means = averaged(R, meaning.wrench, held.groups)
         count = {"rows": len(R), "bad": held.bad, "moving": held.moving, "poses": len(held.groups)}
-        for poses in meanings(orientation, *means, known.said):
+        for poses in meanings(orientation, *means, known.said, known.down):
             tell(f"fit: {poses.convention.text}")
-            yield poses, wrist.fit(poses.R, poses.wrench, prior, _ROUGH), count | {"groups": held.groups}
+            down = poses.convention.down
+            one = wrist.fit(poses.R, poses.wrench, known._replace(down=down).prior, _ROUGH)
+            odds = 1.0 if down in (DOWN, known.down) else ODDS
+            yield poses, one._replace(evidence=one.evidence + np.log(odds)), count | {"groups": held.groups}
             made += 1
     if not made:
         raise failed or PosesError("no orientation in any row: check the columns")
@@ -210,8 +215,8 @@ def _same_answer(near: list[tuple[Poses, wrist.Fit, dict[str, Any]]]) -> None:
         )
         if (np.abs(both[0] - both[1]) > 2.0 * sigma).any():
             options = [
-                f"--{name.replace('_', '-')} {getattr(poses.convention, name)} or {getattr(other.convention, name)}"
-                for name in ("sense", "axes", "sign")
+                f"--{name}={getattr(poses.convention, name)} or {getattr(other.convention, name)}"
+                for name in ("sense", "axes", "sign", "gravity")
                 if getattr(poses.convention, name) != getattr(other.convention, name)
             ]
             if poses.convention.orientation != other.convention.orientation:

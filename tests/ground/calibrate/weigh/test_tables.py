@@ -124,6 +124,18 @@ def test_quoted_cells_thousands_and_a_spreadsheets_line(tmp_path):
         table.read([path])
 
 
+def test_a_line_of_units_below_the_names(one, tmp_path):
+    """Units that are passed over are a mass or a centre that is wrong by a factor."""
+    path = write(tmp_path / "poses.csv", [("-",) * 4 + ("kgf",) * 3 + ("[N mm]",) * 3, *one.rows], HEADER)
+    meaning = columns.understood(table.read([path]), columns.Units())
+    np.testing.assert_allclose(meaning.wrench, one.wrench * np.repeat([9.80665, 1e-3], 3), rtol=1e-12)
+    assert meaning.moments_named
+    write(path, [*one.rows], [*(f"rot_{axis}" for axis in "wxyz"), *HEADER[4:]])
+    assert columns.understood(table.read([path]), columns.Units()).kind == "quaternion"
+    write(path, one.rows[:, 1:], [*(f"Rot_{axis} [deg]" for axis in "XYZ"), *HEADER[4:]])
+    assert columns.understood(table.read([path]), columns.Units()).kind == "angles?"
+
+
 def test_a_quaternion_that_is_none_is_said(one, tmp_path, capsys):
     assert weighed(tmp_path, one.rows * ([2.0] * 4 + [1.0] * 6))[0] == BAD_INPUT
     assert "or a quaternion or matrix that is no rotation" in " ".join(capsys.readouterr().err.split())
@@ -205,6 +217,30 @@ def test_a_rotation_matrix_by_rows(one, tmp_path):
         assert all(holds(answer, one.true).values())
 
 
+def test_homogeneous_matrices(one, tmp_path):
+    """By rows or by columns, named and numbered or not, in a line or in four; the unit of the wrench a number."""
+    T = np.tile(np.eye(4), (len(one.R), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = one.R, np.random.default_rng(3).normal(size=(len(T), 3))
+    by_rows, by_columns = T.reshape(-1, 16), T.transpose(0, 2, 1).reshape(-1, 16)
+    corners = [f"T{i}{j}" for i in range(4) for j in range(4)]
+    numbered = [*(f"O_T_EE[{k}]" for k in range(16)), *(f"K_F_ext_hat_K[{k}]" for k in range(6))]
+    for pose, header in (
+        (by_rows, ()),
+        (by_columns, ()),
+        (by_rows[:, :12], ()),
+        (by_rows, (*corners, *WRENCH)),
+        (by_columns, tuple(numbered)),
+    ):
+        read = table.read([write(tmp_path / "poses.csv", np.hstack([pose, one.wrench]), header)])
+        meaning = columns.understood(read, columns.Units("1e-3", "2"))
+        np.testing.assert_allclose(meaning.orientation.reshape(-1, 3, 3), one.R, atol=1e-12)
+        np.testing.assert_allclose(meaning.wrench, one.wrench * np.repeat([1e-3, 2.0], 3), rtol=1e-12)
+    stacked = write(tmp_path / "stacked.txt", T.reshape(-1, 4), (), " ,")
+    read = table.read([stacked, write(tmp_path / "wrench.txt", one.wrench, (), " ")])
+    np.testing.assert_allclose(columns.understood(read, columns.Units()).orientation.reshape(-1, 3, 3), one.R)
+    assert read.lines[:2] == (1, 5)
+
+
 def test_joint_angles_and_a_urdf(one, tmp_path):
     """A shoulder about z, an elbow about y, a wrist about x: the product of the three turns."""
     rng = np.random.default_rng(5)
@@ -222,8 +258,8 @@ def test_joint_angles_and_a_urdf(one, tmp_path):
         weight = one.true.mass_kg * R.T @ [0.0, 0.0, -GRAVITY]
         load = np.concatenate([weight, np.cross(one.true.centre_m, weight)])
         rows.append([a, b, c, *(load + one.true.zero + one.true.noise * rng.normal(size=6))])
-    for names in (("shoulder", "elbow", "wrist"), ("q1", "q2", "q3")):
-        code, answer = weighed(tmp_path, rows, "--urdf", str(urdf), header=(*names, *WRENCH))
+    for names in (("shoulder", "elbow", "wrist"), ("q1", "q2", "q3"), ()):
+        code, answer = weighed(tmp_path, rows, "--urdf", str(urdf), header=(*names, *WRENCH) if names else ())
         assert code == OK
         assert all(holds(answer, one.true).values())
     assert weighed(tmp_path, rows, "--urdf", str(urdf), "--link", "hand", header=(*names, *WRENCH))[0] == BAD_INPUT
@@ -248,6 +284,7 @@ def test_units_of_names():
     assert columns.split_name("torque_z (N mm)") == ("torquez", "nmm")
     assert columns.split_name("roll_deg") == ("roll", "deg")
     assert columns.split_name("tcp_m_x") == ("tcp.mx", "")
+    assert columns.split_name("Fx [\u00b5N]") == columns.split_name("Fx [\u03bcN]") == ("fx", "un")
     with pytest.raises(PosesError, match="no order of Euler angles"):
         conventions.of_euler("xYz", np.zeros((1, 3)))
 

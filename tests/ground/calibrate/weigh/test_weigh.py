@@ -59,7 +59,7 @@ def test_conventions_are_found(one, tmp_path):
         code, answer = weighed(tmp_path, rows)
         assert (code, tuple(answer["convention"][key] for key in ("sense", "axes", "sign"))) == (OK, expected)
         assert all(holds(answer, one.true).values())
-        assert 1 < len(answer["others"]) <= 8
+        assert 1 < len(answer["others"]) <= 24
         (second,) = (note for note in answer["notes"] if note.startswith("the next likeliest of"))
         assert re.search(r"[\d.e+]+ times less likely: (Euler|.*orientation is)", second)
 
@@ -73,9 +73,35 @@ def test_a_tilted_base_and_an_arm_on_a_wall(tmp_path):
     wall = record(13)
     side = turn([0.0, np.pi / 2.0, 0.0])  # the wall's base: downwards is its -x
     rows = np.hstack([np.array([quaternion(side @ R) for R in wall.R]), wall.wrench])
-    code, answer = weighed(tmp_path, rows, "--gravity=-1,0,0")
-    assert code == OK
-    assert all(holds(answer, wall.true).values())
+    for said in (("--gravity=-1,0,0",), ()):
+        code, answer = weighed(tmp_path, rows, *said)
+        assert code == OK
+        assert all(holds(answer, wall.true).values())
+        assert any("downwards in the base's axes is -1,0,0" in note for note in answer["notes"])
+
+
+def test_a_base_that_leans_further_than_is_stated(tmp_path):
+    """25 deg are five stated sigmas: a note where nobody said how it stands, a doubt of what was said."""
+    leaning = record(15)
+    about = turn([0.0, np.deg2rad(25.0), 0.0])
+    rows = np.hstack([np.array([quaternion(about @ R) for R in leaning.R]), leaning.wrench])
+    for said, level, where in (
+        ((), "good", lambda answer: " ".join(answer["notes"])),
+        (("--gravity=0,0,-1",), "weak", lambda answer: answer["verdict"]["text"]),
+        (("--gravity=0,0,-1", "--tilt-deg=25"), "good", lambda _: "the base leans by 25 deg against"),
+    ):
+        code, answer = weighed(tmp_path, rows, *said)
+        assert (code, answer["verdict"]["level"]) == (OK, level)
+        assert re.search("the base leans by 2[3-7] deg against", where(answer))
+        assert all(holds(answer, leaning.true).values())
+
+
+@pytest.mark.parametrize(("factor", "level"), [(2000.0, "good"), (3000.0, "do not use")])
+def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, factor, level):
+    rows = np.hstack([one.rows[:, :4], one.wrench * factor / one.true.mass_kg])
+    answer = weighed(tmp_path, rows)[1]
+    assert answer["verdict"]["level"] == level
+    assert ("--force-unit" in answer["verdict"]["text"]) == (level == "do not use")
 
 
 def spoilt(wrench, what):
