@@ -7,7 +7,7 @@ unknown, so such units must be configured; the converter runs on its own clock, 
 """
 
 from drivers.modbus_load_cell.device import ModbusLoadCell
-from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, crc16, read_request, write_request
+from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, crc16, read_request
 from drivers.modbus_load_cell.registers import ModbusLoadCellConfig, Weights, decode_weights
 
 __all__ = [
@@ -19,5 +19,4 @@ __all__ = [
     "crc16",
     "decode_weights",
     "read_request",
-    "write_request",
 ]

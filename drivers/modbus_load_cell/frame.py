@@ -1,12 +1,11 @@
-"""Modbus-RTU frames of a master that reads and writes holding registers. No port, no clock.
+"""Modbus-RTU frames of a master that reads holding registers. No port, no clock.
 
-Source: MODBUS Application Protocol 1.1b3, sections 6.3 and 6.12; Modbus over Serial Line 1.02, section 2.5.1.
+Source: MODBUS Application Protocol 1.1b3, section 6.3; Modbus over Serial Line 1.02, section 2.5.1.
 """
 
 from drivers.errors import ConfigurationError, DriverError, FrameError
 
 READ = 0x03
-WRITE = 0x10
 EXCEPTION = 0x80
 MOST_REGISTERS = 125
 EXCEPTIONS = {
@@ -51,10 +50,6 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def _framed(body: bytes) -> bytes:
-    return body + crc16(body).to_bytes(2, "little")
-
-
 def read_request(address: int, register: int, count: int) -> bytes:
     """Function 3: read ``count`` holding registers from wire address ``register`` on (40001 is 0).
 
@@ -63,22 +58,8 @@ def read_request(address: int, register: int, count: int) -> bytes:
     """
     if not (1 <= address <= 247 and 0 <= register <= 0xFFFF and 1 <= count <= MOST_REGISTERS):
         raise ConfigurationError(f"address {address}, register {register}, count {count}: use 1..247, 0..65535, 1..125")
-    return _framed(bytes([address, READ]) + register.to_bytes(2, "big") + count.to_bytes(2, "big"))
-
-
-def write_request(address: int, register: int, values: tuple[int, ...]) -> bytes:
-    """Function 16: write holding registers from wire address ``register`` on.
-
-    Raises:
-        ConfigurationError: An argument outside the range of the protocol.
-    """
-    count = len(values)
-    if not (1 <= address <= 247 and 0 <= register <= 0xFFFF and 1 <= count <= 123):
-        raise ConfigurationError(f"address {address}, register {register}, count {count}: use 1..247, 0..65535, 1..123")
-    if not all(0 <= value <= 0xFFFF for value in values):
-        raise ConfigurationError(f"registers hold 0..65535, not {values}: split larger numbers, high half first")
-    head = bytes([address, WRITE]) + register.to_bytes(2, "big") + count.to_bytes(2, "big") + bytes([2 * count])
-    return _framed(head + b"".join(value.to_bytes(2, "big") for value in values))
+    body = bytes([address, READ]) + register.to_bytes(2, "big") + count.to_bytes(2, "big")
+    return body + crc16(body).to_bytes(2, "little")
 
 
 class ModbusReply:
@@ -90,10 +71,9 @@ class ModbusReply:
     """
 
     def __init__(self, request: bytes, echoes: bool = False) -> None:
-        self._address, self._function = request[0], request[1]
+        self._address = request[0]
         count = int.from_bytes(request[4:6], "big")
-        self._length = 5 + 2 * count if self._function == READ else 8
-        self._head = request[2:6]
+        self._length = 5 + 2 * count
         self._echo = request if echoes else b""
         self._buffer = b""
 
@@ -103,7 +83,7 @@ class ModbusReply:
         return max(1, len(self._echo) + self._length - len(self._buffer))
 
     def receive(self, data: bytes) -> tuple[int, ...] | None:
-        """More bytes: the registers read (none for a write) when the answer is whole, None while it is not.
+        """More bytes: the registers read when the answer is whole, None while it is not.
 
         Raises:
             FrameError: The bytes are not the answer to this request; wait for silence on the line before the next
@@ -120,11 +100,11 @@ class ModbusReply:
             raise FrameError(f"answer from address {answer[0]}, not {self._address}: is another master on the line?")
         if len(answer) < 2:
             return None
-        refused = answer[1] == self._function | EXCEPTION
-        if not refused and answer[1] != self._function:
-            raise FrameError(f"answer to function {answer[1]}, not {self._function}: it is late, or bytes were lost")
+        refused = answer[1] == READ | EXCEPTION
+        if not refused and answer[1] != READ:
+            raise FrameError(f"answer to function {answer[1]}, not {READ}: it is late, or bytes were lost")
         length = 5 if refused else self._length
-        if len(answer) > 2 and not refused and self._function == READ and answer[2] != length - 5:
+        if len(answer) > 2 and not refused and answer[2] != length - 5:
             raise FrameError(f"{answer[2]} bytes of registers, not {length - 5}: it is late, or bytes were lost")
         if len(answer) < length:
             return None
@@ -134,8 +114,4 @@ class ModbusReply:
             raise FrameError("CRC of the answer is wrong: check wiring, termination and baud rate")
         if refused:
             raise ModbusException(answer[2])
-        if self._function == READ:
-            return tuple(int.from_bytes(answer[at : at + 2], "big") for at in range(3, length - 2, 2))
-        if answer[2:6] != self._head:
-            raise FrameError("another write is acknowledged: is another master on the line?")
-        return ()
+        return tuple(int.from_bytes(answer[at : at + 2], "big") for at in range(3, length - 2, 2))

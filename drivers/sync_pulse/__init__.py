@@ -1,6 +1,6 @@
 """The coded sync pulse: input device, published code, generator."""
 
-from drivers.sync_pulse.code import intervals, pulse_number, sync_numbers
+from drivers.sync_pulse.code import intervals, sync_numbers
 from drivers.sync_pulse.device import SyncPulse, SyncPulseConfig
 from drivers.sync_pulse.generator import PulseGenerator, PulseGeneratorConfig, PulseSchedule
 
@@ -11,6 +11,5 @@ __all__ = [
     "SyncPulse",
     "SyncPulseConfig",
     "intervals",
-    "pulse_number",
     "sync_numbers",
 ]

@@ -11,7 +11,6 @@ any 32 in a row fall on all of them. A 1 kHz recorder marks a pulse to one sampl
 all would fall at the same phase of its sample period, and the quantisation error would not average out.
 """
 
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -61,34 +60,3 @@ def sync_numbers() -> NDArray[np.int64]:
 def cycle_sync_periods() -> int:
     """SYNC periods in one cycle of the code: pulse n + 32768 rises this long after pulse n."""
     return int(intervals().sum())
-
-
-@cache
-def _places() -> NDArray[np.int64]:
-    """Pulse number of each triple: entry ``(a * 32 + b) * 32 + c`` is the pulse that ends the intervals a, b, c."""
-    symbols = intervals() - SHORTEST_INTERVAL
-    keys = (np.roll(symbols, 2) * SYMBOLS + np.roll(symbols, 1)) * SYMBOLS + symbols
-    places = np.empty(CODE_LENGTH, np.int64)
-    places[keys] = np.arange(CODE_LENGTH)
-    return places
-
-
-def pulse_number(intervals_in_sync_periods: Sequence[int]) -> int | None:
-    """Number of the pulse that ends the last of the intervals given, in 0..32767 (the code repeats after that).
-
-    Args:
-        intervals_in_sync_periods: Three or more intervals between successive pulses, none missing, SYNC periods.
-
-    Returns:
-        The pulse number, or None for fewer than three intervals or intervals that do not occur in the code (missed or
-        extra edge, other signal on the line).
-    """
-    symbols = [interval - SHORTEST_INTERVAL for interval in intervals_in_sync_periods]
-    if len(symbols) < WORD or not all(0 <= symbol < SYMBOLS for symbol in symbols):
-        return None
-    first, second, third = symbols[:WORD]
-    start = int(_places()[(first * SYMBOLS + second) * SYMBOLS + third])
-    expected = intervals().take(range(start + 1, start + 1 + len(symbols) - WORD), mode="wrap")
-    if not np.array_equal(expected - SHORTEST_INTERVAL, symbols[WORD:]):
-        return None
-    return int((start + len(symbols) - WORD) % CODE_LENGTH)

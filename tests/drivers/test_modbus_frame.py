@@ -12,7 +12,6 @@ from drivers.modbus_load_cell import (
     crc16,
     decode_weights,
     read_request,
-    write_request,
 )
 from drivers.records import SampleStatus
 from tests.drivers.modbus_model import TransmitterModel, framed
@@ -32,11 +31,9 @@ def test_the_manuals_request():
 @pytest.mark.parametrize(
     ("frame", "made"),
     [
-        # other manufacturers' manuals: Flintec FT-13 page 48 (reads, a write)
+        # other manufacturers' manuals: Flintec FT-13 page 48
         ("01 03 00 00 00 02 C4 0B", lambda: read_request(1, 0, 2)),
         ("01 03 00 02 00 01 25 CA", lambda: read_request(1, 2, 1)),
-        ("01 10 00 08 00 01 02 00 02 26 D9", lambda: write_request(1, 8, (2,))),
-        ("01 10 00 0A 00 02 04 00 00 13 88 7E 86", lambda: write_request(1, 10, (0, 5000))),
     ],
 )
 def test_requests_of_other_manuals(frame, made):
@@ -72,14 +69,6 @@ def test_it_says_how_many_bytes_are_to_come():
         gathering.receive(answer[place : place + 1])
     assert missing == [9, 8, 7, 6, 5, 4, 3, 2, 1]
     assert gathering.missing == 1
-
-
-@pytest.mark.parametrize("bytewise", [False, True])
-def test_a_write_is_acknowledged(bytewise):
-    request = write_request(1, 8, (2,))
-    assert fed(ModbusReply(request), framed(request[:6]), bytewise) == ()
-    with pytest.raises(FrameError, match="another write"):
-        ModbusReply(request).receive(framed(bytes.fromhex("01 10 00 09 00 01")))
 
 
 @pytest.mark.parametrize("bytewise", [False, True])
@@ -130,14 +119,6 @@ def test_any_bytes_give_registers_nothing_or_a_named_error(chunks, echo):
 def test_requests_that_cannot_be_said(bad):
     with pytest.raises(ConfigurationError):
         read_request(*bad)
-
-
-@pytest.mark.parametrize(
-    "bad", [(0, 0, (1,)), (1, 70000, (1,)), (1, 0, ()), (1, 0, (65536,)), (1, 0, (-1,)), (1, 0, (1,) * 124)]
-)
-def test_writes_that_cannot_be_said(bad):
-    with pytest.raises(ConfigurationError):
-        write_request(*bad)
 
 
 # The map

@@ -3,13 +3,11 @@
 import errno
 import os
 
-import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given
 
 from drivers.ports import Edge
-from drivers.sync_pulse import SyncPulse, SyncPulseConfig, intervals, pulse_number, sync_numbers
+from drivers.sync_pulse import SyncPulse, SyncPulseConfig, intervals, sync_numbers
 from drivers.sync_pulse.code import cycle_sync_periods, dither_ns
 from tests.drivers.batches import codes, of, whole
 
@@ -63,24 +61,6 @@ def test_dither_spreads_pulses_evenly_over_a_millisecond():
     assert values.tolist() == [31_250 * place for place in range(32)]
     assert set(counts) == {LENGTH // 32}
     assert dither_ns()[:6].tolist() == [0, 593_750, 187_500, 781_250, 375_000, 968_750]
-
-
-@given(st.integers(0, LENGTH - 1), st.integers(3, 12))
-def test_any_stretch_of_three_or_more_tells_its_pulse(last, count):
-    stretch = [int(intervals()[(last - count + 1 + place) % LENGTH]) for place in range(count)]
-    assert pulse_number(stretch) == last
-
-
-@given(st.integers(0, LENGTH - 1), st.integers(0, 5), st.integers(1, 31))
-def test_an_interval_that_is_wrong_in_a_long_stretch_is_noticed(last, place, error):
-    stretch = [int(intervals()[(last - 5 + offset) % LENGTH]) for offset in range(6)]
-    stretch[place] = 30 + (stretch[place] - 30 + error) % 32
-    assert pulse_number(stretch) != last or pulse_number(stretch) is None
-
-
-@pytest.mark.parametrize("stretch", [[], [30], [30, 31], [29, 30, 30], [30, 62, 30], [30, 30, 30, 45]])
-def test_what_is_no_stretch_of_the_code_is_none(stretch):
-    assert pulse_number(stretch) is None
 
 
 class Line:
