@@ -3,44 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from hil_sim.devices.can_bus.object_dictionary import Access, DataType, Entry
+from hil_sim.devices.can_bus.object_dictionary import DataType
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
-from hil_sim.devices.canopen.canopen_node import CanopenNode
+from hil_sim.devices.canopen.measured_object import MeasuredObject
 from hil_sim.devices.emulator import Bench, Equivalent, Twin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sensor_tables import Vector
 from hil_sim.scenario.sheets import Sheets
-from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.controller_sensors import ThrustSensor
 
 _FORCE = 0x2101_00_10
-
-
-class Thruster(CanopenNode):
-    """One thruster.
-
-    Args:
-        node_id: CANopen node number.
-        analog: Its force, N.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        step_n: A count of 2101h.
-        faults: What breaks.
-
-    Raises:
-        FaultError: a fault that a thruster cannot have.
-    """
-
-    def __init__(
-        self, node_id: int, analog: ScalarAnalog, start_ns: int, *, step_n: float, faults: DeviceFaults = NO_FAULTS
-    ) -> None:
-        super().__init__(node_id, 0x0008_0191, start_ns, faults, INPUT_KINDS)
-        self._analog, self._step_n = FaultyScalar(analog, faults, start_ns), step_n
-        self.dictionary.add(0x2101, 0, Entry(DataType.I16, Access.RO, read=self.force, mappable=True))
-        self._sampled = self._add_tpdo(1, 1, (_FORCE,))
-
-    def force(self, now_ns: int) -> int:
-        """Object 2101h at ``now_ns``."""
-        return round(self._analog.value(self._seconds(now_ns)) / self._step_n)
 
 
 class ThrusterTable(CanNodeEmulator):
@@ -60,5 +31,6 @@ class ThrusterTable(CanNodeEmulator):
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
         sensor = bench.sensor(ThrustSensor)
-        twin = Thruster(self.node, sensor, bench.start_ns, step_n=sensor.step_n, faults=bench.faults)
+        about = 0x0008_0191, _FORCE, DataType.I16
+        twin = MeasuredObject(self.node, *about, sensor, bench.start_ns, step=sensor.step_n, faults=bench.faults)
         return self.supervised(twin, bench.name)

@@ -104,6 +104,14 @@ def subplots(
     return figure, list(axes.flat)
 
 
+def label_lowest(every: list[Axes], shown: int, text: str) -> None:
+    """Hide the axes after the first ``shown`` of two columns, and label the lowest of both."""
+    for axes in every[shown:]:
+        axes.set_visible(False)
+    for axes in every[max(0, shown - 2) : shown]:
+        axes.set_xlabel(text)
+
+
 def svg(figure: Figure, title: str, prefix: str) -> str:
     """``figure`` as an SVG element to stand in a page that holds others.
 

@@ -16,7 +16,7 @@ from onboard.ground.campaign.store import Content, Store
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
-from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
+from onboard.ground.drawing.theme import COLOUR, CYCLE, label_lowest, subplots
 from onboard.ground.report.flight.figures import legend
 
 _MOST_DRAWN = 16  # quantities
@@ -155,10 +155,7 @@ def _distributions(found: Summary) -> Figure | None:
         axes.set_title(f"{one.quantity}, {len(one.whitened)} answers")
     every[0].set_ylim(top=1.5 * every[0].get_ylim()[1])  # room for the legend
     legend(every[0])
-    for axes in every[len(shown) :]:
-        axes.set_visible(False)
-    for axes in every[max(0, len(shown) - 2) : len(shown)]:
-        axes.set_xlabel("error, sigmas")
+    label_lowest(every, len(shown), "error, sigmas")
     return figure
 
 

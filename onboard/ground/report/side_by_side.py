@@ -10,7 +10,7 @@ from onboard.estimation.policy import HALF
 from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
-from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
+from onboard.ground.drawing.theme import COLOUR, CYCLE, label_lowest, subplots
 from onboard.ground.log.views.compare import DISAGREE, ComparedQuantity, Comparison, interval
 
 _CAPTION = (
@@ -79,10 +79,7 @@ def _figure(found: Comparison) -> Figure | None:
     figure, every = subplots((len(shown) + 1) // 2, 2)
     for axes, one in zip(every, shown, strict=False):
         _draw(axes, one)
-    for axes in every[len(shown) :]:
-        axes.set_visible(False)
-    for axes in every[max(0, len(shown) - 2) : len(shown)]:
-        axes.set_xlabel("flight")
+    label_lowest(every, len(shown), "flight")
     return figure
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.can_bus.frame_length import frame_bits, frames_bits
+from hil_sim.devices.can_bus.object_dictionary import DataType
 from hil_sim.devices.canopen.arm_controller import ArmController
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
-from hil_sim.devices.canopen.reaction_wheel import ReactionWheel
+from hil_sim.devices.canopen.measured_object import MeasuredObject
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.faults import NEVER, FaultPlan
 from hil_sim.faults.vocabulary import Fault, FaultKind
@@ -71,7 +72,7 @@ def rig(*, ahead, pins=None):
         Encoder406(3, Analog(lambda t: -0.3 * t), START_NS),
         Drive402(4, Swing(1.0), Swing(3.0), START_NS, commands=[(0.0, 6), (0.9, 7), (1.3, 15)], trips=[(2.2, 0x2310)]),
         ArmController(5, [(0.5 + 0.1551 * k, k) for k in range(20)], START_NS),
-        ReactionWheel(6, Swing(40.0), START_NS, step_rad_s=0.01),
+        MeasuredObject(6, 0x0002_0192, 0x606C_00_20, DataType.I32, Swing(40.0), START_NS, step=0.01),
     )
     made = Counted(*nodes, ahead=ahead)
     made.nodes = nodes[1:]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
-from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
+from onboard.ground.drawing.theme import COLOUR, CYCLE, label_lowest, subplots
 from onboard.ground.report.flight.alone import Alone
 from onboard.ground.report.flight.figures import legend, second_axis, shade
 from onboard.ground.report.flight.flight_data import FlightData, SweepData
@@ -150,10 +150,7 @@ def by_sweep(flight: FlightData, found: dict[str, list[Alone]], truths: dict[str
         axes.set_title(name)
         axes.set_ylabel(unit)
         legend(axes)
-    for axes in every[len(names) :]:
-        axes.set_visible(False)
-    for axes in every[max(0, len(names) - 2) : len(names)]:
-        axes.set_xlabel("time, s")
+    label_lowest(every, len(names), "time, s")
     return figure
 
 
@@ -206,8 +203,5 @@ def convergence(flight: FlightData, truths: dict[str, float], *, quantities: boo
         _truth(axes, truths.get(name), factor)
         shade(axes, flight)
         axes.set_title(f"{name}, {unit or base_unit(name, flight)}".removesuffix(", "))
-    for axes in every[len(names) :]:
-        axes.set_visible(False)
-    for axes in every[max(0, len(names) - 2) : len(names)]:
-        axes.set_xlabel("time, s")
+    label_lowest(every, len(names), "time, s")
     return figure

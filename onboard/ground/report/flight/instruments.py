@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -12,7 +11,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.ground.drawing import html
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
-from onboard.ground.drawing.theme import CYCLE, subplots
+from onboard.ground.drawing.theme import CYCLE, label_lowest, subplots
 from onboard.ground.report.flight.figures import legend
 from onboard.ground.report.flight.flight_data import FlightData
 from onboard.ground.report.flight.streams import SEGMENT, IntervalStatistics
@@ -67,9 +66,7 @@ def spectra(flight: FlightData) -> Figure | None:
         axes.set_xlim(frequency[0], frequency[-1])
         if len(labels) > 1:
             legend(axes)
-    for axes in every[max(0, len(panels) - 2) : len(panels)]:
-        axes.set_xlabel("frequency, Hz")
-    _hide(every[len(panels) :])
+    label_lowest(every, len(panels), "frequency, Hz")
     return figure
 
 
@@ -97,9 +94,7 @@ def jitter(flight: FlightData) -> Figure | None:
         axes.set_title(name)
         axes.set_ylabel("share")
         legend(axes)
-    for axes in every[max(0, len(names) - 2) : len(names)]:
-        axes.set_xlabel("interval less its median, µs")
-    _hide(every[len(names) :])
+    label_lowest(every, len(names), "interval less its median, µs")
     return figure
 
 
@@ -130,8 +125,3 @@ def _plain_ticks(*axes: Axis) -> None:
     for axis in axes:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def _hide(every: Sequence[Axes]) -> None:
-    for axes in every:
-        axes.set_visible(False)
