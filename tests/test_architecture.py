@@ -139,7 +139,7 @@ LAYERS = {  # of a package: each room may import those before it, and itself; ev
     ),
     "onboard.ground": ("log", "drawing", "calibrate", "identify", "api", "campaign", "report", "before"),
     "hil_sim": (
-        *("arrays", "scenario", "filters", "plants", "driven_plant", "sensing", "faults", "devices", "buses"),
+        *("arrays", "scenario", "filters", "plants", "sensing", "faults", "devices", "buses"),
         *("arm_rig", "twins", "mission", "bench", "driven_world", "serve", "driven_flight", "kernel"),
         *("serve_arm", "serve_driven"),
     ),

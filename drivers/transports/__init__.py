@@ -122,11 +122,11 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
     """
     bus = parse(url, PULSE_OUTPUT_URLS)
     if bus.kind == "gpio-out+unix":
-        from drivers.transports.gpio_out_unix import UnixPulseOutput  # noqa: PLC0415
+        from drivers.transports.gpio_unix import UnixPulseOutput  # noqa: PLC0415
 
         return UnixPulseOutput(bus.path, clock)
     line = bus.integer("line")
-    from drivers.transports.gpio_out import GpiodOutput  # noqa: PLC0415
+    from drivers.transports.gpio import GpiodOutput  # noqa: PLC0415
     from drivers.transports.gpio_reopen import ReopeningPulseOutput  # noqa: PLC0415
 
     return ReopeningPulseOutput(lambda: GpiodOutput.open(bus.path, line, clock), clock)
