@@ -51,6 +51,7 @@ _OUTPUTS: Final = {  # the guide's names and types, of those that are served
 _FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", _SIX: "6d"}
 _RUNNING, _POWER_OFF = 7, 3  # robot_mode
 _BIT_NORMAL, _BIT_PROTECTIVE, _BIT_ROBOT_STOP, _BIT_STOP, _BIT_SAFETY = 0, 2, 6, 7, 10  # safety_status_bits
+_CONTROL_HZ: Final = 500.0
 _BOOT_NS: Final = 1_000_000_000  # a real one takes a minute
 Input = Callable[[float], float]
 
@@ -62,7 +63,6 @@ class UrController(PoweredTwin):
         inputs: What it measures at a mission time, by output and place from 0; others are 0.
         clock: Its oscillator.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        most_hz: Its control rate.
         latency_ns: From a package's time stamp to its sending.
         jitter_ns: Mean of an exponential time more.
         lacks: Outputs that it has not, and what it says of them.
@@ -79,7 +79,6 @@ class UrController(PoweredTwin):
         clock: ChipClock,
         start_ns: int,
         *,
-        most_hz: float = 500.0,
         latency_ns: int = 700_000,
         jitter_ns: int = 50_000,
         lacks: Mapping[str, str] | None = None,
@@ -92,14 +91,14 @@ class UrController(PoweredTwin):
         self.leader = self
         self._inputs = dict(inputs)
         self._clock = FaultyClock(clock, faults)
-        self._most_hz, self._latency_ns, self._jitter_ns = most_hz, latency_ns, jitter_ns
+        self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
         self._types = {**_OUTPUTS, **(lacks or {})}
         self._rng = np.random.default_rng([seed, 0x5552])
         self._all_faults = [faults]
         self._transmit: Callable[[bytes, int], None] = lambda data, ready_ns: None
         self._request = bytearray()
         self._names: list[str] = []
-        self._rate_hz = most_hz
+        self._rate_hz = _CONTROL_HZ
         self._powered_chip_ns = 0
         self._next = 0  # number of the next package since power-up, at its rate
         self._counted: int | None = None  # number of the last one that was delivered
@@ -178,7 +177,7 @@ class UrController(PoweredTwin):
             case "O":
                 named = rest[8:].decode("ascii", "replace").split(",")
                 self._names = [name for name in named if name]  # ur_rtde sends a comma after the last
-                self._rate_hz = min(max(struct.unpack(">d", rest[:8])[0], 1.0), self._most_hz)
+                self._rate_hz = min(max(struct.unpack(">d", rest[:8])[0], 1.0), _CONTROL_HZ)
                 types = [self._types.get(name, "NOT_FOUND") for name in self._names]
                 fits = all(one in _FORMATS for one in types)
                 self._say("O", bytes([fits]) + ",".join(types).encode(), ready_ns)

@@ -49,6 +49,7 @@ _WHOLE: Final = frozenset(_LIMITS) - {"SZ"}
 _LONGEST_COMMAND: Final = 32
 _LONGEST_DELAY_NS: Final = 50_000_000
 _CHORE_NS: Final = 100_000_000
+_BOOT_NS: Final = 250_000_000  # from power-up to the first answer
 
 
 class DscLoadCellTwin(SerialTwin):
@@ -64,7 +65,6 @@ class DscLoadCellTwin(SerialTwin):
         digits: DPB and DP.
         capacity_n: Full scale, N, either way; the converter clips there.
         delay_ns: Shortest and longest delay of an answer.
-        boot_ns: From power-up to the first answer.
         seed: Of the delays.
         faults: What breaks.
 
@@ -85,7 +85,6 @@ class DscLoadCellTwin(SerialTwin):
         digits: tuple[int, int] = (5, 3),
         capacity_n: float = 50.0,
         delay_ns: tuple[int, int] = (1_000_000, 5_000_000),
-        boot_ns: int = 250_000_000,
         seed: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
@@ -100,7 +99,6 @@ class DscLoadCellTwin(SerialTwin):
         self._cell = SampledScalar(FaultyScalar(analog, faults, start_ns), clock, start_ns, _RATES_HZ[rate_code])
         self._capacity_n = capacity_n
         self._delay_ns = delay_ns
-        self._boot_ns = boot_ns
         self._rng = np.random.default_rng([seed, 0xD5C])
         self._settings: dict[str, float] = {**settings, "SZ": 0.0, "FLAG": 0}
         self._clear_state()
@@ -109,7 +107,7 @@ class DscLoadCellTwin(SerialTwin):
         self._clear_state()
         self.line = LineFormat(_BAUD_RATES[int(self._settings["BAUD"])])
         self._cell.power_up(now_ns, _RATES_HZ[int(self._settings["RATE"])])
-        self._at("boot", now_ns + self._boot_ns, self._boot)
+        self._at("boot", now_ns + _BOOT_NS, self._boot)
         self._at("chores", now_ns + _CHORE_NS, self._chores)
 
     def _clear_state(self) -> None:

@@ -141,7 +141,6 @@ class DynamixelTwin(SerialTwin):
         self._heard, self._said = b"", 0  # of a Fast Sync Read's packet: what others said, and how much
         self._ready_ns = self._up_ns = self._byte_ns = start_ns
         self.answered = 0
-        self.bad_packets = 0
         super().__init__(line, start_ns, faults, (FaultKind.SLOW, FaultKind.TRIP, *INPUT_KINDS))
         self._trips = [window for window in faults.windows if window.kind is FaultKind.TRIP][::-1]
         self._next_trip()
@@ -186,7 +185,6 @@ class DynamixelTwin(SerialTwin):
         self._stop("answer")
         self._before = 0, 0, 0, 0
         if len(packet) < 10 or crc(packet[:-2]) != packet[-2:]:
-            self.bad_packets += 1
             if packet[4] == self._memory[7]:
                 self._answer_later(_BAD_CRC, b"", now_ns)
             return

@@ -22,7 +22,7 @@ command that cannot be obeyed. Weights are magnitudes in units of the last decim
 or net beyond 999999, 10 net mode, 11 stable, 12 within a quarter division of zero. ``signs_in_status=False`` is a
 transmitter that writes signed words instead.
 
-Commands: 7 tare, 8 zero (refused beyond ``zero_range``), 9 gross, 99 save, 100 permanent zero, 130 preset tare. Tare
+Commands: 7 tare, 8 zero (refused beyond 0.3 N), 9 gross, 99 save, 100 permanent zero, 130 preset tare. Tare
 and zero are lost with the supply, setpoints and hystereses as well unless they were saved.
 
 Framing is that of "Modbus over serial line" V1.02: a frame ends after 3.5 characters of silence (1.75 ms above 19,200
@@ -68,6 +68,7 @@ _LARGEST_SHOWN: Final = 999_999
 _CONVERTER_RANGE: Final = 1.2  # times the capacity
 _CONVERSIONS_HZ: Final = 300.0
 _STABLE_CONVERSIONS: Final = 8
+_ZERO_RANGE_N: Final = 0.3  # largest gross weight that command 8 takes away
 _CHORE_NS: Final = 100_000_000
 _FAST_BAUD_RATE: Final = 19_200  # above it the silences are fixed
 _CRC_POLYNOMIAL: Final = 0xA001  # x^16 + x^15 + x^2 + 1, reflected
@@ -108,7 +109,6 @@ class ModbusLoadCellTwin(SerialTwin):
         line: Speed and format.
         capacity_n: Full scale, N.
         division: Index into ``DIVISIONS``; 15 is 1 mN.
-        zero_range_n: Largest gross weight that command 8 takes away, N.
         signs_in_status: Whether weights are magnitudes with their signs in 40007.
         boot_ns: From power-up to the first answer.
         reply_ns: From the end of a request to its answer.
@@ -129,7 +129,6 @@ class ModbusLoadCellTwin(SerialTwin):
         line: LineFormat = LineFormat(115_200),  # noqa: B008  (a constant)
         capacity_n: float = 50.0,
         division: int = 15,
-        zero_range_n: float = 0.3,
         signs_in_status: bool = True,
         boot_ns: int = 500_000_000,
         reply_ns: int = 500_000,
@@ -146,7 +145,6 @@ class ModbusLoadCellTwin(SerialTwin):
         self._division_code = division
         self._division_n = DIVISIONS[division]
         self._decimals = max(0, -math.floor(math.log10(self._division_n)))
-        self._zero_range_n = zero_range_n
         self._signs_in_status = signs_in_status
         self._boot_ns = boot_ns
         self._reply_ns = reply_ns
@@ -296,7 +294,7 @@ class ModbusLoadCellTwin(SerialTwin):
         gross_n = self._gross_n()
         if command == _TARE and self._shown(gross_n):
             self._tare_n, self._net_mode = gross_n, True
-        elif command == _ZERO and abs(gross_n) <= self._zero_range_n:
+        elif command == _ZERO and abs(gross_n) <= _ZERO_RANGE_N:
             self._zero_n += gross_n
         elif command == _PERMANENT_ZERO:
             self._permanent_zero_n += self._zero_n + gross_n

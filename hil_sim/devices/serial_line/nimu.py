@@ -76,6 +76,8 @@ class Checksum(StrEnum):
 
 
 _MOST_AHEAD: Final = 256
+_BOOT_NS: Final = 250_000_000  # from power-up to the first sample
+_LATENCY_NS: Final = 1_000_000  # from a sample to the first bit of its packet
 _FIRST_SUMMED: Final = {Checksum.PACKET: 0, Checksum.AFTER_SYNC: 4, Checksum.PAYLOAD: 13}
 
 
@@ -104,8 +106,6 @@ class NimuTwin(SerialTwin):
         checksum: What the checksum sums.
         magnetometer: Its field; None: a constant one.
         serial_number: Bytes 11 and 12.
-        boot_ns: From power-up to the first sample.
-        latency_ns: From a sample to the first bit of its packet.
         faults: What breaks.
 
     Raises:
@@ -124,8 +124,6 @@ class NimuTwin(SerialTwin):
         checksum: Checksum | str = Checksum.PACKET,
         magnetometer: FieldAnalog | None = None,
         serial_number: int = 0x0457,
-        boot_ns: int = 250_000_000,
-        latency_ns: int = 1_000_000,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
         super().__init__(line, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *CLOCK_KINDS))
@@ -141,8 +139,6 @@ class NimuTwin(SerialTwin):
         self._first_summed = _FIRST_SUMMED[Checksum(checksum)]
         self._field: FieldAnalog = magnetometer or _QuietField()
         self._serial_number = serial_number
-        self._boot_ns = boot_ns
-        self._latency_ns = latency_ns
         self._powered_chip_ns = 0
         self._next = 0
         self._is_known = not faults and magnetometer is None  # its packets, as far ahead as its input is
@@ -156,7 +152,7 @@ class NimuTwin(SerialTwin):
 
     def _chip_ns(self, sample: NDArray[np.float64]) -> NDArray[np.float64]:
         """The unit's own time of its samples since it was powered up, whole ns."""
-        return np.floor(self._boot_ns + sample * self._period_ns)
+        return np.floor(_BOOT_NS + sample * self._period_ns)
 
     def _arm(self, not_before_ns: int) -> None:
         own_ns = int(self._chip_ns(np.array([self._next], np.float64))[0])
@@ -166,7 +162,7 @@ class NimuTwin(SerialTwin):
         """Make this sample and all that follow until the next event of another device."""
         until_ns = max(now_ns, min(self._until_ns, self.due_ns - 1))
         own_until_ns = self._clock.chip_ns(until_ns) - self._powered_chip_ns
-        n = max(1, math.ceil((own_until_ns + 1 - self._boot_ns) / self._period_ns) - self._next)
+        n = max(1, math.ceil((own_until_ns + 1 - _BOOT_NS) / self._period_ns) - self._next)
         latest_s = self._seconds(until_ns)
         if n <= len(self._ahead) and self._ahead[n - 1][1] <= latest_s:
             made = self._ahead[:n]
@@ -178,7 +174,7 @@ class NimuTwin(SerialTwin):
             self._ahead = self._made(_MOST_AHEAD, math.inf) if self._is_known else []
         self.produced += len(made)
         for packet, time_s in made:
-            self._send(packet, self._start_ns + round(time_s * 1e9) + self._latency_ns)
+            self._send(packet, self._start_ns + round(time_s * 1e9) + _LATENCY_NS)
         self._arm(until_ns)
 
     def _made(self, n: int, latest_s: float) -> list[tuple[bytes, float]]:

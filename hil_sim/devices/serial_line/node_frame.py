@@ -34,6 +34,7 @@ _SECOND_NS: Final = 1_000_000_000
 _MEASURABLE: Final[tuple[MeasuredQuantity, ...]] = ("joint_angle", *FORCES, "servo_torque", "phase")
 _CONVERSION_NS: Final = 50_000  # from a sample to the first bit of its frame
 _LOOK_AHEAD_NS: Final = 1_000_000_000
+_QUEUE_BYTES: Final = 1024  # room in its UART's queue
 
 
 class ValueType(IntEnum):
@@ -121,7 +122,6 @@ class FrameNode(SerialTwin):
         rate_hz: Samples a second on its own clock.
         tick_hz: Nominal rate of its counter.
         line: Speed and format.
-        queue_bytes: Room in its UART's queue.
         boot_ns: From power-up to the descriptor.
         counts_boots: Whether the descriptor's ``boot`` counts starts from 1; 0 otherwise.
         faults: What breaks; those of its inputs hit all channels.
@@ -143,7 +143,6 @@ class FrameNode(SerialTwin):
         rate_hz: float = 200.0,
         tick_hz: int = 1_000_000,
         line: LineFormat = LineFormat(115_200),  # noqa: B008  (a constant)
-        queue_bytes: int = 1024,
         boot_ns: int = 100_000_000,
         counts_boots: bool = True,
         faults: DeviceFaults = NO_FAULTS,
@@ -161,7 +160,6 @@ class FrameNode(SerialTwin):
         self._node = node
         self._period_ns = 1e9 / rate_hz
         self._tick_hz = tick_hz
-        self._queue_bytes = queue_bytes
         self._boot_ns = boot_ns
         self._counts_boots = counts_boots
         self._boots = 0
@@ -271,7 +269,7 @@ class FrameNode(SerialTwin):
 
     def _queue(self, data: bytes, now_ns: int) -> bool:
         waiting = max(0, self._line_free_ns - now_ns) / self.line.character_ns
-        if waiting + len(data) > self._queue_bytes:
+        if waiting + len(data) > _QUEUE_BYTES:
             return False
         self._line_free_ns = self._send(data, now_ns)
         return True

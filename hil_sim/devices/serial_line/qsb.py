@@ -38,6 +38,8 @@ _MEASUREMENT_NS: Final = 100_000
 _BOOT_NS: Final = 100_000_000
 _LONGEST_COMMAND: Final = 32
 _LOOK_AHEAD_NS: Final = 1_000_000_000
+_VERSION: Final = 0x13FA600E  # serial number 13FA6, model D, firmware 0E
+_BANNER: Final = b"QSB-D  0E!\r\n"
 _SPURIOUS_HIGH_NS: Final = 300_000
 _FREE_RUNNING: Final = {1: 0x01, 2: 0x02, 4: 0x03}  # MDR0, by counts in a cycle
 _CAPTURE_NOW: Final = 2  # beside the levels 0 and 1 in the queue of input events
@@ -53,9 +55,6 @@ class QsbTwin(SerialTwin):
         counts_per_revolution: x4 counts in one turn of what ``analog`` gives.
         tick_ns: Unit of TIMESTAMP and INTERVAL on its own clock: ``TICK_512_HZ`` or ``TICK_1900_US``.
         sync_input: Whether a line that is low at rest drives DIG I/O 0; the pull-up holds it high otherwise.
-        serial_number: Five hexadecimal digits.
-        model: ``D``, ``M`` or ``S``.
-        firmware: One byte.
         capture_latency_ns: From the edge on DIG I/O 0 to the count that CAPTURE holds.
         zero_count: Count at angle zero when the mission begins, for it was set up and the joint moved before; None: it
             begins with 0. A restart begins with 0.
@@ -77,9 +76,6 @@ class QsbTwin(SerialTwin):
         counts_per_revolution: int = 500_000,
         tick_ns: float = TICK_512_HZ,
         sync_input: bool = True,
-        serial_number: int = 0x13FA6,
-        model: str = "D",
-        firmware: int = 0x0E,
         capture_latency_ns: int = 0,
         zero_count: int | None = None,
         counting: int = 4,
@@ -95,8 +91,6 @@ class QsbTwin(SerialTwin):
         self._steps_per_rad = counts_per_revolution / math.tau
         self._tick_ns = tick_ns
         self._inputs = 0xE if sync_input else 0xF
-        self._version = serial_number << 12 | "DMS".index(model) << 8 | firmware
-        self._banner = f"QSB-{model}  {firmware:02X}!\r\n".encode("ascii")
         self._capture_latency_ns = capture_latency_ns
         self._input_events: list[tuple[int, int]] = []  # heap of (time, level or _CAPTURE_NOW)
         self._saved: dict[int, int] = {}
@@ -156,7 +150,7 @@ class QsbTwin(SerialTwin):
 
     def _boot(self, now_ns: int) -> None:
         self._ready = True
-        self._say(self._banner, now_ns)
+        self._say(_BANNER, now_ns)
 
     # Commands
 
@@ -232,7 +226,7 @@ class QsbTwin(SerialTwin):
             reg.OTR: self._counter.otr,
             reg.DTR: self._counter.dtr,
             reg.ENCODER: self._counter.count,
-            reg.VERSION: self._version,
+            reg.VERSION: _VERSION,
         }.get(register, self._register.get(register, 0))
 
     def _act_on(self, register: int, data: int, now_ns: int) -> bool:

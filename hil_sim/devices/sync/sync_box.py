@@ -20,6 +20,7 @@ _SYMBOLS: Final = 32
 _ORDER: Final = 3
 _SHORTEST: Final = 30  # SYNC periods
 _DITHER_NS: Final = 31_250
+_HIGH_NS: Final = 300_000  # how long a pulse stays high
 
 Pin = Callable[[int, int], None]
 """Where the pulse line goes: called with the true time of the rising edge and the high time, ns."""
@@ -62,7 +63,6 @@ class SyncBox:
         clock: Its crystal.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
         period_ns: SYNC period on its own clock.
-        high_ns: How long a pulse stays high.
         first_sync: SYNC number it begins with, as if it had been on before.
         faults: What breaks.
 
@@ -76,7 +76,6 @@ class SyncBox:
         start_ns: int,
         *,
         period_ns: int = 5_000_000,
-        high_ns: int = 300_000,
         first_sync: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
@@ -97,7 +96,6 @@ class SyncBox:
         self._rng = faults.rng()
         self._clock: ChipClock = FaultyClock(clock, faults)
         self._period_ns = period_ns
-        self._high_ns = high_ns
         self._pins: list[Pin] = []
         self._transmit: TransmitFrame | None = None
         self._cycles = deque(faults.power_cycles())
@@ -147,7 +145,7 @@ class SyncBox:
             self._next_pulse = next(self._pulse_places)
             self.pulses += 1
             for pin in self._pins:
-                pin(rise_ns, self._high_ns)
+                pin(rise_ns, _HIGH_NS)
         if self._transmit is not None and not (self._is_faulty and self._faults.is_away(now_ns)):
             self.produced += 1
             self._transmit(SYNC_COB_ID, self._counter(now_ns), now_ns)
@@ -173,7 +171,7 @@ class SyncBox:
                 rise_ns = self._clock.time_ns(self._clock.chip_ns(self._sync_time_ns(sync)) + late_ns)
                 self.pulses += 1
                 for pin in self._pins:
-                    pin(rise_ns, self._high_ns)
+                    pin(rise_ns, _HIGH_NS)
             self._next_pulse = next(self._pulse_places)
         self.produced += count
         self._sync, self._sync_ns = after, self._sync_time_ns(after)

@@ -95,7 +95,6 @@ class ServoAxis(Stepped):
         brake_n_m: Torque of the brake.
         coulomb_n_m: Dry friction.
         viscous_n_m_s: Viscous friction, N m / (rad/s).
-        stops_rad: Mechanical ends.
 
     Attributes:
         controller: The drive that gives the torque.
@@ -113,13 +112,11 @@ class ServoAxis(Stepped):
         brake_n_m: float = 30.0,
         coulomb_n_m: float = 0.3,
         viscous_n_m_s: float = 0.5,
-        stops_rad: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
         super().__init__([angle_rad])
         self.controller: Controller | None = None
         self.inertia_kg_m2, self.largest_n_m = inertia_kg_m2, torque_n_m
         self._brake_n_m, self._coulomb_n_m, self._viscous_n_m_s = brake_n_m, coulomb_n_m, viscous_n_m_s
-        self._stops_rad = stops_rad
         self._angle, self._rate, self.torque_n_m = angle_rad, 0.0, 0.0
         self.lowest_rad = self.highest_rad = angle_rad
         self.fastest_rad_s = 0.0
@@ -150,9 +147,6 @@ class ServoAxis(Stepped):
             self.torque_n_m = min(max(torque, -self.largest_n_m), self.largest_n_m)
             rate += (self.torque_n_m - friction) * STEP_S / self.inertia_kg_m2
         angle = self._angle + rate * STEP_S
-        low, high = self._stops_rad
-        if not low <= angle <= high:
-            angle, rate = min(max(angle, low), high), 0.0
         self._angle, self._rate = angle, rate
         self.lowest_rad, self.highest_rad = min(self.lowest_rad, angle), max(self.highest_rad, angle)
         self.fastest_rad_s = max(self.fastest_rad_s, abs(rate))
