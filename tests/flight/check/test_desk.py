@@ -21,13 +21,10 @@ from tests.hil_sim.devices.twin_bench import MS
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ("imu_base", "bridge", "tip", "wrist", "shoulder", "servo_6")
-SECONDS = 8.0  # each device is listened to
 LINES, COLUMNS = 24, 80  # of a terminal
 
 
-def tried(
-    directory: Path, names: tuple[str, ...], text: str = DEVICES, seconds: float = SECONDS
-) -> dict[str, DeskTest]:
+def tried(directory: Path, names: tuple[str, ...], text: str = DEVICES, seconds: float = 15.0) -> dict[str, DeskTest]:
     """Devices of the vehicle with every kind, by name."""
     with MixedWorld(directory) as world:
 
@@ -78,7 +75,7 @@ def test_what_a_device_measures_is_there_with_what_is_stated(found: dict[str, De
     [force] = found["bridge"].signals
     assert (force.unit, force.stated) == ("N", 0.0025)
     assert force.mean == pytest.approx(12.7, abs=0.2)
-    assert force.drift == pytest.approx(0.02 * SECONDS, rel=0.1)  # it rises by 20 mN/s, which is no noise
+    assert force.drift == pytest.approx(0.02 * 15.0, rel=0.1)  # it rises by 20 mN/s, which is no noise
     assert force.noise is not None
     assert force.noise < 0.0025
     assert found["imu_base"].seen.self_test.startswith("passed")
@@ -107,7 +104,7 @@ def test_more_noise_than_is_stated_is_said_with_the_remedy(tmp_path: Path) -> No
         assert text != DEVICES
         where = tmp_path / stated
         where.mkdir()
-        test = tried(where, ("tip",), text, 15.0)["tip"]
+        test = tried(where, ("tip",), text)["tip"]
         assert [one.too_loud for one in test.signals] == [loud]
         assert any("state it, or look for what shakes it" in said for said in test.warnings) == loud
         assert shown(test)[-1].strip() == ("look" if loud else "good")
