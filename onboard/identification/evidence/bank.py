@@ -31,6 +31,7 @@ from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER, sig
 
 _HALVINGS = 12  # of what a quantile lies in
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
+Judged = tuple[tuple[str, ...], tuple[str, ...]]  # reasons to refuse an answer, and to doubt it
 
 
 class Suspect(NamedTuple):
@@ -170,6 +171,13 @@ class Weighed(NamedTuple):
         if self.every[0].weight >= LIKELIER:
             return ()
         return tuple(dict.fromkeys(one.suspect.name for one in self.likely if one.suspect is not None))
+
+    @property
+    def judged(self) -> Judged:
+        """What the evidence says of an answer."""
+        if self.too_far:
+            return (f"{self.too_far} is farther from what is stated than any error that is estimated",), ()
+        return (), (f"not as stated: {' or '.join(self.names)}",) if self.names else ()
 
     def mixed(self, part: Callable[[Hypothesis], Known]) -> "Mixture":
         """Mixture of the hypotheses that an answer covers; ``part`` gives mean and covariance under each."""

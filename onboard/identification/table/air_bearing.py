@@ -132,11 +132,19 @@ class AirBearingBase:
         other.rounding_m_s = rounding_m_s
         return other
 
-    def with_errors(self, errors: FloatArray) -> "AirBearingBase":
-        """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`."""
+    def with_errors(self, errors: FloatArray, since: int = 0) -> "AirBearingBase":
+        """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`.
+
+        ``since``: the tick from which on the encoders have theirs; places are of all ticks.
+        """
         signals = self.signals
         read = Readings(signals.q, signals.dq, signals.ddq, signals.period_s, np.zeros((len(signals.q), 3, 0)))
-        q, dq, ddq, _ = read.corrected(errors, np.zeros(0), np.zeros(0, np.intp))
+        motions = zip(
+            (signals.q, signals.dq, signals.ddq),
+            read.corrected(errors, np.zeros(0), np.zeros(0, np.intp)),
+            strict=False,
+        )
+        q, dq, ddq = (np.concatenate([before[:since], after[since:]]) for before, after in motions)
         return AirBearingBase(self.vehicle, signals._replace(q=q, dq=dq, ddq=ddq), self.prior, errors[:, :3])
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:
@@ -187,17 +195,34 @@ class TableExiddm(Exiddm):
                 near, failure = [], [error]
             for x in near:
                 try:
-                    one = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
-                    found.append(self.found(one))
+                    found.append(self.near(x))
                 except (EstimationError, SignalError) as error:
                     failure.append(error)
         if not found:
             raise failure[0]
         return min(found, key=lambda one: one.fit.residual_sum)
 
-    def with_errors(self, errors: FloatArray) -> "TableExiddm":
+    def near(self, x: FloatArray) -> PayloadFit:
+        """The fit of all ticks from parameters ``x``, (p,), without a search.
+
+        Raises:
+            EstimationError, SignalError: as :meth:`Exiddm.fit`.
+        """
+        return self.found(fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY))
+
+    def with_errors(self, errors: FloatArray, since: int = 0) -> "TableExiddm":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
-        return self.of(self._base.with_errors(errors))
+        return self.of(self._base.with_errors(errors, since))
+
+    @property
+    def period_s(self) -> float:
+        """Between ticks."""
+        return self._base.signals.period_s
+
+    @property
+    def ticks(self) -> int:
+        """Of the run."""
+        return len(self._base.signals.q)
 
     @property
     def joints(self) -> Block:

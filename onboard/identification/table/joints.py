@@ -15,9 +15,8 @@ import numpy as np
 
 from onboard.dynamics.joint_errors import PER_JOINT
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.maximum_likelihood import inverse_of
+from onboard.estimation.maximum_likelihood import Fit, inverse_of
 from onboard.identification.corrections import expected_sigma
-from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.table.air_bearing import TableExiddm
 
 
@@ -42,27 +41,43 @@ class JointCorrections(NamedTuple):
         )
 
 
-def with_joints(exiddm: TableExiddm, found: PayloadFit) -> tuple[PayloadFit, JointCorrections]:
-    """The fit with the errors of the joints, as this module's head says.
+class Step(NamedTuple):
+    """One Gauss-Newton step of parameters and errors of joints, and of c further errors of one sigma each."""
+
+    fit: Fit  # of the parameters, (p,)
+    joints: JointCorrections
+    covariance: FloatArray  # (p + k + c, p + k + c)
+    left: FloatArray  # (m,) residuals after it
+    derivative: FloatArray  # (m, p + k + c) of these
+    further: FloatArray  # (c,) sizes of the further errors, beyond those that they are at
+
+
+def step(exiddm: TableExiddm, found: Fit, further: FloatArray | None = None, at: FloatArray | None = None) -> Step:
+    """The step, as this module's head says.
 
     Args:
         exiddm: of the run.
         found: its fit of all ticks, joints exact.
+        further: (m, c) derivative of the residuals by the further errors.
+        at: (c,) of which size they are in the run of ``exiddm``, in sigmas.
 
     Raises:
         SingularError: errors that cannot be told apart.
-        SignalError: a payload without a mass.
     """
-    x, p = found.fit.x, found.fit.x.size
+    x, p = found.x, found.x.size
     names, stated = _unknown(exiddm)
-    r, both, information = _normal(exiddm, x)
+    r, both, information = _normal(exiddm, x, further)
     gradient = both.T @ r
     gradient[:p] += exiddm.prior_information @ x
+    if at is not None:
+        gradient[p + len(names) :] += at
     covariance = inverse_of(information)
-    step = -covariance @ gradient
-    left = found.fit.residual_sum + float(gradient @ step)
-    fit = found.fit._replace(x=x + step[:p], covariance=covariance[:p, :p], residual_sum=left)
-    return exiddm.found(fit), JointCorrections(names, step[p:], stated, np.sqrt(np.diag(covariance)[p:]))
+    moved = -covariance @ gradient
+    z, sigma = moved[p : p + len(names)], np.sqrt(np.diag(covariance)[p : p + len(names)])
+    squares = found.residual_sum + float(gradient @ moved)
+    fit = found._replace(x=x + moved[:p], covariance=covariance[:p, :p], residual_sum=squares)
+    corrections = JointCorrections(names, z, stated, sigma)
+    return Step(fit, corrections, covariance, r + both @ moved, both, moved[p + len(names) :])
 
 
 def bound(exiddm: TableExiddm, x: FloatArray) -> FloatArray:
@@ -71,7 +86,7 @@ def bound(exiddm: TableExiddm, x: FloatArray) -> FloatArray:
     Raises:
         SingularError: a direction determined by neither rows nor prior.
     """
-    return inverse_of(_normal(exiddm, x)[2])[: x.size, : x.size]
+    return inverse_of(_normal(exiddm, x, None)[2])[: x.size, : x.size]
 
 
 def _unknown(exiddm: TableExiddm) -> tuple[tuple[str, ...], FloatArray]:
@@ -81,15 +96,18 @@ def _unknown(exiddm: TableExiddm) -> tuple[tuple[str, ...], FloatArray]:
     return tuple(joints.names[k] for k in own), joints.sigma[own]
 
 
-def _normal(exiddm: TableExiddm, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (m,), their derivative by parameters and errors, (m, p + k), and the information on these."""
+def _normal(
+    exiddm: TableExiddm, x: FloatArray, further: FloatArray | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (m,), their derivative by parameters and errors, (m, p + k + c), and the information on these."""
     joints, (r, J) = exiddm.joints.sigma, exiddm.residuals(x)
     columns = [J]
     for place in np.flatnonzero(joints > 0.0):
         errors = np.where(np.arange(joints.size) == place, joints, 0.0).reshape(-1, PER_JOINT)
         columns.append(((exiddm.with_errors(errors).left(x) - r) / joints[place])[:, None])
-    both = np.concatenate(columns, axis=1)
+    both = np.concatenate([*columns, *([] if further is None else [further])], axis=1)
     information = both.T @ both
     information[: x.size, : x.size] += exiddm.prior_information
-    information[x.size :, x.size :] += np.diag(_unknown(exiddm)[1] ** -2)
+    stated = _unknown(exiddm)[1]
+    information[x.size :, x.size :] += np.diag(np.append(stated**-2, np.ones(both.shape[1] - x.size - stated.size)))
     return r, both, information

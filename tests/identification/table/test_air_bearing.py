@@ -33,7 +33,7 @@ from onboard.identification.table.air_bearing import (
     air_bearing_exiddm,
     drag_of,
 )
-from onboard.identification.table.joints import bound, with_joints
+from onboard.identification.table.joints import bound, step
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
@@ -399,7 +399,8 @@ def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, 
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))
     exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
     plain = exiddm.fit()
-    found, zeros = with_joints(exiddm, plain)
+    stepped = step(exiddm, plain.fit)
+    found, zeros = exiddm.found(stepped.fit), stepped.joints
     assert zeros.names == tuple(f"zero_{name}" for name in joints)
     assert (np.abs(zeros.values + off) < 3.5 * zeros.sigma).all()
     assert zeros.sigma[2] < 0.002
@@ -435,7 +436,8 @@ def test_an_open_place_along_the_vertical_leaves_the_payloads_height_open(run, r
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {"joint_5": JointPrior(place_m=0.01)}))
     exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
     plain = exiddm.fit()
-    found, places = with_joints(exiddm, plain)
+    stepped = step(exiddm, plain.fit)
+    found, places = exiddm.found(stepped.fit), stepped.joints
     before, after = (np.sqrt(one.payload.covariance[3, 3]) for one in (plain, found))
     assert before < 1e-3
     assert after == pytest.approx(np.hypot(before, places.sigma[2]), rel=0.2)

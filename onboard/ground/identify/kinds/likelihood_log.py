@@ -29,7 +29,7 @@ from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINK
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.table.air_bearing import TableExiddm
-from onboard.identification.table.joints import with_joints
+from onboard.identification.table.rivals import answered
 from onboard.identification.useful import Useful
 from onboard.identification.verdict import Evidence, verdict
 from onboard.recording.reader import LogReader
@@ -96,10 +96,10 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     try:
         exiddm = build(ticks, True)
         found = exiddm.fit()
-        corrected, joints = with_joints(exiddm, found)
+        corrected, stated, joints, of_encoders = answered(exiddm, found)
     except (EstimationError, ModelError) as error:
         return no_answer(kept, used, f"the fit failed: {error}")
-    wider = max(1.0, corrected.misfit)  # the residual is not below the noise
+    wider = max(1.0, stated.misfit)  # the residual is not below the noise
     judged = judge(corrected, wider)
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
     if not judged.reason and middle * kept.period_s >= SHORTEST_S:
@@ -109,11 +109,11 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         except (EstimationError, ModelError) as error:
             unchecked = half_too_short(error)
     corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
-    bound = np.sqrt(np.diag(corrected.payload.covariance))
+    bound = np.sqrt(np.diag(stated.payload.covariance))
     numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
     left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
-    against = Findings(contradicted(joints.in_told_sigmas), ())
-    fit = Fitted(*numbers, used, corrected.misfit, wider, corrections, halves, unchecked, left, judged, against)
+    findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
+    fit = Fitted(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
     return identified_of(kept, fit)
 
 

@@ -118,11 +118,7 @@ class RowSuspects:
         """Reasons to refuse all estimates, and to doubt them."""
         if self.weighed is None or self._left is None:
             return (), ()
-        against, doubts = list[str](), list[str]()
-        if self.weighed.too_far:
-            against.append(f"{self.weighed.too_far} is farther from what is stated than any error that is estimated")
-        elif self.weighed.names:
-            doubts.append(f"not as stated: {' or '.join(self.weighed.names)}")
+        against, doubts = map(list[str], self.weighed.judged)
         if self._left.far > MOST_CONTRADICTED:
             against.append(
                 f"{self._left.far:.0%} of the rows contradict the others; check the sensors against each other"

@@ -1,0 +1,187 @@
+"""What of a run's encoders may not be as stated, weighed by :mod:`onboard.identification.evidence.bank`.
+
+Of each encoder the zero, the scale or the delay, and the scale from some time on (a coupling, a counter). With r the
+residuals and B their derivative after the step of :mod:`onboard.identification.table.joints`, P the covariance, and h
+what an error of one sigma changes the residuals by, the estimate moves by ``-P B'h`` for it; gradient and information
+of its size are ``-h'r`` and ``h'h - h'B P B'h``. Residuals above the noise count by so much less. The answer is the
+mixture of all that counts. Where a fault is more probable than the file as stated, the run is fitted anew about each of
+the likeliest, with that error taken out, and these are weighed by the squares that are left: about an estimate that is
+ten sigmas off, of a scale that is 5 % off, the residuals are not linear. About the best all others are weighed again.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.joint_errors import JOINT_ERRORS, PER_JOINT
+from onboard.dynamics.model.errors import ModelError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.maximum_likelihood import Fit
+from onboard.estimation.policy import (
+    FARTHEST_SIZE,
+    LEAST_WEIGHT,
+    LIKELIER,
+    LIKELY_SIZE,
+    ODDS_OF_PART,
+    STEPS_PER_HOUR,
+    LIKELY_DELAY_s,
+)
+from onboard.identification.evidence.bank import Bank, Changed, Known, Mixture, Suspect, Weighed
+from onboard.identification.exiddm.batch import PayloadFit
+from onboard.identification.quantities import Findings
+from onboard.identification.table import joints
+from onboard.identification.table.air_bearing import TableExiddm
+
+PARTS = 16  # of a run, at the ends of which a scale may step
+_SMALL = 0.01  # of a sigma: for derivatives
+_FEW = 6  # errors about which the run is fitted anew: of five joints, one each and one more
+_SIGMAS = {"zero": LIKELY_SIZE, "scale": LIKELY_SIZE, "delay": LIKELY_DELAY_s}
+_AT, _ALONG = np.zeros(0, np.intp), np.zeros((0, 1))  # none of these is a constant of the fit
+
+
+class Error(NamedTuple):
+    """Of an encoder."""
+
+    suspect: Suspect
+    errors: FloatArray  # (joints, 6) of one sigma
+    since: int  # tick
+
+
+class Answered(NamedTuple):
+    """The payload of a run."""
+
+    found: PayloadFit  # the mixture of all that counts
+    stated: PayloadFit  # if all is as stated
+    joints: joints.JointCorrections  # the same
+    findings: Findings
+
+
+def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
+    """The fit with the errors of the joints, and with what may not be as stated of their encoders.
+
+    Args:
+        exiddm: of the run.
+        found: its fit of all ticks, joints exact.
+
+    Raises:
+        SingularError: errors that cannot be told apart.
+        SignalError: a payload without a mass.
+    """
+    step = joints.step(exiddm, found.fit)
+    stated, (weighed, some) = exiddm.found(step.fit), _weighed(exiddm, found.fit, step)
+    if weighed.every[0].weight >= LIKELIER:
+        return Answered(_mixed(exiddm, step, weighed.mixed(weighed.known)), stated, step.joints, Findings())
+    solved = list(_likeliest(exiddm, found.fit, weighed, some))
+    wider = max(1.0, min([stated.misfit, *(one.squares / stated.freedom for one in solved)]))
+    logs = [0.0, *((step.fit.residual_sum - one.squares) / (2.0 * wider) + one.log for one in solved)]
+    weights = np.exp(logs - np.max(logs))
+    weights /= weights.sum()
+    counts = [k for k in np.argsort(-weights).tolist() if weights[k] > LEAST_WEIGHT]
+    each = [known_of(step), *(known_of(one.step) for one in solved)]
+    against, doubts = list[str](), list[str]()
+    if counts[0]:
+        doubts.append(f"not as stated: {' or '.join(solved[k - 1].error.suspect.name for k in counts if k)}")
+        best = solved[counts[0] - 1]
+        with suppress(EstimationError, ModelError):
+            best = _solved(exiddm, best)
+        if abs(best.size) >= FARTHEST_SIZE:
+            against.append(f"{best.error.suspect.name} is farther from what is stated than any error that is estimated")
+        others, _ = _weighed(best.exiddm, best.fit, best.step, best.error)
+        each[counts[0]] = others.mixed(others.known).known
+        doubts += [f"{said} as well" for part in others.judged for said in part]
+    means, covariances = (np.array([each[k][part] for k in counts]) for part in (0, 1))
+    mixture = Mixture(weights[counts] / weights[counts].sum(), means, covariances)
+    return Answered(_mixed(exiddm, step, mixture), stated, step.joints, Findings(tuple(against), tuple(doubts)))
+
+
+def known_of(step: joints.Step) -> Known:
+    """Mean and covariance of the parameters."""
+    return step.fit.x, step.fit.covariance
+
+
+def _mixed(exiddm: TableExiddm, step: joints.Step, mixture: Mixture) -> PayloadFit:
+    mean, covariance = mixture.known
+    return exiddm.found(step.fit._replace(x=mean, covariance=covariance))
+
+
+class _Some(NamedTuple):
+    """Errors, and the information on their sizes."""
+
+    errors: tuple[Error, ...]
+    changed: Changed
+
+
+def _weighed(exiddm: TableExiddm, fit: Fit, step: joints.Step, taken: Error | None = None) -> tuple[Weighed, _Some]:
+    """Each error by itself against none, but for one that is taken out already."""
+    errors = tuple(one for one in _errors(exiddm) if taken is None or (one.errors != taken.errors).any())
+    h, p, wider = _columns(exiddm, fit.x, errors), fit.x.size, max(1.0, exiddm.found(step.fit).misfit)
+    Bh = step.derivative.T @ h
+    moves = -step.covariance @ Bh
+    changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider)
+    alone = [one for one in changed.hypotheses([one.suspect for one in errors]) if len(one.steps) == 1]
+    return Bank((), np.ones(p)).weigh(known_of(step), alone), _Some(errors, changed)
+
+
+class _Solved(NamedTuple):
+    """The run with an error taken out, fitted anew."""
+
+    error: Error
+    size: float  # in sigmas
+    log: float  # of its odds, and of what its prior costs
+    exiddm: TableExiddm
+    fit: Fit
+    step: joints.Step
+
+    @property
+    def squares(self) -> float:
+        """That are left, with what the size takes."""
+        return self.step.fit.residual_sum + self.size**2
+
+
+def _likeliest(exiddm: TableExiddm, fit: Fit, weighed: Weighed, some: _Some) -> Iterator[_Solved]:
+    """The likeliest errors, each name once."""
+    of_name = dict[str, int]()
+    for one in sorted((one for one in weighed.every if one.steps), key=lambda one: -one.weight):
+        of_name.setdefault(some.errors[one.steps[0]].suspect.name, one.steps[0])
+    for k in [*of_name.values()][:_FEW]:
+        size, error = float(some.changed.sizes((k,))[0][0]), some.errors[k]
+        log = float(np.log(error.suspect.odds) - 0.5 * np.log1p(some.changed.J[k, k]))
+        with suppress(EstimationError, ModelError):  # about an error that the data do not tell so exactly
+            yield _about(exiddm, fit, error, size, log)
+
+
+def _about(exiddm: TableExiddm, fit: Fit | None, error: Error, size: float, log: float) -> _Solved:
+    """``fit``: of a run near this; None: minima are searched for."""
+    corrected = exiddm.with_errors(size * error.errors, error.since)
+    near = (corrected.fit() if fit is None else corrected.near(fit.x)).fit
+    step = joints.step(corrected, near, _columns(corrected, near.x, [error]), np.array([size]))
+    return _Solved(error, size, log, corrected, near, step)
+
+
+def _solved(exiddm: TableExiddm, one: _Solved) -> _Solved:
+    """The same at its likeliest size and at the likeliest minimum: drags have many."""
+    found = _about(exiddm, None, one.error, one.size + float(one.step.further[0]), one.log)
+    return _about(exiddm, found.fit, one.error, found.size + float(found.step.further[0]), one.log)
+
+
+def _errors(exiddm: TableExiddm) -> Iterator[Error]:
+    names = exiddm.joints.names
+    rate = STEPS_PER_HOUR * exiddm.ticks * exiddm.period_s / 3600.0
+    for place, name in enumerate(names):
+        kind = JOINT_ERRORS[place % PER_JOINT]
+        if kind in _SIGMAS:
+            errors = np.where(np.arange(len(names)) == place, _SIGMAS[kind], 0.0).reshape(-1, PER_JOINT)
+            yield Error(Suspect(name, _AT, _ALONG, ODDS_OF_PART), errors, 0)
+            for part in range(1, PARTS) if kind == "scale" else ():
+                step = Suspect(f"a step of {name}", _AT, _ALONG, rate / PARTS)
+                yield Error(step, errors, part * exiddm.ticks // PARTS)
+
+
+def _columns(exiddm: TableExiddm, x: FloatArray, some: Sequence[Error]) -> FloatArray:
+    """Derivatives of the residuals by errors of one sigma each, (m, c)."""
+    r = exiddm.left(x)
+    each = [(exiddm.with_errors(_SMALL * one.errors, one.since).left(x) - r) / _SMALL for one in some]
+    return np.reshape(each, (len(some), len(r))).T
