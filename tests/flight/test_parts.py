@@ -420,7 +420,15 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "joint_7": "servo_7",
         "joint_8": "robot_8",
     }
-    assert [cell.name for cell in roles.cells] == ["load_cell", "cell", "grip", "flange", "bridge", "wrist_force"]
+    assert [cell.name for cell in roles.cells] == [
+        "load_cell",
+        "cell",
+        "grip",
+        "flange",
+        "hand",
+        "bridge",
+        "wrist_force",
+    ]
     assert roles.signals.keys() == {"imu_base", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
         cell.channel for cell in roles.cells
     }
