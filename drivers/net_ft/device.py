@@ -66,7 +66,7 @@ class NetFt(SerialDevice):
     Args:
         name: Source of its events.
         channels: At least one, with different names.
-        open_port: Opens the port: of a UDP port, see ``drivers.transports.udp_port``.
+        open_port: Opens the port: of a UDP port, see ``drivers.transports.network``.
         clock: CLOCK_MONOTONIC, ns.
         config: How it is read.
 

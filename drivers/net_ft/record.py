@@ -1,7 +1,7 @@
 """RDT requests and records, big-endian. No port, no clock.
 
 Requests: Net F/T manual, table 10.1 and section 10.2. A record is 36 bytes; in buffered mode a datagram has several.
-The port puts the length of each datagram before it: see ``drivers.transports.udp_port``.
+The port puts the length of each datagram before it: see ``drivers.transports.network``.
 """
 
 import struct

@@ -10,7 +10,6 @@ samples are 7000 a second since power-up. Bit 31 of the status is an error: here
 """
 
 import struct
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
@@ -18,15 +17,14 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.powered import PoweredTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.devices.networked import NetworkedTwin
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.sensors import LoadCellSensor
 
 _INTERNAL_HZ: Final = 7000
-_BOOT_NS: Final = 500_000_000  # a real one takes some seconds
 _ERROR: Final = 0x8000_0000
 _START, _STOP = 2, 0
 _MOST: Final = 2**31 - 1
@@ -34,7 +32,7 @@ Input = Callable[[float], tuple[float, bool]]
 """Counts at a mission time, and whether that is beyond the range."""
 
 
-class NetBox(PoweredTwin):
+class NetBox(NetworkedTwin[int]):
     """One sensor.
 
     Args:
@@ -51,6 +49,8 @@ class NetBox(PoweredTwin):
         FaultError: a fault that it cannot have.
     """
 
+    boot_ns = 500_000_000  # a real one takes some seconds
+
     def __init__(
         self,
         inputs: Mapping[int, Input],
@@ -64,44 +64,11 @@ class NetBox(PoweredTwin):
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
         faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, *INPUT_KINDS, *CLOCK_KINDS)
-        self.listens = True
-        self.leader = self
-        self._inputs = dict(inputs)
-        self._clock = FaultyClock(clock, faults)
         self._period_ns, self._latency_ns, self._jitter_ns = 1e9 / rate_hz, latency_ns, jitter_ns
         self._rng = np.random.default_rng([seed, 0x4654])
-        self._all_faults = [faults]
-        self._transmit: Callable[[bytes, int], None] = lambda data, ready_ns: None
-        self._powered_chip_ns = 0
         self._next = 0  # number of the next record since power-up, at its rate
         self._number = self._left = 0  # in this stream; records to send
-        self._sent = deque[tuple[bytes, int]]()  # under way, and their numbers since power-up
-        self._counted: int | None = None  # the last that was delivered
-        self._samples = 0
-        super().__init__(start_ns, faults)
-
-    @property
-    def produced(self) -> int:
-        """Records from the first delivered to the last, those that were lost or not asked for included."""
-        return self.leader._samples
-
-    def join(self, other: "NetBox") -> None:
-        """Take over the inputs and faults of another table of the same sensor."""
-        other.leader = self
-        self._inputs |= other._inputs
-        self._all_faults += other._all_faults
-        for cycle in other._faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
-        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
-
-    def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
-        """See ``NetworkDevice``."""
-        self._transmit = transmit
-
-    def connected(self) -> None:
-        """See ``NetworkDevice``: nothing goes to the client before."""
-        self._sent.clear()
-        self._stop("record")
+        super().__init__(inputs, clock, start_ns, faults)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """See ``NetworkDevice``: a datagram."""
@@ -114,32 +81,11 @@ class NetBox(PoweredTwin):
             self._next = int(since_ns / self._period_ns) + 1
             self._arm()
         elif command == _STOP:
-            self._stop("record")
-
-    def delivered(self, data: bytes) -> None:
-        """See ``NetworkDevice``."""
-        number = next(number for sent, number in iter(self._sent.popleft, None) if sent is data)  # others were lost
-        self._samples += 1 if self._counted is None else number - self._counted
-        self._counted = number
-
-    # For PoweredTwin
-
-    def _gain_power(self, now_ns: int) -> None:
-        self._powered_chip_ns = self._clock.chip_ns(now_ns)
-        self._counted = None
-        self._at("boot", now_ns + (_BOOT_NS if now_ns > self._start_ns else 0), self._booted)
-
-    def _lose_power(self, now_ns: int) -> None:
-        self.listens = False
-        self.connected()
-        super()._lose_power(now_ns)
-
-    def _booted(self, now_ns: int) -> None:
-        self.listens = True
+            self._stop("sample")
 
     def _arm(self) -> None:
         at_ns = self._clock.time_ns(self._powered_chip_ns + round(self._next * self._period_ns))
-        self._at("record", at_ns, self._sample)
+        self._at("sample", at_ns, self._sample)
 
     def _sample(self, now_ns: int) -> None:
         time_s = self._seconds(now_ns)
@@ -149,11 +95,10 @@ class NetBox(PoweredTwin):
         internal = int(self._next * self._period_ns * 1e-9 * _INTERNAL_HZ)
         self._number += 1
         data = struct.pack(">III6i", self._number & 0xFFFF_FFFF, internal & 0xFFFF_FFFF, status, *counts)
-        if any(faults.active(FaultKind.GARBAGE, now_ns) is not None for faults in self._all_faults):
+        if self._active(FaultKind.GARBAGE, now_ns):
             data = self._rng.bytes(len(data))
         late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._sent.append((data, self._next))
-        self._transmit(data, now_ns + late_ns)
+        self._send(data, self._next, now_ns + late_ns)
         self._next += 1
         self._left -= 1
         if self._left:

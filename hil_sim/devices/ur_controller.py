@@ -20,14 +20,13 @@ within a control cycle. A protective stop and an emergency stop are only told: t
 
 import math
 import struct
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 
-from hil_sim.devices.powered import PoweredTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock
+from hil_sim.devices.networked import NetworkedTwin
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind
 from hil_sim.sensing.analog import ChipClock
 
 _SIX: Final = "VECTOR6D"
@@ -52,11 +51,10 @@ _FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", _SIX: "6d"}
 _RUNNING, _POWER_OFF = 7, 3  # robot_mode
 _BIT_NORMAL, _BIT_PROTECTIVE, _BIT_ROBOT_STOP, _BIT_STOP, _BIT_SAFETY = 0, 2, 6, 7, 10  # safety_status_bits
 _CONTROL_HZ: Final = 500.0
-_BOOT_NS: Final = 1_000_000_000  # a real one takes a minute
 Input = Callable[[float], float]
 
 
-class UrController(PoweredTwin):
+class UrController(NetworkedTwin[tuple[str, int]]):
     """One controller.
 
     Args:
@@ -73,6 +71,8 @@ class UrController(PoweredTwin):
         FaultError: a fault that it cannot have.
     """
 
+    boot_ns = 1_000_000_000  # a real one takes a minute
+
     def __init__(
         self,
         inputs: Mapping[tuple[str, int], Input],
@@ -87,48 +87,19 @@ class UrController(PoweredTwin):
     ) -> None:
         own = (FaultKind.OFF, FaultKind.RESET, FaultKind.TRIP, FaultKind.EMERGENCY_STOP, FaultKind.GARBAGE)
         faults.require(*own, *INPUT_KINDS, *CLOCK_KINDS)
-        self.listens = True
-        self.leader = self
-        self._inputs = dict(inputs)
-        self._clock = FaultyClock(clock, faults)
         self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
         self._types = {**_OUTPUTS, **(lacks or {})}
         self._rng = np.random.default_rng([seed, 0x5552])
-        self._all_faults = [faults]
-        self._transmit: Callable[[bytes, int], None] = lambda data, ready_ns: None
         self._request = bytearray()
         self._names: list[str] = []
         self._rate_hz = _CONTROL_HZ
-        self._powered_chip_ns = 0
         self._next = 0  # number of the next package since power-up, at its rate
-        self._counted: int | None = None  # number of the last one that was delivered
-        self._sent = deque[tuple[bytes, int]]()  # data packages under way, and their numbers
-        self._samples = 0
-        super().__init__(start_ns, faults)
-
-    @property
-    def produced(self) -> int:
-        """Packages that it had to say from the first delivered to the last, those without a connection included."""
-        return self.leader._samples
-
-    def join(self, other: "UrController") -> None:
-        """Take over the inputs and faults of another table of the same controller."""
-        other.leader = self
-        self._inputs |= other._inputs
-        self._all_faults += other._all_faults
-        for cycle in other._faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
-        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
-
-    def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
-        """See ``NetworkDevice``."""
-        self._transmit = transmit
+        super().__init__(inputs, clock, start_ns, faults)
 
     def connected(self) -> None:
         """See ``NetworkDevice``."""
         self._request.clear()
-        self._sent.clear()
-        self._stop("package")
+        super().connected()
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """See ``NetworkDevice``."""
@@ -138,34 +109,10 @@ class UrController(PoweredTwin):
             del self._request[:size]
             self._asked(letter, rest, now_ns)
 
-    def delivered(self, data: bytes) -> None:
-        """See ``NetworkDevice``."""
-        if self._sent and self._sent[0][0] is data:
-            _, number = self._sent.popleft()
-            self._samples += 1 if self._counted is None else number - self._counted
-            self._counted = number
-
-    # For PoweredTwin
-
-    def _gain_power(self, now_ns: int) -> None:
-        self._powered_chip_ns = self._clock.chip_ns(now_ns)
-        self._counted = None
-        self._at("boot", now_ns + (_BOOT_NS if now_ns > self._start_ns else 0), self._booted)
-
-    def _lose_power(self, now_ns: int) -> None:
-        self.listens = False
-        self.connected()
-        super()._lose_power(now_ns)
-
-    def _booted(self, now_ns: int) -> None:
-        self.listens = True
-
     # Requests
 
-    def _say(self, letter: str, rest: bytes, ready_ns: int) -> bytes:
-        data = struct.pack(">HB", 3 + len(rest), ord(letter)) + rest
-        self._transmit(data, ready_ns)
-        return data
+    def _say(self, letter: str, rest: bytes, ready_ns: int) -> None:
+        self._transmit(_package(letter, rest), ready_ns)
 
     def _asked(self, letter: str, rest: bytes, now_ns: int) -> None:
         ready_ns = now_ns + self._latency_ns
@@ -185,7 +132,7 @@ class UrController(PoweredTwin):
             case "S" | "P":
                 self._say(letter, bytes([bool(self._names)]), ready_ns)
                 if letter == "P" or not self._names:
-                    self._stop("package")
+                    self._stop("sample")
                     return
                 period_ns = 1e9 / self._rate_hz
                 self._next = math.ceil((self._clock.chip_ns(ready_ns) - self._powered_chip_ns) / period_ns)
@@ -195,7 +142,7 @@ class UrController(PoweredTwin):
 
     def _arm(self, not_before_ns: int) -> None:
         own_ns = self._powered_chip_ns + round(self._next * 1e9 / self._rate_hz)
-        self._at("package", max(self._clock.time_ns(own_ns), not_before_ns), self._sample)
+        self._at("sample", max(self._clock.time_ns(own_ns), not_before_ns), self._sample)
 
     def _sample(self, now_ns: int) -> None:
         stamp_s = self._next / self._rate_hz
@@ -206,7 +153,7 @@ class UrController(PoweredTwin):
         if self._active(FaultKind.GARBAGE, now_ns):
             rest = self._rng.bytes(len(rest))
         late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._sent.append((self._say("U", rest, now_ns + late_ns), self._next))
+        self._send(_package("U", rest), self._next, now_ns + late_ns)
         self._next += 1
         self._arm(now_ns)
 
@@ -228,5 +175,6 @@ class UrController(PoweredTwin):
         found = [self._inputs.get((name, place)) for place in range(6)]
         return [0.0 if one is None else one(time_s) for one in found]
 
-    def _active(self, kind: FaultKind, now_ns: int) -> bool:
-        return any(faults.active(kind, now_ns) is not None for faults in self._all_faults)
+
+def _package(letter: str, rest: bytes) -> bytes:
+    return struct.pack(">HB", 3 + len(rest), ord(letter)) + rest

@@ -9,7 +9,7 @@ from pydantic import Field
 from drivers.device import Device
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig
 from drivers.net_ft.asking import answering
-from drivers.transports.udp_port import UDP_URLS, UdpPort
+from drivers.transports.network import UDP_URLS, UdpPort
 from onboard.devices.base import Answering, OpeningBus
 from onboard.devices.buses import ComponentDevice, PollPeriod, StreamedDevice
 from onboard.section import Positive

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from drivers.device import Device
-from drivers.transports.tcp_port import TCP_URLS, TcpPort
+from drivers.transports.network import TCP_URLS, TcpPort
 from drivers.ur_rtde import RtdeChannel, RtdeConfig, UrRtde
 from drivers.ur_rtde.asking import answering
 from onboard.devices.base import Answering, OpeningBus, Problem, Surroundings

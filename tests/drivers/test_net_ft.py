@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, FrameError, UrlError
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig, RecordStream, request
 from drivers.net_ft.asking import answering
 from drivers.records import SampleStatus
-from drivers.transports.udp_port import UdpPort
+from drivers.transports.network import UdpPort
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.serial_script import MS, ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError, UrlError
 from drivers.records import SampleStatus
-from drivers.transports.tcp_port import TcpPort
+from drivers.transports.network import TcpPort
 from drivers.ur_rtde import PackageStream, RtdeChannel, RtdeConfig, UrRtde, decode_recipe, decode_text
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole

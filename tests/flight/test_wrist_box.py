@@ -5,7 +5,7 @@ import pytest
 
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig
 from drivers.records import SampleStatus
-from drivers.transports.udp_port import UdpPort
+from drivers.transports.network import UdpPort
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.devices.net_box import NetBox

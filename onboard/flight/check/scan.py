@@ -19,8 +19,7 @@ from drivers.canopen_pdo.sdo import SdoClient, Setup, read_unsigned
 from drivers.errors import SdoAbortError
 from drivers.i2c.bus import NOT_ACKNOWLEDGED, explain
 from drivers.ports import CanPort, I2cPort, SerialPort
-from drivers.transports.tcp_port import TCP_URLS, TcpPort
-from drivers.transports.udp_port import UDP_URLS, UdpPort
+from drivers.transports.network import TCP_URLS, UDP_URLS, TcpPort, UdpPort
 from drivers.transports.url import parse
 from onboard.devices.base import BusDevice
 from onboard.devices.buses import I2cDevice

@@ -42,8 +42,8 @@ _SIGMAS = {"zero": LIKELY_SIZE, "scale": LIKELY_SIZE, "delay": LIKELY_DELAY_s}
 _AT, _ALONG = np.zeros(0, np.intp), np.zeros((0, 1))  # none of these is a constant of the fit
 
 
-class Error(NamedTuple):
-    """Of an encoder."""
+class EncoderError(NamedTuple):
+    """An error of an encoder that competes."""
 
     suspect: Suspect
     errors: FloatArray  # (joints, 6) of one sigma
@@ -80,7 +80,7 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
     weights = np.exp(logs - np.max(logs))
     weights /= weights.sum()
     counts = [k for k in np.argsort(-weights).tolist() if weights[k] > LEAST_WEIGHT]
-    each = [known_of(step), *(known_of(one.step) for one in solved)]
+    each = [_known_of(step), *(_known_of(one.step) for one in solved)]
     against, doubts = list[str](), list[str]()
     if counts[0]:
         doubts.append(f"not as stated: {' or '.join(solved[k - 1].error.suspect.name for k in counts if k)}")
@@ -97,7 +97,7 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
     return Answered(_mixed(exiddm, step, mixture), stated, step.joints, Findings(tuple(against), tuple(doubts)))
 
 
-def known_of(step: joints.Step) -> Known:
+def _known_of(step: joints.Step) -> Known:
     """Mean and covariance of the parameters."""
     return step.fit.x, step.fit.covariance
 
@@ -110,11 +110,13 @@ def _mixed(exiddm: TableExiddm, step: joints.Step, mixture: Mixture) -> PayloadF
 class _Some(NamedTuple):
     """Errors, and the information on their sizes."""
 
-    errors: tuple[Error, ...]
+    errors: tuple[EncoderError, ...]
     changed: Changed
 
 
-def _weighed(exiddm: TableExiddm, fit: Fit, step: joints.Step, taken: Error | None = None) -> tuple[Weighed, _Some]:
+def _weighed(
+    exiddm: TableExiddm, fit: Fit, step: joints.Step, taken: EncoderError | None = None
+) -> tuple[Weighed, _Some]:
     """Each error by itself against none, but for one that is taken out already."""
     errors = tuple(one for one in _errors(exiddm) if taken is None or (one.errors != taken.errors).any())
     h, p, wider = _columns(exiddm, fit.x, errors), fit.x.size, max(1.0, exiddm.found(step.fit).misfit)
@@ -122,13 +124,13 @@ def _weighed(exiddm: TableExiddm, fit: Fit, step: joints.Step, taken: Error | No
     moves = -step.covariance @ Bh
     changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider)
     alone = [one for one in changed.hypotheses([one.suspect for one in errors]) if len(one.steps) == 1]
-    return Bank((), np.ones(p)).weigh(known_of(step), alone), _Some(errors, changed)
+    return Bank((), np.ones(p)).weigh(_known_of(step), alone), _Some(errors, changed)
 
 
 class _Solved(NamedTuple):
     """The run with an error taken out, fitted anew."""
 
-    error: Error
+    error: EncoderError
     size: float  # in sigmas
     log: float  # of its odds, and of what its prior costs
     exiddm: TableExiddm
@@ -153,7 +155,7 @@ def _likeliest(exiddm: TableExiddm, fit: Fit, weighed: Weighed, some: _Some) -> 
             yield _about(exiddm, fit, error, size, log)
 
 
-def _about(exiddm: TableExiddm, fit: Fit | None, error: Error, size: float, log: float) -> _Solved:
+def _about(exiddm: TableExiddm, fit: Fit | None, error: EncoderError, size: float, log: float) -> _Solved:
     """``fit``: of a run near this; None: minima are searched for."""
     corrected = exiddm.with_errors(size * error.errors, error.since)
     near = (corrected.fit() if fit is None else corrected.near(fit.x)).fit
@@ -167,20 +169,20 @@ def _solved(exiddm: TableExiddm, one: _Solved) -> _Solved:
     return _about(exiddm, found.fit, one.error, found.size + float(found.step.further[0]), one.log)
 
 
-def _errors(exiddm: TableExiddm) -> Iterator[Error]:
+def _errors(exiddm: TableExiddm) -> Iterator[EncoderError]:
     names = exiddm.joints.names
     rate = STEPS_PER_HOUR * exiddm.ticks * exiddm.period_s / 3600.0
     for place, name in enumerate(names):
         kind = JOINT_ERRORS[place % PER_JOINT]
         if kind in _SIGMAS:
             errors = np.where(np.arange(len(names)) == place, _SIGMAS[kind], 0.0).reshape(-1, PER_JOINT)
-            yield Error(Suspect(name, _AT, _ALONG, ODDS_OF_PART), errors, 0)
+            yield EncoderError(Suspect(name, _AT, _ALONG, ODDS_OF_PART), errors, 0)
             for part in range(1, PARTS) if kind == "scale" else ():
                 step = Suspect(f"a step of {name}", _AT, _ALONG, rate / PARTS)
-                yield Error(step, errors, part * exiddm.ticks // PARTS)
+                yield EncoderError(step, errors, part * exiddm.ticks // PARTS)
 
 
-def _columns(exiddm: TableExiddm, x: FloatArray, some: Sequence[Error]) -> FloatArray:
+def _columns(exiddm: TableExiddm, x: FloatArray, some: Sequence[EncoderError]) -> FloatArray:
     """Derivatives of the residuals by errors of one sigma each, (m, c)."""
     r = exiddm.left(x)
     each = [(exiddm.with_errors(_SMALL * one.errors, one.since).left(x) - r) / _SMALL for one in some]

@@ -289,6 +289,8 @@ def test_spoilt_copies_of_real_throws_are_not_good_and_wrong(logs: list[Path]) -
     ways = spoilt_throws.WAYS
     for name in (
         "gyro x 1.03",
+        "gyro x 1.1",
+        "gyro x 0.9",
         "gyro x sign",
         "accel yz swapped",
         "wheel 10 ms late",
