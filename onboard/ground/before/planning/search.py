@@ -1,8 +1,8 @@
 """Finds the coefficients of a motion: drawn starts, then sequential quadratic programming, then a check.
 
 Descent is scipy's SLSQP with derivatives by differences: its bounds keep the angles, and a constraint each of the other
-limits, the soft maximum of its excess over the ticks. The
-motion found is shrunk towards its posture until it keeps every limit on fine ticks.
+limits, the soft maximum of its excess over the ticks. The motion found is shrunk towards its posture until it keeps
+every limit on fine ticks.
 """
 
 from collections.abc import Callable
