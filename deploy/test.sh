@@ -10,20 +10,27 @@ heft_env test
 cd "$root"
 [ $# -eq 0 ] || exec "$heft_venv/bin/python" -m pytest "$@"
 
-said=$(mktemp -d) beside=
-trap 'rm -rf "$said"; [ -z "$beside" ] || kill "$beside"' EXIT
-trap 'exit 130' INT TERM
+said=$(mktemp -d) beside='' most=''
+trap 'kill $beside $most 2>/dev/null || :; rm -rf "$said"' EXIT
+trap 'exit 130' INT TERM HUP
 code=0 began=$(date +%s)
-tests() {    # a part; one that hangs beyond each test's own limit is ended, and has failed
-    timeout --kill-after=60 3600 "$@"
+tests() {    # a part, in the background; one that hangs beyond each test's own limit is ended, and has failed
+    exec timeout --kill-after=60 3600 "$@"
 }
 python=$heft_venv/bin/python
 timed=$(grep -rl --include='test_*.py' realtime tests | sort)    # only these are collected: a quarter of the time
 tests "$python" -m pytest -m realtime --numprocesses auto --dist worksteal $timed >"$said/realtime" &
 beside=$!
 printf '\n-- all cores, and beside them in real time\n'
-{ tests nice -n 10 "$python" -m pytest -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder ||
-    echo $? >"$said/code"; } | tee "$said/cores"
+mkfifo "$said/shown"
+tee "$said/cores" <"$said/shown" &
+shown=$!
+tests nice -n 10 "$python" -m pytest -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder \
+    >"$said/shown" &
+most=$!
+wait "$most" || echo $? >"$said/code"    # a signal ends a wait, and no pipe
+wait "$shown"
+most=
 wait "$beside" || echo $? >"$said/code"
 beside=
 printf '\n-- real time\n'

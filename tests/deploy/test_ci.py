@@ -2,11 +2,15 @@
 
 import os
 import shutil
+import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.conftest import is_alive
 
 Done = subprocess.CompletedProcess[str]
 Run = Callable[..., Done]
@@ -16,14 +20,23 @@ PYTHON = """#!/bin/sh
 case "$*" in
     *'print(sys.version_info'*) echo '(3, 11)' ;;
     "-m $FAILS"*) shift 3; exit 1 ;;
+    "-m $HANGS"*) echo $$ >>"$ALIVE"; exec sleep 100 ;;
+    '-m mypy') [ -z "${MEETS:-}" ] || { : >"$MEETS.mypy"; until [ -e "$MEETS.kernel" ]; do sleep 0.05; done; } ;;
     '-m pytest'*) shift 2; echo "$1 $2: 1 passed" ;;
 esac
 """
 
+KERNEL_TIER = """echo "kernel tier: $*"
+case $KERNEL in hangs) echo $$ >>"$ALIVE"; exec sleep 100 ;; esac
+[ -z "${MEETS:-}" ] || { : >"$MEETS.kernel"; until [ -e "$MEETS.mypy" ]; do sleep 0.05; done; }
+echo "over" >&2
+exit "$KERNEL"
+"""
+
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    """Runs the gates of a checkout that is installed already; its kernel tier ends with the code given."""
+def checkout(tmp_path: Path) -> Path:
+    """A checkout that is installed already."""
     checkout = tmp_path / "a checkout"
     for folder in (".ci", "deploy"):
         shutil.copytree(ROOT / folder, checkout / folder)
@@ -32,7 +45,7 @@ def run(tmp_path: Path) -> Run:
     python.parent.mkdir(parents=True)
     python.write_text(PYTHON)
     python.chmod(0o755)
-    (checkout / "deploy/kernel_bench.sh").write_text('echo "kernel tier: $*"; exit "$KERNEL"\n')
+    (checkout / "deploy/kernel_bench.sh").write_text(KERNEL_TIER)
     key = subprocess.run(
         ["sh", "-c", 'root=$1; . "$root/deploy/env.sh"; heft_venv=$root/.venv; heft_key', "sh", str(checkout)],
         capture_output=True,
@@ -40,11 +53,17 @@ def run(tmp_path: Path) -> Run:
         check=True,
     ).stdout
     (checkout / ".venv/heft-test").write_text(key)
+    return checkout
 
-    def run_it(*arguments: str, kernel: int = 0, fails: str = "nothing") -> Done:
+
+@pytest.fixture
+def run(checkout: Path) -> Run:
+    """Runs the gates; the kernel tier ends with the code given."""
+
+    def run_it(*arguments: str, kernel: int = 0, fails: str = "nothing", **environment: str) -> Done:
         return subprocess.run(
             ["bash", str(checkout / ".ci/run"), *arguments],
-            env={**os.environ, "KERNEL": str(kernel), "FAILS": fails},
+            env={**os.environ, "KERNEL": str(kernel), "FAILS": fails, "HANGS": "nothing", **environment},
             capture_output=True,
             text=True,
             timeout=60,
@@ -61,14 +80,14 @@ def gates(done: Done) -> list[str]:
 def test_all_gates_run_and_the_tests_have_the_last_word(run: Run) -> None:
     done = run()
     assert done.returncode == 0, done.stdout + done.stderr
-    assert gates(done) == ["ruff check", "ruff format", "mypy --strict", "tests", "other processors", "kernel tier"]
+    assert gates(done) == ["ruff check", "ruff format", "tests", "mypy --strict", "other processors", "kernel tier"]
     assert done.stdout.endswith("cannot: none\nfailed gates: none\n-m not realtime: 1 passed\n-m realtime: 1 passed\n")
 
 
 def test_arguments_go_to_one_run_of_all_tests(run: Run) -> None:
     done = run("-k", "some of them")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert gates(done)[3:] == ["tests", "other processors", "kernel tier"]
+    assert gates(done)[2:4] == ["tests", "mypy --strict"]
     assert done.stdout.endswith("-k some of them: 1 passed\n")
 
 
@@ -101,3 +120,37 @@ def test_any_other_end_of_the_kernel_tier_fails(run: Run, code: int) -> None:
     done = run(kernel=code)
     assert done.returncode == 1
     assert "cannot: none\nfailed gates: kernel tier\n" in done.stdout
+
+
+def test_the_kernel_tier_runs_beside_gates_of_one_core_and_is_shown_whole(run: Run, tmp_path: Path) -> None:
+    done = run(MEETS=str(tmp_path / "at work"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "\n== kernel tier\nkernel tier: -q --durations=5\nover\n-- kernel tier: " in done.stdout
+    assert done.stdout.index("-- other processors: ") < done.stdout.index("== kernel tier")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("hangs", "kernel", "hang"), [("pytest -m", "0", 2), ("mypy", "hangs", 2), ("none", "hangs", 1)]
+)
+def test_a_signal_ends_every_gate(
+    checkout: Path, tmp_path: Path, hangs: str, kernel: str, hang: int, number: signal.Signals
+) -> None:
+    alive = tmp_path / "alive"
+    environment = {"KERNEL": kernel, "FAILS": "nothing", "HANGS": hangs, "ALIVE": str(alive), "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        ["bash", str(checkout / ".ci/run")], env={**os.environ, **environment}, stdout=subprocess.PIPE, text=True
+    ) as gates_run:
+        wait_for(lambda: alive.exists() and len(alive.read_text().split()) == hang)
+        gates_run.send_signal(number)
+        gates_run.communicate(timeout=60)
+    assert gates_run.returncode == 130
+    wait_for(lambda: not any(map(is_alive, map(int, alive.read_text().split()))))
+    assert not list(tmp_path.glob("tmp.*"))
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

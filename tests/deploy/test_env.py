@@ -15,7 +15,7 @@ import pytest
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 TOOLS = (
     *("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum"),
-    *("mktemp", "tee", "tail", "awk", "date", "timeout", "grep", "sort", "nice"),
+    *("mktemp", "tee", "tail", "awk", "date", "timeout", "grep", "sort", "nice", "mkfifo"),
 )
 UNAVAILABLE, TEMPORARY_FAILURE = 69, 75  # sysexits.h
 
