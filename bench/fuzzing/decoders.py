@@ -20,8 +20,8 @@ from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, Cia402Config, C
 from drivers.canopen_pdo import frame as canopen_frame
 from drivers.canopen_pdo.guarding import GuardConfig
 from drivers.errors import FrameError
+from drivers.inertial.packet import first_misaligned
 from drivers.modbus_load_cell.frame import ModbusException, read_request
-from drivers.mpu6050.decode import first_misaligned
 from drivers.nimu.packet import CHECKSUM_SPANS
 from drivers.ports import CanFrame, Edge
 from drivers.sync_pulse import SyncPulse

@@ -4,8 +4,8 @@ Sources: register map RM-MPU-6000A 4.2, product specification PS-MPU-6000A 3.4. 
 temperature LSB; the chip runs up to 1 % off its nominal rate, so rows carry a sample number and no sample time.
 """
 
-from drivers.mpu6050.decode import decode_packets
 from drivers.mpu6050.device import Mpu6050
+from drivers.mpu6050.fifo import decode_packets
 from drivers.mpu6050.registers import CHIPS, Chip, Mpu6050Config
 from drivers.mpu6050.self_test import SelfTest
 

@@ -10,10 +10,11 @@ Known limit: a sample made in the 70 us between START and INT_STATUS may be flag
 """
 
 from drivers.i2c.bus import RegisterBus
+from drivers.inertial.packet import PACKET_BYTES
+from drivers.inertial.stream import SampleStream
 from drivers.mpu6050 import registers as reg
-from drivers.mpu6050.decode import PACKET_BYTES, decode_packets
+from drivers.mpu6050.fifo import decode_packets
 from drivers.mpu6050.registers import Chip, Mpu6050Config
-from drivers.mpu6050.stream import SampleStream
 
 POLL = 0.9  # sample periods
 SLOWEST = 1.05  # nominal sample periods: internal oscillator, until the period is fitted

@@ -5,13 +5,13 @@ from enum import Enum, auto
 
 from drivers.errors import ConfigurationError, DriverError, NoAnswerError, WrongDeviceError
 from drivers.i2c.bus import RegisterBus, explain
+from drivers.inertial.stream import SampleStream
 from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.burst import Burst
-from drivers.mpu6050.fifo import Fifo
+from drivers.mpu6050.fifo import Mpu6050Fifo
 from drivers.mpu6050.noise import most_repeats
 from drivers.mpu6050.registers import CHIPS, INCOMPATIBLE, Chip, Mpu6050Config, configuration
 from drivers.mpu6050.self_test import SelfTest, run_self_test
-from drivers.mpu6050.stream import SampleStream
 from drivers.ports import I2cPort
 from drivers.records import Batch, Severity
 from drivers.repeats import Repeats
@@ -57,8 +57,8 @@ class Mpu6050:
         self._report = Reporter(name)
         repeats = Repeats(most_repeats(self.config), self._report)
         self._stream = SampleStream(name, self.config.sample_period_ns, repeats, self._report)
-        self._source: Fifo | Burst = (
-            Fifo(self.config, self._bus, self._stream, self._report)
+        self._source: Mpu6050Fifo | Burst = (
+            Mpu6050Fifo(self.config, self._bus, self._stream, self._report)
             if self.config.mode == "fifo"
             else Burst(self.config, self._bus, self._stream)
         )

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from drivers.errors import FrameError, SelfTestError
 from drivers.i2c.bus import RegisterBus
+from drivers.inertial.packet import PACKET_BYTES
 from drivers.mpu6050 import registers as reg
-from drivers.mpu6050.decode import PACKET_BYTES
 
 LIMIT = 0.14  # PS 6.1, 6.2
 AXES = ("gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z")

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.fuzzing import target
-from drivers.mpu6050.sample_clock import SampleClock
+from drivers.inertial.sample_clock import SampleClock
 
 FOUND = {
     ("qsb", "0b2305cf53a89bdc"): ("016f7eb5b5b5b5b5b500b5b5b5b5b5b5b561b5b5b5b5"),

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 
 from drivers.errors import ConfigurationError, FrameError
+from drivers.inertial.packet import first_misaligned
 from drivers.mpu6050 import Mpu6050Config, decode_packets
-from drivers.mpu6050.decode import first_misaligned
 from drivers.records import IMU, SampleStatus
 
 CONFIG = Mpu6050Config(accel_range_g=4, gyro_range_deg_s=500, filter_code=3)

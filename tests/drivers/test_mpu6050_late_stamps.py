@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from drivers.inertial.sample_clock import Onset, SampleClock
 from drivers.mpu6050 import Mpu6050, Mpu6050Config
-from drivers.mpu6050.sample_clock import Onset, SampleClock
 from tests.conftest import VirtualClock
 from tests.drivers.batches import of, whole
 from tests.drivers.mpu6050_flight import numbers

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.mpu6050.sample_clock import SampleClock
+from drivers.inertial.sample_clock import SampleClock
 
 NOMINAL_NS = 1_000_000
 

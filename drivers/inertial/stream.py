@@ -1,8 +1,8 @@
-"""Numbers the samples of a chip, in FIFO and burst mode: rows out, lost samples recorded as gaps."""
+"""Numbers the samples of a chip: rows out, lost samples recorded as gaps."""
 
 import numpy as np
 
-from drivers.mpu6050.sample_clock import SampleClock
+from drivers.inertial.sample_clock import SampleClock
 from drivers.records import Rows, SampleStatus
 from drivers.repeats import Repeats
 from drivers.reporter import Reporter
