@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from onboard import config
     from onboard.flight.bench import BenchRun
     from onboard.ground.calibrate.weigh.columns import Meaning
+    from onboard.ground.calibrate.weigh.conventions import Known
     from onboard.ground.calibrate.weigh.live import Session
-    from onboard.ground.calibrate.weigh.weigh import Answer, Known
+    from onboard.ground.calibrate.weigh.weigh import Answer
 
 
 def add(commands: Commands) -> None:
@@ -240,8 +241,7 @@ def _known(a: argparse.Namespace, scale_percent: float | None = None) -> "Known"
     import math
 
     from onboard.ground.calibrate.place import place
-    from onboard.ground.calibrate.weigh.conventions import Said
-    from onboard.ground.calibrate.weigh.weigh import Known
+    from onboard.ground.calibrate.weigh.conventions import Known, Said
 
     down = None
     if a.gravity is not None:

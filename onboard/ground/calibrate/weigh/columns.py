@@ -26,6 +26,7 @@ MOMENT_UNITS = {
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
 _FULL_TURN = 2.0 * np.pi + 0.1
+ONE_G = 0.05  # of gravity: what an accelerometer at rest may be off
 _UNIT = 1e-3  # of a quaternion's length: four decimals
 
 # Names, without marks between their parts, in the order in which they are looked for
@@ -47,12 +48,23 @@ _ORIENTATION = (
     ("ZYX", r"^([abc])$", "cba"),  # KUKA: A about z, B about y, C about x
     ("xyz", r"^([wpr])$", "wpr"),  # Fanuc
     ("quaternion", r"^([wxyz])$", "wxyz"),
+    ("up", r"(?:.*acc(?:el(?:eration|erometer)?)?|.*grav(?:ity)?|(?:.*imu)?a|g)([xyz])$", "xyz"),
+)
+_LISTED = (
+    *(("(?:force|f)", "f"), ("(?:torque|moment|m|t|tau)", "m"), ("(?:rotvec|rotationvector|axisangle)", "rotvec")),
+    *(("(?:rpy|euler|eulerangles)", "rpy"), ("(?:orientation|ori|rot(?:ation)?)", "r")),
 )
 _NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
-    (r"(?:.*\.)?(?:wrench|force|ft|f\.ext(?:\.hat)?\.k)", ("fx", "fy", "fz", "mx", "my", "mz")),
+    (
+        r"(?:.*\.)?(?:wrench|force|ft|f\.ext(?:\.hat)?\.k)(?:\.(?:sensor|raw|data))?",
+        ("fx", "fy", "fz", "mx", "my", "mz"),
+    ),
     (r"(?:.*\.)?pose", ("x", "y", "z", "rx", "ry", "rz")),
     (r"(?:.*\.)?pose", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
     (r".*", tuple(f"t{row}{column}" for row in range(4) for column in range(4))),
+    (r".*", tuple(f"rot{row}{column}" for row in range(3) for column in range(3))),
+    (r"(?:.*\.)?(?:quat(?:ernion)?|orientation|ori|rot(?:ation)?)", ("quat0", "quat1", "quat2", "quat3")),
+    *((rf"(?:.*\.)?{what}", (f"{as_}x", f"{as_}y", f"{as_}z")) for what, as_ in _LISTED),
 )
 
 
@@ -71,7 +83,8 @@ class Meaning(NamedTuple):
             ``matrix`` (by rows), ``rotvec``, ``angles`` (about x, y, z in an unknown order), ``angles?`` (these or a
             rotation vector), ``sequence`` (one after the other about axes that nobody named),
             ``sequence:ZYZ`` (about these, or each about the axis that it is named for), an order of Euler angles
-            (``xyz``, ``ZYX``: SciPy's letters) or ``joints``.
+            (``xyz``, ``ZYX``: SciPy's letters), ``joints``, or ``up`` (what an accelerometer reads, or gravity, in any
+            unit).
         orientation: (n, k); angles are in rad.
         wrench: (n, 6) N, N m.
         said: how it was understood, in words.
@@ -149,7 +162,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
     values = table.values[:, at]
     if kind == "homogeneous":
         kind, values = "matrix", _turned(values)
-    if kind not in ("quaternion", "quaternion?", "matrix"):
+    if kind not in ("quaternion", "quaternion?", "matrix", "up"):
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
     return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said), named)
@@ -174,7 +187,13 @@ def _said_kind(table: Table, kind: str, said: str) -> str:
         return kind
     quaternions = said in ("xyzw", "wxyz")
     fits = {
-        **{"quaternion": quaternions, "quaternion?": quaternions, "matrix": said == "matrix", "joints": False},
+        **{
+            "quaternion": quaternions,
+            "quaternion?": quaternions,
+            "matrix": said == "matrix",
+            "joints": False,
+            "up": False,
+        },
     }.get(kind, not quaternions and said != "matrix")
     if not fits:
         raise PosesError(f"{table.label}: --orientation {said}, but its columns are {kind.rstrip('?')}: leave it out")
@@ -222,7 +241,8 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
                 if (at := _vector(table, columns, [pattern], wanted, tuple(taken))) is not None:
                     return kind, at
         elif (at := _vector(table, columns, [pattern], axes, tuple(taken))) is not None and (
-            kind != "quaternion?" or _of_unit_length(table.values[:, at])  # else joints
+            (kind != "quaternion?" or _of_unit_length(table.values[:, at]))  # else joints
+            and (kind != "up" or _of_one_length(table.values[:, at]))  # else rates
         ):
             return kind, at
     raise PosesError(
@@ -234,6 +254,12 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
 
 def _of_unit_length(four: FloatArray) -> bool:
     return bool(np.nanmedian(np.abs(np.linalg.norm(four, axis=1) - 1.0)) < _UNIT)
+
+
+def _of_one_length(three: FloatArray) -> bool:
+    """Whether most of vectors (n, 3) are as long as one is at rest that shows where up is."""
+    length = np.linalg.norm(three, axis=1)
+    return bool(np.nanmedian(np.abs(length / np.nanmedian(length) - 1.0)) < ONE_G)
 
 
 def _joints(table: Table, columns: Sequence[Column], joints: Sequence[str]) -> list[int]:

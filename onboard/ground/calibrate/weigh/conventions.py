@@ -12,10 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.ground.calibrate.weigh.columns import Meaning
+from onboard.estimation.calibration import wrist
+from onboard.ground.calibrate.place import Place
+from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.errors import PosesError
 
 _UNIT = 0.05  # of a quaternion's length or a matrix's elements: rounding, a mean
+_ANY_MOUNTING_rad = np.pi / 2.0  # flanges are turned to any angle; where poses tell nothing of it, the nearest to none
 _SAME_RAD = np.deg2rad(0.5)  # a robot's dither; the gravity along an axis changes by less than 1 %
 _DWELL = 5  # rows a pose, from which on rows between poses are motion
 _SETTLED = 3  # rows that a pose has at least then
@@ -33,6 +36,38 @@ class Said(NamedTuple):
     sense: Sense | None = None
     axes: Axes | None = None
     sign: Sign | None = None
+
+
+class Known(NamedTuple):
+    """What is known besides the table.
+
+    Attributes:
+        place: gravity.
+        down: (3,) unit vector in base axes; None: nobody said.
+        scale: 1 sigma of an axis of the sensor, relative.
+        tilt_rad: 1 sigma of the base's tilt.
+        said: conventions.
+    """
+
+    place: Place
+    down: Down | None
+    scale: float
+    tilt_rad: float
+    said: Said = Said()
+
+    @property
+    def by_up(self) -> "Known":
+        """Where poses are by an accelerometer: no base that could be tilted, or whose axes a wrench could be in."""
+        return self._replace(
+            down=DOWN, tilt_rad=np.deg2rad(1e-3), said=Said("sensor-in-base", "sensor", self.said.sign)
+        )
+
+    @property
+    def prior(self) -> wrist.Prior:
+        """For the fit."""
+        down = np.array(self.down or DOWN, np.float64)
+        gravity = self.place.gravity_m_s2 * down / np.linalg.norm(down)
+        return wrist.Prior(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
 
 
 class Convention(NamedTuple):
@@ -97,10 +132,25 @@ def rotations(meaning: Meaning) -> Iterator[tuple[str, FloatArray]]:
                 yield "rotation vector", _of_vector(values)
             for order in ("xyz", "XYZ"):
                 yield f"Euler angles {order}", of_euler(order, values)
+        case "up":
+            yield "upwards by an accelerometer", of_up(values)
         case kind if kind.startswith("sequence"):
             yield from _sequences(kind.removeprefix("sequence").removeprefix(":"), values)
         case order:
             yield f"Euler angles {order}", of_euler(order, values)
+
+
+def of_up(up: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) whose third row is upwards in the sensor's axes, along ``up`` (n, 3).
+
+    The turn about it is any. NaN where ``up`` is longer or shorter than most, as in motion.
+    """
+    length = np.linalg.norm(up, axis=1)
+    x, y, z = (up / length[:, None]).T
+    q = np.stack([1.0 + z, y, -x, np.zeros(len(up))], axis=1)  # the smallest turn
+    q[z < -1.0 + 1e-12] = 0.0, 1.0, 0.0, 0.0
+    q[np.abs(length / np.nanmedian(length) - 1.0) > ONE_G] = np.nan
+    return _of_quaternion(q / np.linalg.norm(q, axis=1)[:, None])
 
 
 def _sequences(said: str, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:

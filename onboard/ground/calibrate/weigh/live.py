@@ -14,11 +14,11 @@ from onboard.devices import si
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.place import Place
-from onboard.ground.calibrate.weigh.columns import Meaning
-from onboard.ground.calibrate.weigh.conventions import Said
+from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
+from onboard.ground.calibrate.weigh.conventions import Known, Said
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.ground.calibrate.weigh.further import further
-from onboard.ground.calibrate.weigh.weigh import Answer, Known, weigh
+from onboard.ground.calibrate.weigh.weigh import Answer, weigh
 from onboard.ground.calibrate.weigh.wrist_sensor import WristSensor
 
 REST_s = 2.0
@@ -29,7 +29,6 @@ _SILENT_s, _RESTLESS_s = 3.0, 15.0
 _STILL_rad = np.deg2rad(0.1)  # of a joint, of gravity: 0.2 % of the weight across
 _TURNED_rad = np.deg2rad(5.0)
 _QUIET = 3.0  # of a cell's noise: what the means of quarters may differ by
-_ONE_G = 0.05  # of gravity: what an accelerometer at rest may be off
 
 
 @dataclass
@@ -180,7 +179,7 @@ class Session:
         if channel == self.sensor.imu:
             size = np.linalg.norm(parts, axis=1)
             g = self.place.gravity_m_s2
-            if np.abs(size - g).max() > _ONE_G * g:
+            if np.abs(size - g).max() > ONE_G * g:
                 return (
                     f"{channel} reads {size.mean():.2f} m/s^2 and not {g:.2f}: the wrist moves, or it is not calibrated"
                 )
@@ -205,9 +204,8 @@ class Session:
     @property
     def known(self) -> Known:
         """What is known besides the poses."""
-        if self.sensor.imu:  # up is measured: there is no base that could be tilted
-            return Known(self.place, (0.0, 0.0, -1.0), self.scale, np.deg2rad(1e-3), self.said)
-        return Known(self.place, self.down, self.scale, self.tilt_rad, self.said)
+        known = Known(self.place, self.down, self.scale, self.tilt_rad, self.said)
+        return known.by_up if self.sensor.imu else known
 
     def _weigh(self) -> None:
         n = len(self.R)

@@ -8,6 +8,7 @@ import codecs
 import csv
 import re
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +16,10 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
+from onboard.ground.log.bring_in.text_rows import list_of, unbroken
 
 LARGEST_BYTES = 64 << 20  # of text; static poses are some hundred rows, a whole recording at 100 Hz some hours
+_ROTATION = 1e-2  # of elements of R R': three decimals
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d*")  # 1,234.5
 _SEPARATOR = re.compile(r"sep=(.)")  # the line that a spreadsheet is told the delimiter by
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
@@ -81,7 +84,9 @@ def _one(path: Path) -> Table:
     if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise PosesError(f"{path} is no text; give a table of numbers, CSV for instance")
     text = _text(path, raw)
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
+    lines = [
+        (number, line.strip()) for number, line in enumerate(unbroken(text.splitlines()), 1) if line.strip(" \t,;")
+    ]
     comments = [(number, line.lstrip("#% ")) for number, line in lines if line[0] in "#%"]
     lines = [one for one in lines if one[1][0] not in "#%"]
     said = _SEPARATOR.fullmatch(lines[0][1]) if lines else None
@@ -99,6 +104,9 @@ def _one(path: Path) -> Table:
             rows = rows[1:]
     elif comments and len(_cells(comments[-1][1], between)) == len(rows[0][1]):
         names = [cell.strip() for cell in _cells(comments[-1][1], between)]
+    if rows and names:
+        names = [part for name, cell in zip_longest(names, rows[0][1], fillvalue="") for part in _parts(name, cell)]
+    rows = [(number, [one for cell in row for one in ([*map(str, list_of(cell))] or [cell])]) for number, row in rows]
     if not rows:
         raise PosesError(f"{path} has no rows below the names of its columns")
     width = len(names) or int(np.median([len(row) for _, row in rows]))
@@ -110,9 +118,16 @@ def _one(path: Path) -> Table:
         if len(cells) == width:
             values[k] = [_number(cell) for cell in cells]
     at = tuple(number for number, _ in rows)
-    if width == 4 and not names and not len(values) % 4 and (values[3::4] == [0.0, 0.0, 0.0, 1.0]).all():
-        values, at, width = values.reshape(-1, 16), at[::4], 16  # homogeneous matrices, a line a row
+    if width in (3, 4) and not names and not len(values) % width and _are_matrices(values.reshape(-1, width, width)):
+        values, at, width = values.reshape(-1, width**2), at[::width], width**2  # a line a row
     return Table(tuple(names) or ("",) * width, values, at, path.name)
+
+
+def _are_matrices(T: FloatArray) -> bool:
+    """Rotations (n, 3, 3), or homogeneous matrices (n, 4, 4)."""
+    R, last = T[:, :3, :3], T[:, 3:]
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    return bool(np.nanmedian(off) < _ROTATION and (last == [0.0, 0.0, 0.0, 1.0][: T.shape[2]]).all())
 
 
 def _text(path: Path, raw: bytes) -> str:
@@ -157,5 +172,11 @@ def _number(cell: str) -> float:
     return value if np.isfinite(value) else np.nan
 
 
+def _parts(name: str, cell: str) -> list[str]:
+    """Names of the numbers of a cell."""
+    count = len(list_of(cell))
+    return [f"{name}_{k}" for k in range(count)] if count else [name]
+
+
 def _is_number(cell: str) -> bool:
-    return bool(np.isfinite(_number(cell))) or cell.strip().lower() in ("nan", "inf", "-inf")
+    return bool(np.isfinite(_number(cell)) or list_of(cell)) or cell.strip().lower() in ("nan", "inf", "-inf")

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration import wrist
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
-from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.weigh.columns import Meaning
-from onboard.ground.calibrate.weigh.conventions import DOWN, Down, Poses, Said, averaged, meanings, rotations, still
+from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
@@ -27,32 +26,6 @@ _HALVES = 12  # poses, from which on one half can be predicted from the other
 _ROUGH = 5  # rounds of fits that are only compared
 _RUN = 3  # equal readings, steps of a reading
 IndexArray = NDArray[np.intp]
-_ANY_MOUNTING_rad = np.pi / 2.0  # flanges are turned to any angle; where poses tell nothing of it, the nearest to none
-
-
-class Known(NamedTuple):
-    """What is known besides the table.
-
-    Attributes:
-        place: gravity.
-        down: (3,) unit vector in base axes; None: nobody said.
-        scale: 1 sigma of an axis of the sensor, relative.
-        tilt_rad: 1 sigma of the base's tilt.
-        said: conventions.
-    """
-
-    place: Place
-    down: Down | None
-    scale: float
-    tilt_rad: float
-    said: Said = Said()
-
-    @property
-    def prior(self) -> wrist.Prior:
-        """For the fit."""
-        down = np.array(self.down or DOWN, np.float64)
-        gravity = self.place.gravity_m_s2 * down / np.linalg.norm(down)
-        return wrist.Prior(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
 
 
 class Axis(NamedTuple):
@@ -127,6 +100,8 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     Raises:
         PosesError: too few poses, or a meaning that a person has to say.
     """
+    if meaning.kind == "up":
+        known = known.by_up
     found = list(_fits(meaning, known, tell))
     # A negative mass is the other sign of the readings, which is among them or was excluded by a person
     found = [each for each in found if each[1].state.mass > 0.0] or found

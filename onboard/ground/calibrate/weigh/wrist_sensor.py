@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys, LoadCellRole, SmoothedChannel
@@ -18,9 +17,9 @@ from onboard.dynamics.model.vehicle import NAMED
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.weigh.arm import Arm, moved, orientation
+from onboard.ground.calibrate.weigh.conventions import of_up
 from onboard.ground.calibrate.weigh.errors import PosesError
 
-UP = (0.0, 0.0, 1.0)  # of poses by an accelerometer, whose turn about it is any
 _REGULAR = 1e-3  # least singular value of the cells' axes, of the largest
 
 
@@ -77,7 +76,7 @@ class WristSensor(NamedTuple):
         if self.arm is not None:
             return orientation(self.arm, angles)
         up = self.R_SI @ angles
-        return np.asarray(Rotation.align_vectors([UP], [up / np.linalg.norm(up)])[0].as_matrix(), np.float64)
+        return np.asarray(of_up(up[None])[0], np.float64)
 
 
 def wrist_sensor(vehicle: config.Vehicle, frame: str = "") -> WristSensor:

@@ -5,7 +5,7 @@ import json
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as Columns
 from itertools import chain, islice
 from pathlib import Path
@@ -23,8 +23,12 @@ _LONGEST_LINE = 1 << 20  # characters of a CSV
 _BLOCK = 1 << 20  # cells of a CSV that are text at a time
 _SKIP = 'bad_rows = "skip" in [mapping] leaves such rows out'
 _LOOKED_AT = 200  # rows, for a list
+_LONGEST_LIST = 1 << 16  # characters that brackets hold together over lines
 _LONGEST_CELL = 80  # characters of one in a message
-_LIST = re.compile(r"\s*(?:array\()?[\[(]([^\[\]()]+)[\])]\)?\s*")  # "[0.1, 0.2]", "(0.1 0.2)": bags in CSV
+_ARRAY = re.compile(r"\s*(?:np\.|numpy\.)?array\((.*?)(?:,\s*dtype=[\w.]+)?\)\s*", re.DOTALL)
+_BRACKET = re.compile(r"[\[(][\s\[(]*[-+]?\.?\d")  # where a list of numbers begins; no unit in a header does so
+_MASK = "\0"  # between numbers of a list, so that nothing there separates cells
+_BETWEEN = re.compile(r"[\s,;\0\[\]()]+")
 _CLOCK = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d(\.\d{1,9})?)?Z?")
 
 
@@ -118,10 +122,40 @@ def _named(text: Iterator[str], layout: Csv) -> tuple[list[str], Iterator[list[s
     return _apart([name.strip() for name in names]), _cells(text, layout)
 
 
+def unbroken(text: Iterable[str]) -> Iterator[str]:
+    """Lines in which nothing inside of a list's brackets separates cells.
+
+    A matrix that is printed over some lines stands in the first, and the others are empty. Brackets that do not close
+    stay as they are.
+    """
+    lines = iter(text)
+    for line in lines:
+        if _BRACKET.search(line) is None:
+            yield line
+            continue
+        whole, more = line, 0
+        while (deep := _deep(whole)) > 0 and len(whole) < _LONGEST_LIST and (further := next(lines, None)) is not None:
+            whole, more = f"{whole.rstrip()} {further.lstrip()}", more + 1
+        depth, listed, out = 0, False, []
+        for k, mark in enumerate(whole):
+            if mark in "[(":
+                listed = bool(_BRACKET.match(whole, k)) if not depth else listed
+            depth += (mark in "[(") - (mark in "])")
+            out.append(_MASK if depth > 0 and listed and not deep and (mark.isspace() or mark in ",;") else mark)
+        yield "".join(out)
+        yield from [""] * more
+
+
+def _deep(line: str) -> int:
+    """Brackets that are open at the end of a line."""
+    return sum(line.count(mark) for mark in "[(") - sum(line.count(mark) for mark in "])")
+
+
 def _cells(text: Iterator[str], layout: Csv) -> Iterator[list[str]]:
     if layout.comment:
         mark = layout.comment
         text = (line for line in text if not line.lstrip().startswith(mark))
+    text = unbroken(text)
     rows = (line.split() for line in text) if layout.delimiter == " " else csv.reader(text, delimiter=layout.delimiter)
     return (row for row in rows if row)
 
@@ -215,9 +249,12 @@ def times_of(cells: list[str]) -> NDArray[np.int64] | None:
 
 
 def list_of(cell: str) -> list[float]:
-    """Numbers of a cell that is a list of them; empty if it is none."""
-    found = _LIST.fullmatch(cell)
-    parts = re.split(r"[\s,]+", found[1].strip(" ,")) if found else []
+    """Numbers of a cell that is a list of them, or a matrix, by rows; empty if it is none."""
+    array = _ARRAY.fullmatch(cell)
+    text = (array[1] if array else cell).strip(_MASK + " \t\n")
+    if text[:1] not in ("[", "(") or text[-1:] not in ("]", ")"):
+        return []
+    parts = [part for part in _BETWEEN.split(text) if part]
     values = [number(part) for part in parts]
     bad = any(not np.isfinite(value) and part.lower() != "nan" for part, value in zip(parts, values, strict=True))
     return [] if bad else values

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.calibrate.weigh import columns, conventions, table
 from onboard.ground.calibrate.weigh.errors import PosesError
+from onboard.ground.log.bring_in.text_rows import unbroken
 from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, HEADER, holds, record, turn, weighed, write
 
 pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # what a table means is told by the fits of its meanings
@@ -239,6 +240,69 @@ def test_homogeneous_matrices(one, tmp_path):
     read = table.read([stacked, write(tmp_path / "wrench.txt", one.wrench, (), " ")])
     np.testing.assert_allclose(columns.understood(read, columns.Units()).orientation.reshape(-1, 3, 3), one.R)
     assert read.lines[:2] == (1, 5)
+
+
+def test_lists_in_cells_and_matrices_as_they_are_printed(one, tmp_path):
+    """Of pandas, NumPy and bags: in quotes or not, in a line or in three, with names or without."""
+
+    def shown(values, between=", "):
+        return f"[{between.join(repr(float(value)) for value in values)}]"
+
+    def printed(R):
+        return "[" + "\n ".join(shown(row, " ") for row in R) + "]"
+
+    q, w = one.rows[:, :4], one.wrench
+    poses = [
+        ["pose,wrench", *(f'"{shown([1, 2, 3, *a])}","{shown(b)}"' for a, b in zip(q, w, strict=True))],
+        ["R,ft_sensor", *(f'"{printed(a)}","{shown(b, "  ")}"' for a, b in zip(one.R, w, strict=True))],
+        ["t,ori,force,torque", *(f"0.1,{shown(a)},{shown(b[:3])},{shown(b[3:])}" for a, b in zip(q, w, strict=True))],
+        ["t;quat;F;M", *(f"1;{shown(a)};({shown(b[:3])[1:-1]});{shown(b[3:])}" for a, b in zip(q, w, strict=True))],
+        [f"{printed(a)}\t{shown(b, ' ')}" for a, b in zip(one.R, w, strict=True)],
+    ]
+    for lines in poses:
+        path = tmp_path / "poses.csv"
+        path.write_text("\n".join(lines) + "\n")
+        meaning = columns.understood(table.read([path]), columns.Units())
+        R = next(R for _, R in conventions.rotations(meaning))
+        np.testing.assert_allclose(R, one.R, atol=1e-9)
+        np.testing.assert_allclose(meaning.wrench, w, rtol=1e-12)
+    for text in (
+        "\n".join(map(printed, one.R)),
+        "\n".join(" ".join(map(repr, row)) for row in one.R.reshape(-1, 3).tolist()),
+    ):
+        (tmp_path / "R.txt").write_text(text)
+        read = table.read([tmp_path / "R.txt", write(tmp_path / "wrench.txt", w, (), " ")])
+        assert read.lines[:2] == (1, 4)
+        np.testing.assert_allclose(columns.understood(read, columns.Units()).orientation.reshape(-1, 3, 3), one.R)
+    broken = ["a [N m],b[0],c", "1,[2, 3", " 4],5", "(0.1"]
+    assert list(unbroken(broken)) == ["a [N m],b[0],c", "1,[2\0\0" + "3\0" + "4],5", "", "(0.1"]
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [
+        (("imu_ax", "imu_ay", "imu_az"), 1.0),
+        (tuple(f"linear_acceleration.{axis}" for axis in "xyz"), 1.0 / GRAVITY),
+        (("g_x", "g_y", "g_z"), -1.0),
+    ],
+)
+def test_where_up_is_by_an_accelerometer(tmp_path, names, unit):
+    """Beside the sensor, turned against it; or gravity in its axes."""
+    rng, rows, one = np.random.default_rng(8), [], record(9)
+    for _ in range(30):
+        up = turn(rng.uniform(-2.0, 2.0, 3))[2] * GRAVITY
+        weight = -one.true.mass_kg * one.true.mounting @ up
+        load = np.concatenate([weight, np.cross(one.true.centre_m, weight)])
+        rows.append(
+            [*(unit * (up + rng.normal(size=3) * 0.02)), *(load + one.true.zero + one.true.noise * rng.normal(size=6))]
+        )
+    rows[3][:3] = [2.0 * value for value in rows[3][:3]]  # in motion
+    code, answer = weighed(tmp_path, rows, header=(*names, *WRENCH))
+    assert code == OK
+    assert all(holds(answer, one.true).values())
+    assert answer["rows"]["bad"] == 1
+    rates = [[*rng.normal(size=3), *row[3:]] for row in rows]
+    assert weighed(tmp_path, rates, header=("gx", "gy", "gz", *WRENCH))[0] == BAD_INPUT
 
 
 def test_joint_angles_and_a_urdf(one, tmp_path):

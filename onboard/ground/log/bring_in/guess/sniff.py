@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from onboard.ground.log.bring_in import foreign
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.mapping import Csv
-from onboard.ground.log.bring_in.text_rows import list_of, number, times_of
+from onboard.ground.log.bring_in.text_rows import list_of, number, times_of, unbroken
 
 Kind = Literal["csv", "npz", "mat", "bag", "mcap", "ulog"]
 _HEAD, _LOOKED_AT = 1 << 18, 200  # bytes, lines
@@ -74,6 +74,7 @@ def layout_of(path: Path) -> Layout:
     lines = text.splitlines()[:_LOOKED_AT]
     if len(head) == _HEAD and len(lines) < _LOOKED_AT:
         lines = lines[:-1] or lines
+    lines = list(unbroken(lines))
     body = [line for line in lines if line.strip() and not line.lstrip().startswith(_COMMENTS)]
     if not body:
         raise SourceError(f"{path} has no line but comments")
