@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse")
-I2C = ("nau7802", "as5600")
+I2C = ("nau7802", "as5600", "icm20948")
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
 NAMES = DECODERS + I2C + FILES
 

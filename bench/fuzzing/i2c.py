@@ -9,6 +9,7 @@ from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
 from drivers.device import Device
 from drivers.errors import FrameError
 from drivers.i2c import as5600, nau7802
+from drivers.inertial import icm20948
 from drivers.ports import I2cReply
 
 TRANSFER_NS = 100_000
@@ -43,6 +44,28 @@ class Registers:
 
     def close(self) -> None:
         """See ``I2cPort``."""
+
+
+class Banked(Registers):
+    """With four banks, by bits 5 and 4 of 7Fh; those above 0 keep what is written."""
+
+    def __init__(self, clock: peers.Clock, shows: dict[int, int]) -> None:
+        super().__init__(clock, shows)
+        self.bank, self.above = 0, dict[tuple[int, int], int]()
+
+    def write(self, address: int, data: bytes) -> None:
+        """See ``I2cPort``."""
+        if data[0] == 0x7F or not self.bank:
+            super().write(address, data)
+            self.bank = self.values[0x7F] >> 4 & 3
+        else:
+            self._transfer()
+            self.above[self.bank, data[0]] = data[1]
+
+    def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
+        """See ``I2cPort``."""
+        reply = super().write_read(address, data, count)
+        return reply._replace(data=bytes([self.above.get((self.bank, data[0]), 0)] * count)) if self.bank else reply
 
 
 def _fly(device: Device, chip: Registers, body: bytes, data_at: range) -> None:
@@ -84,7 +107,23 @@ def as5600_chip(data: bytes) -> None:
     _fly(as5600.As5600("joint", chip, config), chip, body, range(0x0C, 0x0E))
 
 
-CALLS: dict[str, Callable[[bytes], None]] = {"nau7802": nau7802_chip, "as5600": as5600_chip}
+def icm20948_chip(data: bytes) -> None:
+    """The decoder and the device, its banks one above the other; ``count`` bytes are in its FIFO."""
+    (which, count), body = leading(data, 2)
+    with contextlib.suppress(FrameError):
+        icm20948.decode_packets(body, icm20948.Icm20948Config())
+    rate_hz, longest = (1125.0, 562.5, 225.0)[which % 3], (14, 30, 252)[(which >> 2) % 3]
+    chip = Banked(peers.Clock(), {0x00: 0xEA})
+    chip.values[0x71] = count
+    config = icm20948.Icm20948Config(sample_rate_hz=rate_hz, max_transfer_bytes=longest)
+    _fly(icm20948.Icm20948("imu", chip, config), chip, body, range(0x70, 0x7F))
+
+
+CALLS: dict[str, Callable[[bytes], None]] = {
+    "nau7802": nau7802_chip,
+    "as5600": as5600_chip,
+    "icm20948": icm20948_chip,
+}
 SEEDS = [
     b"\3\x20" + bytes([2, 1, 2, 8, 0, 0, 16, 0, 0, 2, 9, 9]) * 6,
     b"\3\0" + bytes([0, 0, 0xBE, 8, 0, 0, 0, 0, 0x9E, 48, 0, 0]) * 8,

@@ -175,7 +175,7 @@ class As5600(I2cSensor):
                 self._next += lost
         self._cause = ""
 
-    def _sleep(self) -> None:
+    def _sleep(self, now_ns: int) -> None:
         """It has no state to be put to."""
 
     def _finish(self, now_ns: int) -> str:

@@ -352,7 +352,7 @@ class Nau7802(I2cSensor):
         self._report.event(now_ns, Severity.ERROR, "no_samples", f"{why}: the chip is reset; replace it if this stays")
         self._set_up_again(now_ns, "no_samples")
 
-    def _sleep(self) -> None:
+    def _sleep(self, now_ns: int) -> None:
         self._bus.write(PU_CTRL, 0)
 
     def _finish(self, now_ns: int) -> str:

@@ -51,7 +51,7 @@ class I2cSensor(ABC):
     def __init__(self, name: str, port: I2cPort, address: int, poll_period_ns: int) -> None:
         self.name = name
         self._address = address
-        self._bus = RegisterBus(port, address)
+        self._bus: RegisterBus = RegisterBus(port, address)
         self._report = Reporter(name)
         self._poll_ns = self._wait_ns = poll_period_ns
         self._state = _State.STOPPED
@@ -73,6 +73,11 @@ class I2cSensor(ABC):
     def bus_errors(self) -> int:
         """Failed transfers, including those whose retry succeeded."""
         return self._bus.errors
+
+    @property
+    def is_running(self) -> bool:
+        """Whether samples are taken."""
+        return self._state is _State.RUNNING
 
     @abstractmethod
     def _set_up(self) -> Iterator[int]:
@@ -100,7 +105,7 @@ class I2cSensor(ABC):
         """Record what is missing at the end; returns what is said of the flight."""
 
     @abstractmethod
-    def _sleep(self) -> None:
+    def _sleep(self, now_ns: int) -> None:
         """Put the device to rest. Raises OSError."""
 
     @abstractmethod
@@ -126,7 +131,7 @@ class I2cSensor(ABC):
         if self._state is _State.RUNNING:
             try:
                 self._take(now_ns)
-                self._sleep()
+                self._sleep(now_ns)
             except OSError as error:
                 self._fault(now_ns, error)
         if self._state is not _State.STOPPED:

@@ -1,1 +1,1 @@
-"""What inertial chips with a FIFO share: packets to rows, draining, numbers of samples; no register of any of them."""
+"""Inertial chips with a FIFO: what they share (packets, draining, numbers of samples), and drivers of a single file."""

@@ -29,6 +29,7 @@ class Fifo(ABC):
     """
 
     order: Order
+    largest_count: int | None = None  # that it can show, where that is more than its size
 
     def __init__(self, config: Sampling, stream: SampleStream, report: Reporter) -> None:
         self.running = False
@@ -171,7 +172,7 @@ class Fifo(ABC):
         Raises:
             OSError: EBADMSG, the count is impossible.
         """
-        if not before <= count <= min(self._most(before, elapsed_ns), self.fifo_bytes):
+        if not before <= count <= min(self._most(before, elapsed_ns), self.largest_count or self.fifo_bytes):
             raise OSError(errno.EBADMSG, f"FIFO counts {before} bytes, then {count}")
 
     def _most(self, before: int, elapsed_ns: int) -> int:

@@ -7,6 +7,8 @@ from drivers.records import Rows, SampleStatus
 from drivers.repeats import Repeats
 from drivers.reporter import Reporter
 
+MARKED = 32  # samples with the mark of a sync pulse: from then on their times hang on no arrival
+
 
 class SampleStream:
     """Numbers samples from the first start on, lost samples included.

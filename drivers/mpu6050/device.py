@@ -5,7 +5,7 @@ from enum import Enum, auto
 
 from drivers.errors import ConfigurationError, DriverError, NoAnswerError, WrongDeviceError
 from drivers.i2c.bus import RegisterBus, explain
-from drivers.inertial.stream import SampleStream
+from drivers.inertial.stream import MARKED, SampleStream
 from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.burst import Burst
 from drivers.mpu6050.fifo import Mpu6050Fifo
@@ -24,7 +24,6 @@ SILENCE_NS = 100_000_000
 CHECK_ROUND_NS = 1_000_000_000
 BACKOFF_NS = 20_000_000
 LONGEST_BACKOFF_NS = 1_000_000_000
-MARKED = 32  # samples with the mark of a sync pulse: from then on their times hang on no arrival
 LAST_DRAINS = 8
 WATCHED = 11  # largest number of registers checked per round
 

@@ -25,6 +25,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "sync_pulse": 500,
     "nau7802": 60,
     "as5600": 60,
+    "icm20948": 60,
     "vehicle": 12,
     "urdf": 30,
     "segments": 60,

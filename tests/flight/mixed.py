@@ -14,6 +14,7 @@ from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
+from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.net_box import NetBox
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
@@ -131,6 +132,8 @@ class MixedWorld:
         self.qsb = QsbTwin(Analog(angle(3)), RateClock(), START_NS)
         self.node = FrameNode(_node_channels(), RateClock(-0.001), START_NS, node=7, line=LineFormat(230_400))
         bus["i2c_1"].add(self.imu)
+        self.elbow_imu = Icm20948Twin(StairImu(), RateClock(-0.006), START_NS)
+        bus["i2c_1"].add(self.elbow_imu)
         bus["i2c_1"].add(As5600Twin(Analog(angle(5)), START_NS, zero_count=77))
         bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
@@ -147,6 +150,7 @@ class MixedWorld:
                 box.connect_pin(pin)
             if fsync:
                 box.connect_pin(self.imu.fsync)
+                box.connect_pin(self.elbow_imu.fsync)
         for node in nodes:
             bus["can_0"].add(node)
         bus["tty_imu"].add(NimuTwin(StairImu(), RateClock(0.002), START_NS))

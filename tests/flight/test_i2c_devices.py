@@ -7,11 +7,14 @@ import pytest
 
 from drivers.records import SampleStatus
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
+from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from onboard.cli import main
+from onboard.flight.clocks import timebase_of
 from onboard.recording.reader import LogReader
 from tests.flight.mixed import MixedWorld, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_rehearsal import answers, honest
+from tests.hil_sim.devices.twin_bench import MS, START_NS
 
 SEQUENCE = """
 [[sequence]]
@@ -24,6 +27,7 @@ action = "swing"
 duration_s = {swing}
 """
 JOINTS = ["--base", "fixed", "--joints", "2", "--encoder", "as5600", "--load-cell", "nau7802"]
+INERTIAL = ["--base", "free", "--joints", "2", "--imu", "icm20948"]
 CELL = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802"]
 
 
@@ -130,6 +134,61 @@ def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_pat
     assert told >= {(b"joint_1", b"magnet_weak"), (b"joint_2", b"magnet_missing"), (b"joint_2", b"brown_out")}
     assert told >= {(b"joint_1", b"magnet_over"), (b"joint_1", b"bus_recovered"), (b"joint_2", b"bus_recovered")}
     assert (log.read("joint_1")["status"] & SampleStatus.NOT_VALID != 0).sum() == pytest.approx(200, abs=2)
+
+
+def test_the_samples_of_an_icm20948_are_put_on_the_time_when_they_were_made(tmp_path, monkeypatch):
+    """The clock of its own oscillator, 0.6 % slow, fitted to the marks of FSYNC, against the truth."""
+    made_s = []
+    store = Icm20948Twin._store
+
+    def watched(self, counts, times_s):
+        made_s.extend(times_s)
+        store(self, counts, times_s)
+
+    monkeypatch.setattr(Icm20948Twin, "_store", watched)
+    with MixedWorld(tmp_path) as world:
+        flying = vehicle(tmp_path, world.urls)
+        heard = world.fly(world.open(flying), 6.0)
+    rows = {channel: np.concatenate(heard[channel]) for channel in ("imu_elbow", "pulse")}
+    assert set(rows["imu_elbow"]["status"]) == {0}
+    timebase = timebase_of(flying)
+    for until_ns in range(START_NS, START_NS + 8_000 * MS, 50 * MS):
+        now = {c: r[(r["host_ns"] < until_ns) & (r["host_ns"] >= until_ns - 50 * MS)] for c, r in rows.items()}
+        timebase.update(until_ns, now)
+    times_ns = timebase.time_ns("imu_elbow", rows["imu_elbow"])[-200:]
+    truth_s = np.array(made_s)
+    late_s = [float(t - truth_s[np.abs(truth_s - t).argmin()]) for t in (times_ns - START_NS) * 1e-9]
+    sigma_s = 1e-9 * timebase.sigma_ns("imu_elbow", int(times_ns[-1]))
+    assert sigma_s < 1.0 / 562.5 / 8.0
+    assert np.abs(late_s).max() < 3.0 * sigma_s
+
+
+def test_a_free_arm_with_an_icm20948_weighs_and_survives_its_unplugging(tmp_path):
+    faults = [
+        *("--fault", "off:imu_base:3:4", "--fault", "nack:imu_base:5:5.3", "--fault", "timeout:imu_base:6:6.1"),
+        *("--fault", "reset:imu_base:7", "--fault", "garbage:imu_base:8:8.1"),
+    ]
+    result, log, _ = rehearsed(tmp_path, INERTIAL, *faults)
+    assert result["accounted"]
+    honest(answers(result))
+    assert answers(result)["m_payload"]["supported"]
+    events = log.read("event")
+    told = events["code"][events["source"] == b"imu_base"].tolist()
+    assert told.count(b"brown_out") == 2
+    assert told.count(b"bus_recovered") >= 3
+    rows = log.read("imu_base")
+    assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == told.count(b"started") - 1
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_a_free_arm_with_an_icm20948_flies_in_real_time(tmp_path):
+    result, log, _ = rehearsed(tmp_path, INERTIAL, "--realtime", "--fault", "silent:imu_base:2:3", swing=4.0)
+    assert result["accounted"]
+    assert len(log.read("imu_base")) > 0.7 * 7.0 * 562.5
+    events = log.read("event")
+    assert b"bus_recovered" in events["code"][events["source"] == b"imu_base"].tolist()
 
 
 @pytest.mark.realtime

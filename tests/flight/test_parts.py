@@ -408,7 +408,7 @@ def test_a_timer_that_stands_still_costs_its_samples_and_nothing_else(tmp_path: 
 def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
     roles = roles_of(mixed_vehicle(tmp_path))
     wrist = tuple(f"wrist_{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz")
-    assert [imu.channels for imu in roles.imus] == [("imu_base",), ("imu_tip",), wrist]
+    assert [imu.channels for imu in roles.imus] == [("imu_base",), ("imu_elbow",), ("imu_tip",), wrist]
     assert roles.imu.frame == "body"
     assert {joint.joint: joint.channel for joint in roles.joints} == {
         "joint_1": "shoulder",
@@ -429,14 +429,14 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "bridge",
         "wrist_force",
     ]
-    assert roles.signals.keys() == {"imu_base", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
+    assert roles.signals.keys() == {"imu_base", "imu_elbow", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
         cell.channel for cell in roles.cells
     }
 
 
 def test_the_parts_of_an_imu_stand_side_by_side(tmp_path: Path) -> None:
     signals = SignalSmoother(mixed_vehicle(tmp_path))
-    names = roles_of(mixed_vehicle(tmp_path)).imus[2].channels
+    names = roles_of(mixed_vehicle(tmp_path)).imus[3].channels
     for place, name in enumerate(names):
         rows = scalar_rows(100 * (place + 1), 0.01, b"rad/s" if "gyro" in name else b"m/s^2")
         signals.append({name: rows if place else rows[rows["tick"] < 300_000_000]})

@@ -143,7 +143,6 @@ TITLES = {
 }
 ROOMS = {
     "i2c": "i2c",
-    "mpu6050": "i2c",
     "can": "can",
     "serial_line": "serial",
     "ur_rtde": "tcp",

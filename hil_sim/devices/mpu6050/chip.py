@@ -1,8 +1,7 @@
 """Simulated InvenSense MPU-6050 behind its I2C interface (RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4).
 
-Samples are made lazily, in one vectorised call to the physics, when the chip is addressed or 50 ms have gathered. A
-transfer is an instant: all that it reads belongs to its START, which is what the chip's shadow registers promise for a
-burst over 0x3B..0x48 (RM 4.18).
+All that a transfer reads belongs to its START: this is what the chip's shadow registers promise for a burst over
+0x3B..0x48 (RM 4.18).
 
 Where the documents are silent: the sample grid restarts at the next tick of the internal rate after a write that
 changes the rate or wakes the chip; DEVICE_RESET keeps the chip busy for 1 ms, in which writes are lost; INT_STATUS bits
@@ -14,29 +13,19 @@ stored without effect.
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.devices.i2c.twin import I2cTwin
+from hil_sim.devices.inertial.twin import InertialTwin
 from hil_sim.devices.mpu6050 import registers as reg
-from hil_sim.devices.mpu6050.ahead import Grid, SamplesAhead
-from hil_sim.devices.mpu6050.fifo import TwinFifo
-from hil_sim.devices.mpu6050.fsync import FsyncLatch
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, PowerCycle
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyClock
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
 
 _RESET_NS = 1_000_000
 _FAST_TICK_NS = 125_000  # 8 kHz: DLPF_CFG 0 and 7
 _SLOW_TICK_NS = 1_000_000
 _HIGHEST_REGISTER = 0x7F
-_SECOND_NS = 1_000_000_000
 _CONVERTING = slice(reg.CONFIG, reg.ACCEL_CONFIG + 1), slice(reg.PWR_MGMT_1, reg.PWR_MGMT_2 + 1)
 
-_FAULTS = (
-    *(FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, FaultKind.INTERMITTENT, FaultKind.NACK, FaultKind.TIMEOUT),
-    *(FaultKind.STUCK, FaultKind.SATURATED, FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLOW, FaultKind.CLOCK_JUMP),
-    *(FaultKind.WHO_AM_I, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS),
-)
 
-
-class Mpu6050Twin(I2cTwin):
+class Mpu6050Twin(InertialTwin):
     """One chip.
 
     Args:
@@ -65,101 +54,16 @@ class Mpu6050Twin(I2cTwin):
         trim: reg.FactoryTrim | None = None,
         self_test_error: float = 0.0,
     ) -> None:
-        super().__init__(address, start_ns, faults, _FAULTS)
-        self._analog = FaultyImu(analog, faults, start_ns)
-        if any(w.kind is FaultKind.CLOCK_JUMP and w.value > 0.0 for w in faults.windows):
-            raise FaultError(
-                f"{faults.device} counts samples and no time, its clock cannot be put forward; give a negative value."
-            )
-        self._healthy = clock
-        self._pll: ChipClock = FaultyClock(clock, faults)
+        super().__init__(address, start_ns, faults, analog, clock, reg.FIFO_SIZE)
         self._rc: ChipClock = FaultyClock(rc_clock or clock, faults)
         self._trim = trim or reg.FactoryTrim()
         self._self_test_gain = 1.0 + self_test_error
-        self._now_ns = start_ns
-        self._fsync = FsyncLatch()
-        self._fifo = TwinFifo()
-        self._made = 0  # samples
-        self._ahead = SamplesAhead(self._analog, self._convert)
-        self._grid = 0  # counts the restarts of the sample grid
-        self._shown = 0  # samples from the first to the last read out of the data registers as new
-        self._last_shown: tuple[int, int, float] | None = None  # its grid, its number, its mission time
-        self._true_period = (0, 1.0)  # a sample period of its own clock, ns, and how long it is, s
         self._power_up(start_ns)
 
-    @property
-    def produced(self) -> int:
-        """Samples written to the FIFO since it was last enabled."""
-        self._settle(self._now_ns)
-        return self._fifo.produced[-1]
-
-    @property
-    def sampled(self) -> int:
-        """Sample periods from the first to the last sample written to the FIFO, those in which it was off included.
-
-        While the chip is reset, asleep or without supply it makes none, or others: what counts is those it would have
-        made at the rate at which the FIFO was filled before.
-        """
-        self._settle(self._now_ns)
-        return sum(self._fifo.produced) + self._fifo.between
-
-    @property
-    def shown(self) -> int:
-        """Samples from the first to the last read as new: INT_STATUS, which says so, and the words in one transfer."""
-        return self._shown
-
-    @property
-    def produced_by_enable(self) -> tuple[int, ...]:
-        """Samples written to the FIFO in each of the periods in which it was enabled, the current one last."""
-        self._settle(self._now_ns)
-        return tuple(self._fifo.produced[1:])
-
-    @property
-    def fifo_fill(self) -> int:
-        """Bytes waiting in the FIFO."""
-        self._settle(self._now_ns)
-        return len(self._fifo)
-
-    def fsync(self, edge_ns: int, high_ns: int) -> None:
-        """The FSYNC pin goes high at ``edge_ns`` for ``high_ns``.
-
-        Raises:
-            ValueError: the edge lies before a sample that is already made; advance the source of the pulses first.
-        """
-        if self._faults.active(FaultKind.PULSE_DROP, edge_ns) is None:
-            self._mark(edge_ns, high_ns)
-
     def _mark(self, edge_ns: int, high_ns: int) -> None:
-        rise_s = (edge_ns - self._start_ns) * 1e-9
-        if rise_s < self._last_s:
-            raise ValueError(
-                f"FSYNC rose at {rise_s:.6f} s and the sample of {self._last_s:.6f} s is already made; "
-                "advance the pulse source before the chip."
-            )
-        self._fsync.high(rise_s, rise_s + high_ns * 1e-9)
+        super()._mark(edge_ns, high_ns)
         if self._reg[reg.INT_PIN_CFG] & 0x04:
             self._reg[reg.I2C_MST_STATUS] |= 0x80
-
-    def advance(self, now_ns: int) -> None:
-        """Time goes on; samples are made in batches, on a read or after 50 ms."""
-        self._now_ns = max(now_ns, self._now_ns)
-        super().advance(now_ns)
-
-    def _settle(self, now_ns: int) -> None:
-        """Make every sample that is due."""
-        if now_ns == self._settled_ns and not self._cycles:
-            return
-        for edge_ns in self._faults.spurious_edges(self._settled_ns, now_ns) if self._is_faulty else ():
-            self._mark(edge_ns, 300_000)
-        super()._settle(now_ns)
-
-    def _lose_power(self, cycle: PowerCycle) -> None:
-        self._power_up(cycle.down_ns)
-
-    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
-        """See ``I2cTwin``."""
-        self._now_ns = max(now_ns, self._now_ns)
-        return super().transfer(address, write, read_count, self._now_ns)
 
     def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
         if write:
@@ -182,23 +86,6 @@ class Mpu6050Twin(I2cTwin):
             self._reg[reg.INT_STATUS] = 0
         return bytes(answer)
 
-    def _show(self) -> None:
-        """The newest sample is read; those since the last one count as of the rate that the chip now has."""
-        if self._last_shown is None:
-            self._shown = 1
-        elif self._last_shown[0] == self._grid:
-            self._shown += self._made - self._last_shown[1]
-        else:
-            self._shown += max(round((self._last_s - self._last_shown[2]) / self._period_s()), 1)
-        self._last_shown = self._grid, self._made, self._last_s
-
-    def _period_s(self) -> float:
-        """A sample period in true time."""
-        if self._true_period[0] != self._period_ns:
-            shown_ns = self._healthy.chip_ns(self._start_ns + _SECOND_NS) - self._healthy.chip_ns(self._start_ns)
-            self._true_period = self._period_ns, self._period_ns / shown_ns
-        return self._true_period[1]
-
     def _step_pointer(self) -> None:
         if self._pointer != reg.FIFO_R_W:
             self._pointer = (self._pointer + 1) & _HIGHEST_REGISTER
@@ -211,15 +98,11 @@ class Mpu6050Twin(I2cTwin):
         self._fifo.power_up()
         self._pointer = 0
         self._busy_until_ns = 0
-        self._last = np.zeros(7, np.int16)
-        self._last_s = (now_ns - self._start_ns) * 1e-9
-        self._restart_grid(now_ns)
+        self._wake(now_ns)
 
     # Sampling
 
     def _restart_grid(self, now_ns: int) -> None:
-        """Take rate and oscillator from the registers; the next sample falls on the next tick of the internal rate."""
-        self._grid += 1
         power = self._reg[reg.PWR_MGMT_1]
         clksel = power & 0x07
         self._running = not power & 0x40 and clksel <= 3
@@ -230,28 +113,19 @@ class Mpu6050Twin(I2cTwin):
             self._period_ns = reg.LP_WAKE_PERIOD_NS[self._reg[reg.PWR_MGMT_2] >> 6]
         else:
             self._period_ns = self._tick_ns * (1 + self._reg[reg.SMPLRT_DIV])
-        self._next_chip_ns = (self._clock.chip_ns(now_ns) // self._tick_ns + 1) * self._tick_ns
+        super()._restart_grid(now_ns)
 
-    def _run(self, until_ns: int) -> None:
-        if not self._running:
-            self._last_s = max(self._last_s, (until_ns - self._start_ns) * 1e-9)  # the FSYNC latch rests too
-            self._fsync.forget(self._last_s)
-            return
-        chip_ns = self._clock.chip_ns(until_ns)
-        if chip_ns < self._next_chip_ns:
-            return
-        n = (chip_ns - self._next_chip_ns) // self._period_ns + 1
-        latest_s = (until_ns - self._start_ns) * 1e-9
-        settings = self._grid, *(bytes(self._reg[part]) for part in _CONVERTING)
-        is_same = not (self._faults or reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]))
-        grid = Grid(self._next_chip_ns, self._period_ns, self._clock, settings if is_same else ())
-        times_s, counts = self._ahead.next(int(n), grid, latest_s)  # (n,), (n, 7)
-        self._next_chip_ns += n * self._period_ns
-        self._made += int(n)
-        self._fsync.latch(counts, times_s, self._last_s, reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7])
-        self._last = counts[-1]
-        self._last_s = float(times_s[-1])
-        self._fsync.forget(self._last_s)
+    @property
+    def _settings(self) -> tuple[object, ...]:
+        if reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]):
+            return ()
+        return tuple(bytes(self._reg[part]) for part in _CONVERTING)
+
+    @property
+    def _sync_column(self) -> int | None:
+        return reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7]
+
+    def _store(self, counts: NDArray[np.int16], times_s: NDArray[np.float64]) -> None:
         self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = self._last.astype(">i2").tobytes()
         self._reg[reg.INT_STATUS] |= reg.INT_DATA_RDY
         self._fill_fifo(counts, times_s)

@@ -1,17 +1,19 @@
-"""The FIFO of the simulated MPU-6050 (RM 4.29, 4.30): bytes that forget their oldest, and what ever went into it."""
-
-from hil_sim.devices.mpu6050 import registers as reg
+"""The FIFO of a simulated chip: bytes that forget their oldest, and what ever went into it."""
 
 
 class TwinFifo:
-    """1024 bytes, and the accounts of the samples written.
+    """Bytes, and the accounts of the samples written.
+
+    Args:
+        size: How many.
 
     Attributes:
         produced: Samples written in each of the periods in which it was enabled, the current one last.
         between: Sample periods between two times in which it was filled.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
+        self._size = size
         self.produced = [0]
         self.between = 0
         self._bytes = bytearray()
@@ -54,15 +56,15 @@ class TwinFifo:
         return self.write(data)
 
     def write(self, data: bytes) -> bool:
-        """Append bytes; whether it ran over, and the oldest are lost (RM 4.30)."""
+        """Append bytes; whether it ran over, and the oldest are lost."""
         self._bytes += data
-        excess = len(self._bytes) - reg.FIFO_SIZE
+        excess = len(self._bytes) - self._size
         if excess > 0:
             del self._bytes[:excess]
         return excess > 0
 
     def pop(self, count: int, is_enabled: bool) -> bytes:
-        """Bytes read; when it is empty or disabled, the last byte read, again and again (RM 4.33)."""
+        """Bytes read; when it is empty or disabled, the last byte read, again and again."""
         taken = b""
         if is_enabled:
             taken = bytes(self._bytes[:count])

@@ -1,4 +1,4 @@
-"""Samples that the simulated MPU-6050 converts ahead: one conversion of many costs hardly more than one of ten.
+"""Samples that a simulated chip converts ahead: one conversion of many costs hardly more than one of ten.
 
 They are good as long as no register that they depend on is written, and the input's future is known.
 """

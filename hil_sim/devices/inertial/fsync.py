@@ -1,4 +1,4 @@
-"""The FSYNC latch of the simulated MPU-6050 (RM 4.3): a pulse on the pin marks one bit of the next sample."""
+"""The FSYNC latch of a simulated chip (RM-MPU-6000A 4.3): a pulse on the pin marks one bit of the next sample."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,0 +1,1 @@
+"""Simulated inertial chips: what they share (samples made lazily, FSYNC latch, FIFO), and those of a single file."""

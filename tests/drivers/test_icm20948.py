@@ -1,0 +1,321 @@
+"""ICM-20948: packets, banks, and the driver against a chip typed from the data sheet."""
+
+import errno
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ConfigurationError, FrameError
+from drivers.i2c.banked import BankedBus
+from drivers.inertial.icm20948 import Icm20948, Icm20948Config, decode_packets, identify
+from drivers.records import SampleStatus
+from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.i2c_model import MS
+from tests.drivers.icm20948_model import Icm20948Model
+
+NAME = "imu"
+SATURATED, AFTER_RESET = int(SampleStatus.SATURATED), int(SampleStatus.AFTER_RESET)
+STEADY = ["started"]
+
+
+class Flight:
+    def __init__(self, clock, config=None, fail=lambda number: 0, **chip):
+        self.clock, self.chip = clock, Icm20948Model(clock, **chip)
+        self.chip.fail = fail
+        self.device = Icm20948(NAME, self.chip, config)
+        self.batches = self.device.start(clock())
+
+    def fly(self, seconds):
+        until_ns = self.clock() + round(seconds * 1e9)
+        while self.clock() < until_ns:
+            self.clock.advance(self.device.period_ns)
+            self.batches += self.device.pump(self.clock())
+
+    def rows(self):
+        return whole(self.batches, NAME)
+
+    def worst(self):
+        """Largest error of a number, in samples, against those of the chip from the first row on."""
+        rows = self.rows()
+        true = rows["accel_raw"][:, 0].astype(int)
+        return int(np.abs(np.diff(true) - np.diff(rows["sequence"].astype(int))).max())
+
+
+@pytest.fixture
+def flight(clock):
+    return Flight(clock)
+
+
+def test_a_packet_is_accel_gyro_and_temperature_in_big_endian_words():
+    data = bytes.fromhex("0001 fffe 7fff 0010 8000 ff00 0b37 0001 0002 0003 0004 0005 0006 0b36")
+    rows = decode_packets(data, Icm20948Config(accel_range_g=8, gyro_range_deg_s=1000))
+    assert rows["accel_raw"].tolist() == [[1, -2, 32767], [1, 2, 3]]
+    assert rows["gyro_raw"].tolist() == [[16, -32768, -256], [4, 5, 6]]
+    assert rows["temperature_raw"].tolist() == [0x0B37, 0x0B36]
+    assert rows["sync"].tolist() == [1, 0]
+    assert rows["status"].tolist() == [SATURATED, 0]
+    assert rows["accel_scale_m_s2"][0] == pytest.approx(9.80665 / 4096.0)
+    assert rows["gyro_scale_rad_s"][0] == pytest.approx(np.deg2rad(1.0 / 32.8))
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_packets_or_refused(data):
+    if len(data) % 14:
+        with pytest.raises(FrameError, match="no whole number"):
+            decode_packets(data, Icm20948Config())
+    else:
+        assert len(decode_packets(data, Icm20948Config())) == len(data) // 14
+
+
+@pytest.mark.parametrize("longest", [14, 30, 8192])
+def test_rows_are_the_same_however_the_fifo_is_read(clock, longest):
+    flight = Flight(clock, Icm20948Config(max_transfer_bytes=longest))
+    flight.fly(1.0)
+    assert codes(flight.batches) == STEADY
+    rows = flight.rows()
+    true = rows["accel_raw"][:, 0].astype(int)
+    assert np.array_equal(true - true[0], rows["tick"])
+    assert rows["gyro_raw"].tolist() == [[3, 4, 5]] * len(rows)
+    assert np.array_equal(rows["sync"], true % 7 == 0)
+    reads = [transfer[2] for transfer in flight.chip.transfers if transfer[:2] == ("read", 0x72)]
+    assert max(reads) <= longest
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"address": 0x6A},
+        {"sample_rate_hz": 1000.0},
+        {"accel_range_g": 3},
+        {"gyro_range_deg_s": 300},
+        {"filter_code": 7},
+        {"poll_period_ms": 33.0},
+        {"max_transfer_bytes": 13},
+    ],
+)
+def test_what_it_has_not_is_refused(wrong):
+    with pytest.raises(ConfigurationError):
+        Icm20948Config(**wrong)
+
+
+def test_the_set_up_is_these_transactions(flight):
+    flight.fly(0.3)
+    wrote = [data for kind, *data in flight.chip.transfers if kind == "write"]
+    assert wrote == [
+        *([0x06, 0x80], [0x06, 0x01], [0x06, 0x01], [0x07, 0x00], [0x05, 0x00]),
+        *([0x7F, 0x20], [0x01, 0x11], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),  # 250 deg/s, 119.5 Hz; read back
+        *([0x7F, 0x20], [0x14, 0x13], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),  # 4 g, 111.4 Hz
+        *([0x7F, 0x20], [0x52, 0x01], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),  # FSYNC into the temperature
+        *([0x7F, 0x20], [0x09, 0x01], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),
+        *([0x7F, 0x20], [0x00, 0x01], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),  # 562.5 Hz
+        *([0x7F, 0x20], [0x10, 0x00], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),
+        *([0x7F, 0x20], [0x11, 0x01], [0x7F, 0x00], [0x7F, 0x20], [0x7F, 0x00]),
+        *([0x12, 0x1F], [0x69, 0x00], [0x66, 0x00]),
+        *([0x67, 0x00], [0x03, 0x40], [0x68, 0x1F], [0x68, 0x00], [0x67, 0x1F]),
+    ]
+
+
+@pytest.mark.parametrize(("accel", "accel_code"), [(2, 0), (8, 4), (16, 6)])
+@pytest.mark.parametrize(("gyro", "gyro_code", "rate", "divider"), [(500, 2, 1125.0, 0), (2000, 6, 225.0, 4)])
+def test_ranges_rate_and_filter_are_in_the_registers(clock, accel, accel_code, gyro, gyro_code, rate, divider):
+    config = Icm20948Config(accel_range_g=accel, gyro_range_deg_s=gyro, sample_rate_hz=rate, filter_code=5)
+    flight = Flight(clock, config)
+    flight.fly(1.0)
+    registers = flight.chip.registers
+    assert (registers[0x214], registers[0x201]) == (0x29 | accel_code, 0x29 | gyro_code)
+    assert (registers[0x200], registers[0x211]) == (divider, divider)
+    assert len(flight.rows()) == pytest.approx(0.79 * rate / 1.004, abs=0.02 * rate)
+
+
+def set_up_transfers(clock):
+    flight = Flight(clock)
+    while "started" not in codes(flight.batches):
+        flight.fly(0.001)
+    return len(flight.chip.transfers)
+
+
+@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
+def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
+    for place in range(set_up_transfers(clock)):
+        flight = Flight(clock, fail=lambda number, place=place: code if number == place else 0)
+        flight.fly(0.5)
+        assert codes(flight.batches) == STEADY, place
+        assert flight.device.bus_errors == 1
+        assert len(flight.rows()) > 100
+
+
+def test_a_bus_that_dies_at_any_transaction_of_the_set_up_is_told_once_and_tried_again(clock):
+    for place in range(0, set_up_transfers(clock), 2):
+        dead = {"until": 1 << 30}
+        flight = Flight(
+            clock, fail=lambda number, place=place, dead=dead: errno.ENXIO if place <= number < dead["until"] else 0
+        )
+        flight.fly(2.0)
+        (told,) = codes(flight.batches)
+        assert told in ("no_answer", "bus_error"), place
+        assert "check its power" in texts(flight.batches, told)[0]
+        dead["until"] = 0
+        flight.chip.reset()
+        flight.fly(2.0)
+        assert codes(flight.batches)[-2:] == ["bus_recovered", "started"], place
+        assert len(flight.rows()) > 100
+
+
+def test_another_chip_is_named(clock):
+    flight = Flight(clock)
+    flight.chip.registers[0x000] = 0x71
+    flight.batches = flight.device.start(clock())
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["wrong_device"]
+    assert "WHO_AM_I 0x71" in texts(flight.batches, "wrong_device")[0]
+    assert identify(flight.chip, 0x69) is None
+    flight.chip.reset()
+    assert identify(flight.chip, 0x69) == "ICM-20948"
+
+
+@pytest.mark.parametrize("bank", [1, 2, 3])
+def test_a_chip_that_was_left_in_another_bank_is_found(clock, bank):
+    flight = Flight(clock)
+    flight.chip.bank = bank
+    flight.batches = flight.device.start(clock())
+    flight.fly(1.0)
+    assert codes(flight.batches) == STEADY
+
+
+@pytest.mark.parametrize("register", [0x007, 0x201, 0x211, 0x252])
+def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, register):
+    flight = Flight(clock)
+    flight.chip.stuck[register] = 0x2A
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["configuration"]
+    assert len(of(flight.batches, NAME)) == 0
+
+
+def test_a_bank_whose_selection_fails_is_selected_before_the_next_access(clock):
+    chip = Icm20948Model(clock)
+    bus = BankedBus(chip, 0x69, 0x7F)
+    assert bus.byte(0x214) == 0x01
+    first = len(chip.transfers)
+    chip.fail = lambda number: errno.EIO if first + 2 <= number < first + 5 else 0  # back to bank 0, all three tries
+    with pytest.raises(OSError, match="Input/output"):
+        bus.byte(0x214)
+    assert chip.bank == 2
+    assert bus.byte(0x000) == 0xEA
+    assert chip.bank == 0
+
+
+# Samples
+
+
+@pytest.mark.parametrize("error", [-0.02, 0.0, 1e-6, 0.013])
+def test_every_sample_is_a_row_with_its_number(clock, error):
+    flight = Flight(clock, rate_error=error)
+    flight.fly(8.0)
+    assert len(of(flight.batches, "gap")) == 0
+    assert flight.worst() == 0
+    assert set(flight.rows()["status"]) == {0}
+
+
+def test_late_polls_overflow_the_fifo_and_what_is_lost_is_counted(flight, rng):
+    flight.fly(4.0)
+    for _ in range(20):
+        flight.clock.advance(int(rng.uniform(70.0, 200.0) * MS))
+        flight.fly(0.3)
+    gaps = of(flight.batches, "gap")
+    assert len(gaps) == 20
+    assert set(gaps["cause"]) == {b"fifo_overflow"}
+    assert flight.worst() <= 1
+
+
+@pytest.mark.parametrize("count", [513, 4096])
+def test_a_count_beyond_the_data_sheets_size_is_an_overflow(flight, count):
+    """Parts have been seen to hold 4096 bytes."""
+    flight.fly(4.0)
+    flight.clock.advance(1000 * MS)
+    flight.chip.stuck |= {0x70: count >> 8, 0x71: count & 0xFF}
+    flight.fly(0.01)
+    flight.chip.stuck.clear()
+    flight.fly(1.0)
+    assert codes(flight.batches)[:2] == ["started", "fifo_overflow"]
+    assert flight.worst() <= 1
+
+
+@pytest.mark.parametrize("code", [errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.ENODEV])
+def test_a_bus_error_at_any_transaction_in_flight_is_survived(clock, code):
+    for later in range(12):
+        flight = Flight(clock)
+        flight.fly(4.0)
+        first = len(flight.chip.transfers) + later
+        flight.chip.fail = lambda number, first=first: code if first <= number < first + 5 else 0
+        flight.fly(1.0)
+        said = [one for one in codes(flight.batches)[1:] if one != "fifo_overflow"]
+        assert said == ["bus_error", "bus_recovered"], (later, said)
+        assert flight.worst() <= 1
+
+
+def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
+    flight.fly(20.0)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(10.0)
+    flight.chip.fail = lambda number: 0
+    flight.fly(3.0)
+    assert codes(flight.batches) == ["started", "bus_error", "bus_recovered", "fifo_overflow"]
+    assert flight.worst() <= 2
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"bus_error"
+    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 562.5, abs=600)  # and the back-off
+
+
+def test_a_brown_out_is_found_and_it_is_set_up_again(flight):
+    flight.fly(4.0)
+    flight.chip.reset()
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["started", "brown_out", "started"]
+    rows = flight.rows()
+    assert (rows["status"] & AFTER_RESET != 0).sum() == 1
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"brown_out"
+    assert flight.chip.registers[0x252] == 1
+
+
+@pytest.mark.parametrize(("register", "value"), [(0x006, 0x41), (0x201, 0x13), (0x214, 0x01), (0x252, 0), (0x067, 1)])
+def test_a_flipped_bit_is_found_within_a_second(flight, register, value):
+    flight.fly(2.0)
+    flight.chip.registers[register] = value
+    flight.fly(2.5)
+    assert codes(flight.batches)[1:] in (["configuration_lost", "started"], ["brown_out", "started"])
+    assert flight.chip.registers[register] != value
+
+
+def test_a_chip_that_stops_sampling_is_reset(flight):
+    flight.fly(2.0)
+    flight.chip.runs = False
+    flight.fly(1.0)
+    assert codes(flight.batches)[1] == "no_samples"
+    flight.chip.runs = True
+    flight.fly(2.0)
+    assert len(flight.rows()) > 1500
+
+
+def test_samples_that_repeat_are_not_valid(flight):
+    flight.chip.values = lambda number: [7, 1, 2, 3, 4, 5, 100]
+    flight.fly(2.0)
+    assert "stuck" in codes(flight.batches)
+    assert set(flight.rows()["status"][-100:]) == {int(SampleStatus.NOT_VALID)}
+
+
+def test_rows_and_gaps_add_up_through_stops_and_starts(clock, flight):
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    assert flight.chip.registers[0x006] == 0x41
+    assert not flight.chip.fifo
+    clock.advance(3_000 * MS)
+    flight.batches += flight.device.start(clock())
+    flight.fly(1.0)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    flight.rows()
+    assert codes(flight.batches)[-1] == "stopped"
