@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from bench.block_system import BlockState, BlockSystem
-from onboard.dynamics.mechanics.chain import Chain
+from onboard.dynamics.mechanics.chain import SerialChain
 from onboard.estimation.arrays import FloatArray
 
 
-def ball_jointed(chain: Chain, step_s: float) -> mujoco.MjModel:
+def ball_jointed(chain: SerialChain, step_s: float) -> mujoco.MjModel:
     """The same chain in MJCF, its joints spherical."""
 
     def numbers(values: FloatArray) -> str:
@@ -48,7 +48,7 @@ class BlockRace:
         ours_s, theirs_s: CPU time that each took so far.
     """
 
-    def __init__(self, chain: Chain, relative: FloatArray, step_s: float) -> None:
+    def __init__(self, chain: SerialChain, relative: FloatArray, step_s: float) -> None:
         n = len(chain.mass)
         self.system, self.step_s = BlockSystem(chain), step_s
         self.model = ball_jointed(chain, step_s)

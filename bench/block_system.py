@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 from scipy.linalg.lapack import dposv
 
-from onboard.dynamics.mechanics.chain import Chain
+from onboard.dynamics.mechanics.chain import SerialChain
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
@@ -41,7 +41,7 @@ class BlockSystem:
         SignalError: fewer than two bodies.
     """
 
-    def __init__(self, chain: Chain) -> None:
+    def __init__(self, chain: SerialChain) -> None:
         n = len(chain.mass)
         if n < 2:
             raise SignalError("a block system joins two bodies or more")

@@ -22,7 +22,7 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
+from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
@@ -73,7 +73,7 @@ def fly(seed: int) -> ResyncFlight:
     count = 2.0 * np.pi / COUNTS_PER_TURN
     angle = (np.floor(motion.at(true_s)[0] / count) + 0.5) * count
     sigma = imu.rate_sigma_rad_s, imu.specific_force_sigma_m_s2
-    recorded = Recorded(imu.time_s, imu.rate_rad_s, imu.specific_force_m_s2, sigma, own_s, angle)
+    recorded = RecordedPair(imu.time_s, imu.rate_rad_s, imu.specific_force_m_s2, sigma, own_s, angle)
     shared = (imu.time_s >= true_s[0]) & (imu.time_s <= true_s[-1])
     whole = (imu.time_s, imu.angle_rad, imu.rate_rad_s, imu.specific_force_m_s2)
     synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), IMU_PRIOR).fit()

@@ -31,7 +31,7 @@ _FAR_rad = 2.5  # of a joint from its zero: its cable
 SPACING_SIGMA_m, LENGTH_SIGMA_m = 1e-4, 3e-4  # of strings that were measured with a rule
 
 
-class Bench(Mission):
+class BenchMission(Mission):
     """A mission that stands on a bench.
 
     Args:
@@ -132,7 +132,7 @@ def part_readings(scenario: str | Scenario, seed: int, link: str, rig: Mapping[s
 
 def open_bench(
     kind: str, scenario: str | Scenario, seed: int, devices: set[str], settings: Mapping[str, Any]
-) -> tuple[Bench, dict[str, str]]:
+) -> tuple[BenchMission, dict[str, str]]:
     """A bench on buses inside this process, its clock the mission's own ``now_ns``.
 
     Args:
@@ -154,7 +154,7 @@ def open_bench(
     ticking = {clock for name, one in registry.read(kept).items() for clock in one.clocks(name)}
     clocks = {name: table for name, table in whole.clock.items() if name in ticking}
     there = whole.model_copy(update={"device": kept, "clock": clocks, "fault": ()})
-    stands = Bench(kind, there, seed, settings)
+    stands = BenchMission(kind, there, seed, settings)
     with ExitStack() as stack:
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
         ports = stack.enter_context(in_process(whole.bus, Path(directory), lambda: stands.now_ns, seed=seed))

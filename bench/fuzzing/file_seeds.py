@@ -11,7 +11,7 @@ from bench.fuzzing.files import MEMBER, ROCKSAT, SPLIT, as_list
 from drivers import records
 from onboard import channels, config
 from onboard.config.segments import Library, to_bytes
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.writer import LogWriter
 
 FACTS = {"flight": {"vehicle": "x", "wall_clock_ns": "1565611200000000000", "monotonic_ns": "0"}}
@@ -83,7 +83,7 @@ def _segments(place: Path) -> bytes:
     """A flight in segments, as a list of records."""
     step_ns = 50_000_000
     log = SegmentedLog(
-        place / "x.mcap", Preamble("f1", (), FACTS), limits=Limits(span_ns=2 * step_ns), sync_interval_ns=0
+        place / "x.mcap", Preamble("f1", (), FACTS), limits=SegmentLimits(span_ns=2 * step_ns), sync_interval_ns=0
     )
     log.register("a", records.CAN_SYNC)
     for step in range(5):

@@ -28,7 +28,7 @@ from onboard.flight.estimate.problem.identification import UNMARKED_CLOCK_s, bui
 from onboard.flight.estimate.readings.cyclic import cyclic_functions
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
-from onboard.ground.campaign.results import Answer, FlightResult
+from onboard.ground.campaign.results import FlightAnswer, FlightResult
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
@@ -60,14 +60,14 @@ class Lies(NamedTuple):
     joint_late_s: float = 0.0  # of joint 4
     gyro_scale: float = 0.0  # of gyro and accelerometer, from the middle of the flight on
     warming_K: float = 0.0  # noqa: N815 - within 25 s
-    slosh: free_flyer.Slosh | None = None
+    slosh: free_flyer.IsotropicSlosh | None = None
     compliance_rad_N_m: float = 0.0  # noqa: N815
 
 
 class Covered(NamedTuple):
     """One flight's answer."""
 
-    answers: tuple[Answer, ...]  # mass, centre, inertia
+    answers: tuple[FlightAnswer, ...]  # mass, centre, inertia
     nees: float  # of the standard parameters, without the misfit's widening
     changes: int
     refused: str  # why no answer is to be used
@@ -89,7 +89,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     said = dict(settings)
     box, stated = BOXES[said.pop("payload")], said.pop("stated", None)
     if "slosh" in said:
-        said["slosh"] = free_flyer.Slosh(**said["slosh"])
+        said["slosh"] = free_flyer.IsotropicSlosh(**said["slosh"])
     found = flown(box, Lies(**said), seed, stated)
     return FlightResult(found.answers, events=("change",) * found.changes, detections=found.changes)
 
@@ -245,7 +245,7 @@ def _judged(box: free_flyer.Body, online: ExiddmIdentifier) -> Covered:
     answers = []
     for name, unit, found, true in zip(BODY, BODY_UNITS, estimate.quantities, wanted, strict=True):
         level, why = standing(found, findings)
-        said = Answer(name, unit, float(true), found.mean, found.low, found.high, found.sigma)
+        said = FlightAnswer(name, unit, float(true), found.mean, found.low, found.high, found.sigma)
         supported = bool(np.isfinite(found.mean)) and level is not Level.DO_NOT_USE
         answers.append(said._replace(supported=supported, level=str(level), why=why, leans=found.leans))
     nees = np.nan

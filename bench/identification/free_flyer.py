@@ -24,7 +24,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import BodyEstimate, numbers_of, standard_covariance, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.ground.campaign.results import Answer
+from onboard.ground.campaign.results import FlightAnswer
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
@@ -149,11 +149,11 @@ def bound(exiddm: Exiddm, model: VehicleModel, recorded: Recorded, body: free_fl
     return exiddm.bound(exiddm.parameters(_momentum(model, chi, signals, rate), _rigid(body)))
 
 
-def answers(body: free_flyer.Body, found: BodyEstimate | None, least: BodyEstimate) -> tuple[Answer, ...]:
+def answers(body: free_flyer.Body, found: BodyEstimate | None, least: BodyEstimate) -> tuple[FlightAnswer, ...]:
     """Mass, centre and inertia beside the truth and the bound; without an interval where there is no estimate."""
     truth, bound = _rigid(body), np.sqrt(np.diag(least.covariance))
     told = [
-        Answer(name, unit, float(true), bound=float(own), level=str(Level.WEAK))
+        FlightAnswer(name, unit, float(true), bound=float(own), level=str(Level.WEAK))
         for name, unit, true, own in zip(BODY, BODY_UNITS, numbers_of(truth), bound, strict=True)
     ]
     if found is None:

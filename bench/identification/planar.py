@@ -31,7 +31,7 @@ from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.ground.campaign.results import Answer, FlightResult
+from onboard.ground.campaign.results import FlightAnswer, FlightResult
 from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 
@@ -92,7 +92,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     drag = drags[dragging]
     truth = [body.mass_kg, *body.centre_of_mass_m[:2], body.inertia_kg_m2[2, 2], drag.viscous_N_s_m, drag.coulomb_N]
     told = [
-        Answer(name, unit, float(true), level=str(Level.WEAK))
+        FlightAnswer(name, unit, float(true), level=str(Level.WEAK))
         for name, unit, true in zip(names, units, truth, strict=True)
     ]
     try:

@@ -58,14 +58,14 @@ class As5600Config:
             )
 
 
-class Reading(NamedTuple):
+class Transfer(NamedTuple):
     """Content of one transfer."""
 
     counts: int  # 0..4095
     status: int  # STATUS
 
 
-def decode_reading(data: bytes) -> Reading:
+def decode_reading(data: bytes) -> Transfer:
     """STATUS and RAW ANGLE (0Bh to 0Dh).
 
     Raises:
@@ -73,7 +73,7 @@ def decode_reading(data: bytes) -> Reading:
     """
     if len(data) != 3 or data[0] & ~(DETECTED | WEAK | STRONG) or data[1] & 0xF0:
         raise FrameError(f"{data[:8].hex(' ')} is no status and angle of an AS5600: check bus and address")
-    return Reading(data[1] << 8 | data[2], data[0])
+    return Transfer(data[1] << 8 | data[2], data[0])
 
 
 def identify(port: I2cPort, address: int) -> str | None:

@@ -94,7 +94,7 @@ class FreeFlightSignals(NamedTuple):
     wheel_rad_s: FloatArray  # (n, w) of the reaction wheels against the base
 
 
-class Slosh(NamedTuple):
+class IsotropicSlosh(NamedTuple):
     """A part of the base's mass that swings about the base's centre of mass along all axes."""
 
     mass_kg: float
@@ -135,7 +135,7 @@ def arm_xml(held: str, arm: Sequence[Body] = ARM, offsets_m: FloatArray = AS_DRA
     return held
 
 
-def _slosh_xml(slosh: Slosh, centre_m: FloatArray) -> str:
+def _slosh_xml(slosh: IsotropicSlosh, centre_m: FloatArray) -> str:
     rate = 2.0 * np.pi * slosh.frequency_Hz
     spring = f'stiffness="{slosh.mass_kg * rate**2!r}" damping="{2.0 * slosh.damping_ratio * slosh.mass_kg * rate!r}"'
     slides = "".join(f'<joint type="slide" axis="{axis}" {spring}/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
@@ -149,7 +149,7 @@ def world(
     arm: Sequence[Body] = ARM,
     step_s: float = 2e-3,
     offsets_m: FloatArray = AS_DRAWN,
-    slosh: Slosh | None = None,
+    slosh: IsotropicSlosh | None = None,
     wheels: Sequence[Wheel] = (),
 ) -> mujoco.MjModel:
     """MuJoCo model of the vehicle: a free base with its wheels, five hinges, the payload welded to the last link."""

@@ -27,7 +27,7 @@ from hil_sim.plants.drives.servos import Servo, install, of_all, stiffen
 from hil_sim.plants.motions.carrier import Carrier, turned
 from hil_sim.plants.parts.exchange import Jolt, Momenta, Released
 from hil_sim.plants.urdf_model import Places, UrdfModel
-from hil_sim.plants.vehicle_flight import JointMotion, Rows
+from hil_sim.plants.vehicle_flight import FlownJoints, Rows
 from hil_sim.scenario.part_tables import DragTable, StopTable
 
 _HEAVIER = 1e6  # times the arm's mass, and at least so many kg, is a prescribed base
@@ -68,7 +68,7 @@ class ServoFlight:
     def __init__(
         self,
         vehicle: UrdfModel,
-        motion: JointMotion,
+        motion: FlownJoints,
         places: Places,
         link: str | None,
         step_s: float,

@@ -33,7 +33,7 @@ _POSES = 64  # of the motion in which springs are checked: its turns are slower 
 _LATER = int(mujoco.mjtStage.mjSTAGE_VEL)  # stages of inverse dynamics that are done already
 
 
-class JointMotion(Protocol):
+class FlownJoints(Protocol):
     """The joints' motion."""
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -75,7 +75,7 @@ class VehicleFlight:
     def __init__(
         self,
         vehicle: UrdfModel,
-        motion: JointMotion,
+        motion: FlownJoints,
         places: Places,
         link: str | None,
         step_s: float,

@@ -28,7 +28,7 @@ class ParabolicRuns(Table):
         return f"{self.speed} {self.joints.replace('_', ' ')}"
 
 
-class Moved(Table):
+class TipMotionTable(Table):
     """``[parabolas.pitch]``, ``[parabolas.yaw]``: a joint, and how far the tip of the arm is from its axis."""
 
     joint: str
@@ -55,8 +55,8 @@ class Parabolas(Table):
     low_s: PositiveFloat = 22.0
     tip_m_s: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.05, 0.10, 0.25)
     strokes: tuple[PositiveInt, PositiveInt, PositiveInt] = (1, 2, 3)
-    pitch: Moved
-    yaw: Moved
+    pitch: TipMotionTable
+    yaw: TipMotionTable
     release_s: Range = (3.0, 4.5)
     motion_at_s: PositiveFloat = 5.5
     motion_s: PositiveFloat = 12.0

@@ -194,7 +194,7 @@ class SequenceStep(Table):
         return self
 
 
-class Motion(Table):
+class MotionTable(Table):
     """``[motion]``: of the joints. ``posture``: by joint, rad or m; drawn near the middle of its range where not given.
 
     ``posture_spread``: a posture that is given is drawn within +- this, rad or m.
@@ -337,7 +337,7 @@ class Scenario(Table):
     payload: PayloadTable | None = None
     capture: CaptureWindow | None = None
     ejection: EjectionTable | None = None
-    motion: Motion = Field(default_factory=Motion.model_construct)
+    motion: MotionTable = Field(default_factory=MotionTable.model_construct)
     base_motion: BaseSway = Field(default_factory=BaseSway.model_construct)
     friction: JointFriction = Field(default_factory=JointFriction.model_construct)
     table: TableTop = Field(default_factory=TableTop.model_construct)

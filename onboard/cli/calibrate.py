@@ -331,10 +331,10 @@ def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: s
 
 
 def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
-    from onboard.ground.calibrate.load_cell import Masses, calibrate_load_cell
+    from onboard.ground.calibrate.load_cell import HungMasses, calibrate_load_cell
     from onboard.ground.calibrate.readings import readings
 
-    hung = Masses(
+    hung = HungMasses(
         a.masses_kg, 1e-3 * a.mass_sigma_g, _place(a), a.arm_m, 1e-3 * a.arm_sigma_mm, 1e-2 * a.combined_error_percent
     )
     channel = next(iter(v.file.device[device].channels(device)))

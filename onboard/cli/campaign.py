@@ -148,7 +148,7 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
             said = f"dashboard: {link}" if len(links) == 1 else "the scheduler was away, and is back"
             bar.console.print(said, soft_wrap=True)
 
-        engine.run(left, content.revision, fly, where, store, engine.Watcher(dashboard, count))
+        engine.run(left, content.revision, fly, where, store, engine.CampaignWatcher(dashboard, count))
     failed = store.failures(items)
     flown = sum(store.is_done(address) for address in items)
     shell.print(

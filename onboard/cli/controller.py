@@ -107,7 +107,7 @@ def _run(
     from onboard.ground.before.control.trials_log import TrialsLog
 
     adopted = None if arguments.identified is None else adopted_urdf(vehicle, arguments.identified, arguments.seed)
-    asked = run.Asked(
+    asked = run.TrialRequest(
         arguments.controller,
         arguments.trials,
         adopted,

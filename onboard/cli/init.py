@@ -10,7 +10,7 @@ from onboard.cli.common import OK, Commands, bus_and_url, busy
 
 if TYPE_CHECKING:
     from onboard.ground.before.init.drawing import Drawn
-    from onboard.ground.before.init.vehicle import Wanted
+    from onboard.ground.before.init.vehicle import NewVehicle
 
 _QUESTIONS = (
     ("base", "What is the base? free, prescribed, fixed, planar", "free"),
@@ -97,7 +97,7 @@ def _body(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--{given[0].replace('_', '-')}: a body by its --thrusters has no arm; leave it out")
     drawn = drawing.read(arguments.urdf, arguments.base, recorded=True) if arguments.urdf else None
     name, marker = arguments.name or arguments.directory.resolve().name, arguments.marker or "marker"
-    wanted = body.Body(name, tuple(body.names_of(arguments.thrusters)), arguments.force, drawn, marker)
+    wanted = body.NewBody(name, tuple(body.names_of(arguments.thrusters)), arguments.force, drawn, marker)
     if arguments.marker and (drawn is None or marker not in drawn.frames):
         raise ValueError(f"the URDF has no link {marker!r}" if drawn else f"{marker!r}: give the --urdf that has it")
     return _written(body.write(wanted, arguments.directory), drawn.notes if drawn else ())
@@ -197,9 +197,9 @@ def _answering(known: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, str, s
     return found
 
 
-def _wanted(arguments: argparse.Namespace) -> "Wanted":
+def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
     from onboard.ground.before.init import drawing
-    from onboard.ground.before.init.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
+    from onboard.ground.before.init.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, NewVehicle
 
     encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
     usual = "recorded" if encoder == "recorded" else "mpu6050"
@@ -227,4 +227,4 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
     frames = arguments.imu_frame or own, arguments.payload_link or "payload"
     gains = tuple(float(part) for part in arguments.gains.split(",")) if arguments.gains else ()
     pulse = not arguments.no_pulse
-    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains)
+    return NewVehicle(name, arguments.base, tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains)

@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
 
 def _merge(arguments: argparse.Namespace) -> int:
     from onboard.ground.log.rescue.in_turn import in_turn
-    from onboard.ground.log.rescue.merge import Part, merge
+    from onboard.ground.log.rescue.merge import RecorderLog, merge
     from onboard.recording.format.segments import flights, logs
 
     clocks = dict(_clock(text) for text in arguments.align)
@@ -45,7 +45,7 @@ def _merge(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--align {twice[0]}: two logs are called so; rename a file")
     whole = [one if isinstance(one, Path) else None for one in logs(arguments.logs)]
     parts = [
-        Part(group, *clocks.get(name, (0, 1.0)), whole=one)
+        RecorderLog(group, *clocks.get(name, (0, 1.0)), whole=one)
         for group, name, one in zip(groups, names, whole, strict=True)
     ]
     if arguments.in_turn and (arguments.rename or arguments.align):

@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
 
 
 def _resync(arguments: argparse.Namespace) -> int:
-    from onboard.ground.log.rescue.merge import Part, merge
+    from onboard.ground.log.rescue.merge import RecorderLog, merge
     from onboard.ground.log.rescue.resync import render, resync
     from onboard.recording.format.segments import flights
     from onboard.recording.format.segments import logs as named
@@ -55,7 +55,8 @@ def _resync(arguments: argparse.Namespace) -> int:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
         whole = [one if isinstance(one, Path) else None for one in named(arguments.logs)]
         parts = [
-            Part(group, *clocks.get(group[0], (0, 1.0)), whole=one) for group, one in zip(groups, whole, strict=True)
+            RecorderLog(group, *clocks.get(group[0], (0, 1.0)), whole=one)
+            for group, one in zip(groups, whole, strict=True)
         ]
         with progress() as bar:
             merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output, progress=bar)

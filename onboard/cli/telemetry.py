@@ -118,14 +118,14 @@ def _link(text: str) -> "Address":
 
 
 def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> int:
-    from onboard.telemetry.board import Board
+    from onboard.telemetry.board import PacketBoard
     from onboard.telemetry.link import received
     from onboard.telemetry.packets import Packet, plain
     from onboard.telemetry.stream import Series, Stream
 
     address = _link(arguments.decode)
     stream, series = Stream(_settings(vehicle).apids), Series()
-    board = Board(stream, series)
+    board = PacketBoard(stream, series)
     commander, out = _commander(vehicle, arguments)
     duration_s = arguments.duration or (_COMMANDS_S if arguments.asked else None)
     until = None if duration_s is None else time.monotonic() + duration_s

@@ -9,7 +9,7 @@ from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Prior, Zero
 from onboard.config.loader import devices_alone, load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.text import laid_over, read, tree_of
-from onboard.config.vehicle import Recording, Vehicle
+from onboard.config.vehicle import RecordingSection, Vehicle
 
 __all__ = [
     "Body",
@@ -22,7 +22,7 @@ __all__ = [
     "Pivot",
     "Prediction",
     "Prior",
-    "Recording",
+    "RecordingSection",
     "Vehicle",
     "Zero",
     "devices_alone",

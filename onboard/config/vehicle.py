@@ -70,7 +70,7 @@ class LinkSection(Section):
     calibrated: str = ""
 
 
-class Recording(Section):
+class RecordingSection(Section):
     """Recording of flights.
 
     ``sync_period_ms``: longest time until recorded data are on the medium. ``segment_s``, ``segment_mib``: a log
@@ -117,7 +117,7 @@ class VehicleFile(Section):
     pivot: Pivot | None = None
     body: Body | None = None
     parabola: Parabola | None = None
-    recording: Recording = Field(default_factory=Recording.model_construct)
+    recording: RecordingSection = Field(default_factory=RecordingSection.model_construct)
     realtime: Realtime = Field(default_factory=Realtime.model_construct)
     telemetry: Telemetry = Field(default_factory=Telemetry.model_construct)
     drive: Drive | None = None

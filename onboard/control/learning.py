@@ -37,7 +37,7 @@ FORGETS: Final = 0.05  # alpha
 LOW_PASS_HZ: Final = 5.0
 
 
-class Kind(StrEnum):
+class LearningLaw(StrEnum):
     """The three laws."""
 
     PD = "learning_pd"
@@ -55,7 +55,7 @@ class Learning(NamedTuple):
     low_pass_hz: float = LOW_PASS_HZ
 
     @staticmethod
-    def of(kind: Kind, gains: Gains, inertia: FloatArray, factor: float = 1.0) -> "Learning":
+    def of(kind: LearningLaw, gains: Gains, inertia: FloatArray, factor: float = 1.0) -> "Learning":
         """The gains of a law: ``factor`` times those that are stable up to eight times the inertia.
 
         Args:
@@ -66,11 +66,13 @@ class Learning(NamedTuple):
         """
         none = np.zeros(len(inertia))
         rate = factor * _OF_RATE * gains.rate
-        if kind is Kind.PD:
+        if kind is LearningLaw.PD:
             return Learning(rate, factor * _OF_INERTIA * inertia, none)
         # 2 M Psi < Phi (2 K_v - Phi) at M = 8 times the inertia, and a fifth less
         most = _OF_RATE * (2.0 - _OF_RATE) * DAMPING**2 * 2.0 / _HEAVIEST
-        return Learning(rate, none, factor * 0.8 * most * gains.position, FORGETS if kind is Kind.FORGETTING else 0.0)
+        return Learning(
+            rate, none, factor * 0.8 * most * gains.position, FORGETS if kind is LearningLaw.FORGETTING else 0.0
+        )
 
     def next(self, torques: FloatArray, first: FloatArray, error: FloatArray, period_s: float) -> FloatArray:
         """The feed-forward of the next trial, (m, n) N m.

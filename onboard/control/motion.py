@@ -16,7 +16,7 @@ _OF_SPEED, _OF_EFFORT = 0.5, 0.2  # largest share of the joint's speed; of its t
 _SAMPLES = 201
 
 
-class Limits(NamedTuple):
+class JointLimits(NamedTuple):
     """Of the joints, (n,) each: rad, rad, rad/s, N m."""
 
     low: FloatArray
@@ -60,7 +60,7 @@ class Motion(NamedTuple):
         )
 
 
-def fitted(start_rad: FloatArray, limits: Limits, inertia: FloatArray, duration_s: float, rest_s: float) -> Motion:
+def fitted(start_rad: FloatArray, limits: JointLimits, inertia: FloatArray, duration_s: float, rest_s: float) -> Motion:
     """A motion within the limits: smaller where a joint's range, speed or torque asks for it.
 
     Args:

@@ -43,7 +43,7 @@ class Corrected(NamedTuple):
     functions: FloatArray  # (n, 3, 2 x joints + m) of time that scale, delay and cyclic errors multiply; derivatives
 
 
-class Readings(NamedTuple):
+class EncoderReadings(NamedTuple):
     """What the encoders say."""
 
     q: FloatArray  # (n, joints) position, rate, acceleration

@@ -19,7 +19,7 @@ from drivers.canopen_pdo.sync import SyncConfig
 from drivers.records import EVENT, Batch, Severity
 from drivers.transports import open_can
 from onboard.control.laws import SLOW_RAD_S, WINDOW, Gains, Law, Reference
-from onboard.control.motion import Limits
+from onboard.control.motion import JointLimits
 from onboard.control.watch import astray
 from onboard.estimation.arrays import FloatArray
 
@@ -59,7 +59,7 @@ class Wire(NamedTuple):
         return (-1.0 if self.reversed_count else 1.0) * self.counts / _TWO_PI
 
 
-class Bench(Protocol):
+class ArmOnBus(Protocol):
     """The arm on its bus, on a clock that goes on when it is told to."""
 
     @property
@@ -77,7 +77,7 @@ class Bench(Protocol):
         """The gripper closes about the payload."""
 
 
-class Flown(NamedTuple):
+class FlownTrial(NamedTuple):
     """One trial; m SYNCs, n joints.
 
     Attributes:
@@ -133,9 +133,9 @@ class Trials:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: ArmOnBus,
         wires: Sequence[Wire],
-        limits: Limits,
+        limits: JointLimits,
         inertia: Callable[[FloatArray], FloatArray],
         at_rest: Callable[[FloatArray], FloatArray],
         record: Callable[[Sequence[Batch]], None] = lambda _: None,
@@ -172,7 +172,7 @@ class Trials:
         assert self._hold is not None
         return self._hold
 
-    def fly(self, law: Law, reference: Reference) -> Flown:
+    def fly(self, law: Law, reference: Reference) -> FlownTrial:
         """One trial, from the posture back to it."""
         trial = self._running = _Running(law, reference)
         steps = len(reference.q)
@@ -181,7 +181,7 @@ class Trials:
         shape = (-1, len(self._wires))
         error, measured, torques = (np.reshape(rows, shape) for rows in (trial.error, trial.measured, trial.torques))
         share = trial.saturated / max(torques.size, 1)
-        return Flown(error, measured, torques, share, trial.missed, self._master.stopped_by)
+        return FlownTrial(error, measured, torques, share, trial.missed, self._master.stopped_by)
 
     def close(self) -> None:
         """Stop the drives and leave the bus."""

@@ -27,7 +27,7 @@ def _fields(numbers: str, arrays: str) -> list[tuple[str, Any]]:
     return [*first, *((name, ctypes.c_void_p) for name in arrays.split())]
 
 
-class Tree(_Structure):
+class TreeStruct(_Structure):
     """``heft_tree``."""
 
     NUMBERS = 2

@@ -19,7 +19,7 @@ LONGEST_REQUEST = 8192  # bytes
 ACT, LONGEST_ACT = "act", 512  # path and bytes of what is asked of the flight
 
 
-class Address(NamedTuple):
+class PageAddress(NamedTuple):
     """Host and port to bind to. ``fixed``: the port was asked for, so another one will not do."""
 
     host: str
@@ -34,7 +34,7 @@ class Address(NamedTuple):
         return self.host == "localhost"
 
 
-def parse(text: str) -> Address:
+def parse(text: str) -> PageAddress:
     """``HOST:PORT``, ``HOST``, ``:PORT`` or ``[IPv6]:PORT``; empty: :data:`DEFAULT_HOST` and a port that is free.
 
     Raises:
@@ -44,15 +44,15 @@ def parse(text: str) -> Address:
     if match is None or (match[2] is not None and int(match[2]) > 65535):
         raise ValueError(f"--page-address {text}: write HOST:PORT, e.g. {DEFAULT_HOST}:{DEFAULT_PORT}")
     port = DEFAULT_PORT if match[2] is None else int(match[2])
-    return Address(match[1].strip("[]") or DEFAULT_HOST, port, fixed=match[2] is not None)
+    return PageAddress(match[1].strip("[]") or DEFAULT_HOST, port, fixed=match[2] is not None)
 
 
-def token_for(address: Address, *, acts: bool = False) -> str:
+def token_for(address: PageAddress, *, acts: bool = False) -> str:
     """A new token of 128 bits; empty where only this computer reaches the page, and it can do nothing."""
     return "" if address.is_local and not acts else secrets.token_urlsafe(16)
 
 
-def url(address: Address, port: int, token: str) -> str:
+def url(address: PageAddress, port: int, token: str) -> str:
     """What a browser opens; for an address that means all interfaces, that of the one that leads elsewhere."""
     host = address.host
     with contextlib.suppress(ValueError):
@@ -82,7 +82,7 @@ class Request(NamedTuple):
     body: int | None = None
 
 
-def judge(head: bytes, address: Address, token: str, *, acts: bool = False) -> Request:
+def judge(head: bytes, address: PageAddress, token: str, *, acts: bool = False) -> Request:
     """Read the head of a request and say whether it may be answered.
 
     Refused are, by HTTP status: what is no GET (405), but a POST of ``act`` where the page has acts, which must be of
@@ -114,7 +114,7 @@ def judge(head: bytes, address: Address, token: str, *, acts: bool = False) -> R
     return Request(f"/{rest}", query, "", body)
 
 
-def _refusal(method: str, headers: dict[str, list[str]], address: Address | None, *, acts: bool) -> str:
+def _refusal(method: str, headers: dict[str, list[str]], address: PageAddress | None, *, acts: bool) -> str:
     """The status, or nothing. Without an address any name will do: a page that has DNS point here has no token."""
     [named] = headers["host"]
     host = host_of(f"//{named}")

@@ -14,7 +14,7 @@ from onboard import channels
 from onboard.flight.store import manifest
 from onboard.flight.store.directories import is_free
 from onboard.page.arm import tree_of
-from onboard.page.state import State, is_device
+from onboard.page.state import PageState, is_device
 from onboard.ring import RingReader
 
 _MOST_ROWS = 4096  # per ring and look
@@ -38,7 +38,7 @@ class Followed:
 
     def __init__(self, log: Path, left: Callable[[], bool] = lambda: False) -> None:
         self.log, self._left = log, left
-        self.state = State(log.name, live=True)
+        self.state = PageState(log.name, live=True)
         self.ended = False
         self._directory: Path | None = None
         self._rings: dict[Path, RingReader] = {}
@@ -94,7 +94,7 @@ class Followed:
         self._directory = found.directory
         files = {one.name: one.data for one in found.preamble.attachments}
         payload = payload_of(found.preamble.metadata, files)
-        self.state = State(f"{found.vehicle}: {self.log.name}", payload, tree_of(files, payload), live=True)
+        self.state = PageState(f"{found.vehicle}: {self.log.name}", payload, tree_of(files, payload), live=True)
 
     def _open(self) -> None:
         assert self._directory is not None
@@ -133,7 +133,7 @@ def _is_read(dtype: np.dtype[np.void]) -> bool:
     return dtype in _READ or channels.is_quantity(dtype)
 
 
-def about(state: State, steps: list[float] | None) -> dict[str, Any]:
+def about(state: PageState, steps: list[float] | None) -> dict[str, Any]:
     """What the page asks for once: title, events and courses so far, and of a log the times of its frames."""
     return {
         "title": state.title,

@@ -74,7 +74,7 @@ def main(arguments: Sequence[str]) -> int:
 
 async def serve(
     source: Source,
-    address: addresses.Address,
+    address: addresses.PageAddress,
     tell: Callable[[str], None],
     plan: Path | None = None,
     acts: Acts | None = None,

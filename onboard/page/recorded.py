@@ -9,7 +9,7 @@ import numpy as np
 from drivers.records import Batch
 from onboard.page.arm import tree_of
 from onboard.page.follow import about, packed, payload_of
-from onboard.page.state import State
+from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 
 FRAMES = 2400  # at most: of twice as many every second is kept
@@ -39,7 +39,7 @@ class Recorded:
         self._step_ns = _STEP_NS
         files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
         payload = payload_of(log.metadata, files)
-        self.state = State(self._title(log), payload, tree_of(files, payload), live=False)
+        self.state = PageState(self._title(log), payload, tree_of(files, payload), live=False)
         due_ns = 0
         ahead: list[Batch] = []
         for batch in log.batches():

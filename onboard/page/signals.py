@@ -60,7 +60,7 @@ class _Channel:
         self.high = np.maximum.reduceat(high, first)
 
 
-class Signals:
+class PageSignals:
     """Of all devices. Names are ``CHANNEL QUANTITY``, for example ``imu_0 rate``."""
 
     def __init__(self) -> None:

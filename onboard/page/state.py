@@ -14,7 +14,7 @@ import numpy as np
 from drivers.records import EVENT, GAP, Batch, Rows
 from onboard import channels
 from onboard.flight.health.status import CAUTION, MEANINGS, Status, words
-from onboard.page.signals import Signals
+from onboard.page.signals import PageSignals
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
 
@@ -84,7 +84,7 @@ class _Quantity:
             self.history, self.every_ns = self.history[::2], 2 * self.every_ns
 
 
-class State:
+class PageState:
     """What is known of a flight.
 
     Args:
@@ -106,7 +106,7 @@ class State:
         self._body = [f"{kind}_{payload}" for kind in BODY] if payload else []
         self.start_ns: int | None = None
         self.now_ns = 0
-        self.signals = Signals()
+        self.signals = PageSignals()
         self.lost = self.event_count = 0
         self._streams: dict[str, _Stream] = {}
         self._quantities: dict[str, _Quantity] = {}

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 from urllib.parse import parse_qs
 
 from onboard.page.acts import Acts
-from onboard.page.address import ACT, LONGEST_REQUEST, Address, Request, judge
+from onboard.page.address import ACT, LONGEST_REQUEST, PageAddress, Request, judge
 from onboard.page.follow import packed
 from onboard.page.meshes import meshes_of
-from onboard.page.state import State
+from onboard.page.state import PageState
 
 MOST_VIEWERS = 40  # of a flight's frames at once
 MOST_CONNECTIONS = 700
@@ -41,7 +41,7 @@ HEADERS = {
 class Source(Protocol):
     """What is shown."""
 
-    state: State
+    state: PageState
     live: bool
 
     def about(self) -> dict[str, Any]:
@@ -56,7 +56,7 @@ class _Viewer:
         self.skipped = 0
         self._waiting = 0
 
-    def offer(self, frame: str, state: State, now_s: float) -> bool:
+    def offer(self, frame: str, state: PageState, now_s: float) -> bool:
         """Send ``frame`` and the events since the last, if the viewer has taken what was sent; False: it stalls."""
         waiting = self.writer.transport.get_write_buffer_size()
         if waiting == 0 or waiting < self._waiting:
@@ -87,7 +87,7 @@ class Web:
     def __init__(
         self,
         source: Source,
-        address: Address,
+        address: PageAddress,
         token: str,
         plan: Mapping[str, dict[str, Any]] = MappingProxyType({}),
         acts: Acts | None = None,
@@ -253,7 +253,7 @@ def _static() -> dict[str, bytes]:
     return found
 
 
-def _bound(address: Address) -> socket.socket:
+def _bound(address: PageAddress) -> socket.socket:
     """A socket on ``address``; on any port where that was not asked for and is taken."""
     found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     family, kind, protocol, _, place = found[0]

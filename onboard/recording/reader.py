@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.records import Batch, Rows
-from onboard.recording.format.decode import Decoder, KnownChannel, MessageRun, Times, rows_of
+from onboard.recording.format.decode import Decoder, KnownChannel, MessageRun, RowTimes, rows_of
 from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.format.mcap_format import LIBRARY, Attachment, Chunk, Header, Metadata
 from onboard.recording.format.scan import Damage, Scan
@@ -199,7 +199,7 @@ class LogReader:
     def _in_file(self) -> Iterator[list[MessageRun]]:
         """One pass over the file; stores the other results at its end."""
         found = _Survey({}, {}, {}, [], False)
-        self._before, times = 0, Times()
+        self._before, times = 0, RowTimes()
         alone = len(self.segments) == 1
         seen = SegmentsSeen(0 if self.is_flight else None, to_the_end=self.is_flight, alone=alone)
         for number, segment in enumerate(self.segments):
@@ -217,7 +217,7 @@ class LogReader:
         self._found = found._replace(damage=[*found.damage, *seen.finish()])
 
     def _segment(
-        self, segment: Path, found: _Survey, seen: SegmentsSeen, times: Times, *, last: bool
+        self, segment: Path, found: _Survey, seen: SegmentsSeen, times: RowTimes, *, last: bool
     ) -> Generator[list[MessageRun], None, _Survey]:
         """One pass over a segment; returns ``found`` with its findings added.
 

@@ -15,7 +15,7 @@ from onboard.recording.format import mcap_format
 from onboard.recording.format.decode import Decoder
 from onboard.recording.format.errors import LogFormatError
 from onboard.recording.format.mcap_format import Attachment, Chunk, MessageIndex, Metadata
-from onboard.recording.format.scan import Damage, Found, Scan
+from onboard.recording.format.scan import Damage, Scan, ScannedRecord
 from onboard.recording.format.summary import SummarySection
 
 
@@ -29,7 +29,7 @@ class Sealed(NamedTuple):
 class _Placed(NamedTuple):
     """A chunk, its place, and the places of the message indexes after it."""
 
-    found: Found
+    found: ScannedRecord
     chunk: Chunk
     indexes: dict[int, int]
     end: int
@@ -44,7 +44,7 @@ class _Survey:
         self._last: _Placed | None = None
         self.end = len(mcap_format.MAGIC)
 
-    def add(self, found: Found) -> None:
+    def add(self, found: ScannedRecord) -> None:
         content = found.content
         if isinstance(content, MessageIndex) and self._last is not None:
             self._last.indexes[content.channel] = found.start

@@ -52,14 +52,14 @@ class Preamble(NamedTuple):
     metadata: Mapping[str, Mapping[str, str]] = {}
 
 
-class Limits(NamedTuple):
+class SegmentLimits(NamedTuple):
     """Size limits of a segment."""
 
     span_ns: int = 60_000_000_000
     size: int = 64 << 20
 
 
-LIMITS = Limits()
+LIMITS = SegmentLimits()
 
 
 class Loss(NamedTuple):
@@ -117,7 +117,7 @@ class SegmentedLog:
         log: Path,
         preamble: Preamble,
         *,
-        limits: Limits = LIMITS,
+        limits: SegmentLimits = LIMITS,
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], FileSink] = FileSink,
         number: int = 0,
@@ -148,7 +148,7 @@ class SegmentedLog:
         log: Path,
         preamble: Preamble,
         *,
-        limits: Limits = LIMITS,
+        limits: SegmentLimits = LIMITS,
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], FileSink] = FileSink,
         progress: Progress | None = None,

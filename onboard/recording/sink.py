@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 
-class Taken(NamedTuple):
+class FileTaken(NamedTuple):
     """A file that is not where it was made, or not as it was written."""
 
     how: str  # in words, what has happened to it
@@ -121,7 +121,7 @@ class FileSink:
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(self._path)) from error
 
-    def taken(self) -> Taken | None:
+    def taken(self) -> FileTaken | None:
         """What somebody else has done to the file since it was made; None: nothing.
 
         Of a file that was cut off nothing after that is kept, so that no hole is read as rows.
@@ -133,14 +133,14 @@ class FileSink:
             there = None
         about = os.fstat(self._descriptor)  # after the path: a file removed in between was not renamed
         if about.st_nlink == 0:
-            return Taken("removed", 0)
+            return FileTaken("removed", 0)
         if self._cut >= 0:
             os.ftruncate(self._descriptor, self._cut)
-            return Taken(f"cut off after {self._cut} of {self._size} bytes", self._cut)
+            return FileTaken(f"cut off after {self._cut} of {self._size} bytes", self._cut)
         if there is not None and (there.st_dev, there.st_ino) == (about.st_dev, about.st_ino):
             return None
         now = Path(f"/proc/self/fd/{self._descriptor}").readlink()
-        return Taken(f"renamed to {now}", self._size)
+        return FileTaken(f"renamed to {now}", self._size)
 
     def _look_at_size(self) -> None:
         """Writing on after the end of a file that was cut off would leave a hole in it: note where it was cut."""

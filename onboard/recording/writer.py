@@ -24,7 +24,7 @@ from onboard.recording.format.errors import ChannelError, RecordingError
 from onboard.recording.format.schema import message_name, ros2msg
 from onboard.recording.format.summary import SummarySection
 from onboard.recording.format.wall_clock import FLIGHT_METADATA, utc_offset_ns
-from onboard.recording.sink import FileSink, Taken
+from onboard.recording.sink import FileSink, FileTaken
 
 CHUNK_BYTES = 16384
 _HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
@@ -266,7 +266,7 @@ class LogWriter:
         self._fsync()
         self.abandon()
 
-    def taken(self) -> Taken | None:
+    def taken(self) -> FileTaken | None:
         """See ``FileSink``."""
         return None if self._closed else self._sink.taken()
 

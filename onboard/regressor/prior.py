@@ -17,7 +17,7 @@ from onboard.regressor.base_parameters import named_relative_sigma
 from onboard.regressor.rows import RowModel
 
 
-class Made(NamedTuple):
+class LinkSigmas(NamedTuple):
     """How well a link is known, 1 sigma."""
 
     mass_relative: float
@@ -26,7 +26,10 @@ class Made(NamedTuple):
 
 
 def prior_root(
-    model: RowModel, relative: Mapping[str, float], extras: Mapping[str, float], made: Mapping[str, Made] | None = None
+    model: RowModel,
+    relative: Mapping[str, float],
+    extras: Mapping[str, float],
+    made: Mapping[str, LinkSigmas] | None = None,
 ) -> FloatArray:
     """L, (P, P): by link relative or as it was made, by name absolute for the other columns.
 

@@ -21,7 +21,7 @@ _REPORTED = {1: "accepted", 2: "not accepted", 3: "begun", 7: "completed", 8: "n
 _STYLES = {"good": "", "weak": "yellow", "do not use": "dim"}
 
 
-class Board:
+class PacketBoard:
     """Packets so far.
 
     Args:

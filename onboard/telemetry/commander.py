@@ -15,14 +15,14 @@ _FINAL = {2: False, 7: True, 8: False}  # by subtype: whether it is done
 _MARKS = 1 << 16
 
 
-class Asked(NamedTuple):
+class OperatorCommand(NamedTuple):
     """A command of the operator; times of a span in seconds, those below 0 before now."""
 
     order: Order
     arguments: tuple[float, ...] = ()
 
 
-def parse(text: str) -> Asked:
+def parse(text: str) -> OperatorCommand:
     """``mark 3``, ``stop``, ``span -60 -30``.
 
     Raises:
@@ -38,7 +38,7 @@ def parse(text: str) -> Asked:
         raise ValueError(f"--command {text}: write {FORMS}")
     if order is Order.MARK and not 0 <= numbers[0] < _MARKS:
         raise ValueError(f"--command {text}: a mark has a number from 0 to {_MARKS - 1}")
-    return Asked(order, numbers)
+    return OperatorCommand(order, numbers)
 
 
 def _seconds(text: str) -> float:
@@ -65,7 +65,7 @@ class Commander:
 
     def __init__(
         self,
-        asked: Sequence[Asked],
+        asked: Sequence[OperatorCommand],
         apid: int,
         source: int,
         count: int,

@@ -56,7 +56,7 @@ _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
 
 
-class Settings(NamedTuple):
+class TelemetrySettings(NamedTuple):
     """``[telemetry]`` of the vehicle file."""
 
     bytes_s: float
@@ -70,12 +70,12 @@ class Settings(NamedTuple):
     commands: list[str]
 
     @classmethod
-    def of(cls, keys: "Telemetry") -> "Settings":
+    def of(cls, keys: "Telemetry") -> "TelemetrySettings":
         """Without what reads vehicle files: a process that only sends stays small."""
         return cls(*(getattr(keys, name) for name in cls._fields))
 
 
-class Flight(NamedTuple):
+class FlightIdentity(NamedTuple):
     """Which flight it is, and one instant on both clocks."""
 
     flight: str
@@ -137,7 +137,12 @@ class Downlink:
     """
 
     def __init__(
-        self, settings: Settings, session: int, flight: Flight, now_ns: int, bytes_s: float | None = None
+        self,
+        settings: TelemetrySettings,
+        session: int,
+        flight: FlightIdentity,
+        now_ns: int,
+        bytes_s: float | None = None,
     ) -> None:
         self._settings, self._session, self._flight = settings, session, flight
         self._bytes_s = settings.bytes_s if bytes_s is None else min(bytes_s, settings.bytes_s)

@@ -66,7 +66,7 @@ class Field(NamedTuple):
         return 8 * struct.calcsize(">" + self.code)
 
 
-class Kind(NamedTuple):
+class PacketKind(NamedTuple):
     """A kind of packet."""
 
     name: str
@@ -94,7 +94,7 @@ def _format(fields: tuple[Field, ...]) -> struct.Struct:
     return struct.Struct(">" + "".join(field.code for field in fields))
 
 
-STATUS = Kind(
+STATUS = PacketKind(
     "status",
     "health of the flight and of this downlink",
     (
@@ -128,7 +128,7 @@ STATUS = Kind(
         Field("unread", "I", "rows that were overwritten in a ring before they were read here"),
     ),
 )
-ANSWER = Kind(
+ANSWER = PacketKind(
     "answer",
     "an estimate with its 95 and 99.9 % intervals; NaN where it is not determined or not to be used",
     (
@@ -144,7 +144,7 @@ ANSWER = Kind(
         Field("sigma", "f", "standard deviation"),
     ),
 )
-PHASE = Kind(
+PHASE = PacketKind(
     "phase",
     "mode of the flight and phase of the mission: when they change, and now and then",
     (
@@ -153,7 +153,7 @@ PHASE = Kind(
         Field("age", "f", "since the last change of either", "s"),
     ),
 )
-EVENT = Kind(
+EVENT = PacketKind(
     "event",
     "an event of the log",
     (
@@ -163,7 +163,7 @@ EVENT = Kind(
         Field("text", "161s", "what was said"),
     ),
 )
-REASON = Kind(
+REASON = PacketKind(
     "reason",
     "why an answer is no better: when it changes, and now and then",
     (
@@ -172,7 +172,7 @@ REASON = Kind(
         Field("why", "129s", "it is no better"),
     ),
 )
-FLIGHT = Kind(
+FLIGHT = PacketKind(
     "flight",
     "which flight this is; vehicle time of a packet is its time less wall_clock plus monotonic",
     (
@@ -194,8 +194,8 @@ _REQUEST = (
     Field("packet_id", "H", "first two bytes of the command"),
     Field("sequence_control", "H", "its next two bytes: sequence flags and count"),
 )
-REPORT = Kind("report", "a command was accepted (subtype 1), is begun (3), is completed (7)", _REQUEST, _PUS)
-FAILURE = Kind(
+REPORT = PacketKind("report", "a command was accepted (subtype 1), is begun (3), is completed (7)", _REQUEST, _PUS)
+FAILURE = PacketKind(
     "failure",
     "a command was not accepted (subtype 2), or could not be completed (8)",
     (
@@ -213,7 +213,7 @@ LONGEST = max(kind.length for kind in KINDS.values())  # bytes
 class Packet:
     """A packet that came whole."""
 
-    kind: Kind
+    kind: PacketKind
     count: int  # of its APID and session, modulo 2^14
     session: int
     at_ns: int  # since 1970, to 60 ns
@@ -225,7 +225,7 @@ def crc(data: bytes) -> int:
     return binascii.crc_hqx(data, 0xFFFF)
 
 
-def encode(kind: Kind, apid: int, count: int, session: int, at_ns: int, values: Mapping[str, Any]) -> bytes:
+def encode(kind: PacketKind, apid: int, count: int, session: int, at_ns: int, values: Mapping[str, Any]) -> bytes:
     """A packet. A text that is too long is cut, a number that is too large is the largest of its field (infinity).
 
     Args:
@@ -269,7 +269,7 @@ def _number(value: float, field: Field) -> float:
     return min(max(int(value), low), high)
 
 
-def decode(data: bytes, kinds: Mapping[int, Kind]) -> Packet:
+def decode(data: bytes, kinds: Mapping[int, PacketKind]) -> Packet:
     """The packet that ``data`` is.
 
     Args:

@@ -20,7 +20,7 @@ from onboard.flight.store import manifest
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.ring import RingReader
 from onboard.telemetry.commanding import Commanding
-from onboard.telemetry.downlink import Downlink, Settings
+from onboard.telemetry.downlink import Downlink, TelemetrySettings
 from onboard.telemetry.link import Address, Sink, parse, sink
 from onboard.telemetry.replay import STEP_NS, flight_of
 from onboard.telemetry.uplink import Uplink
@@ -45,7 +45,7 @@ def sending(log: Path, link: str, settings: "Telemetry") -> Iterator[None]:
     Raises:
         ValueError: the link cannot be used; the message gives the reason.
     """
-    given = json.dumps(Settings.of(settings)._asdict())
+    given = json.dumps(TelemetrySettings.of(settings)._asdict())
     with beside("onboard.telemetry", [str(log), parse(link).text, given], f"--telemetry {link}"):
         yield
 
@@ -53,7 +53,7 @@ def sending(log: Path, link: str, settings: "Telemetry") -> Iterator[None]:
 def main(arguments: Sequence[str]) -> int:
     """Body of the process; ``arguments`` are the log's path, the link and the settings as JSON."""
     log, address = Path(arguments[0]).absolute(), parse(arguments[1])
-    settings = Settings(**json.loads(arguments[2]))
+    settings = TelemetrySettings(**json.loads(arguments[2]))
     asked: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     left = settle()
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
 class _Sender:
     """Reads the rings of a flight and sends its packets."""
 
-    def __init__(self, log: Path, address: Address, opened: Sink, settings: Settings) -> None:
+    def __init__(self, log: Path, address: Address, opened: Sink, settings: TelemetrySettings) -> None:
         self._log, self._address, self._settings = log, address, settings
         self._sink: Sink | None = opened
         self._again_ns, self._failed = 0, False

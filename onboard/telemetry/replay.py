@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from onboard.telemetry.downlink import Downlink, Flight, Settings
+from onboard.telemetry.downlink import Downlink, FlightIdentity, TelemetrySettings
 
 if TYPE_CHECKING:  # the process that sends reads no log
     from onboard.config.telemetry import Telemetry
@@ -20,11 +20,11 @@ class Sent(NamedTuple):
     packet: bytes
 
 
-def flight_of(metadata: Mapping[str, Mapping[str, str]], flight: str, log: str) -> Flight:
+def flight_of(metadata: Mapping[str, Mapping[str, str]], flight: str, log: str) -> FlightIdentity:
     """Which flight it is, by a log's metadata; without a wall clock (virtual time) its time is that since 1970."""
     facts = metadata.get("flight", {})
     wall, monotonic = (int(facts.get(f"{name}_ns", "0")) for name in ("wall_clock", "monotonic"))
-    return Flight(flight, facts.get("vehicle", ""), log, wall, monotonic)
+    return FlightIdentity(flight, facts.get("vehicle", ""), log, wall, monotonic)
 
 
 def packets_of(log: "LogReader", settings: "Telemetry", session: int = 0) -> Iterator[Sent]:
@@ -43,7 +43,7 @@ def packets_of(log: "LogReader", settings: "Telemetry", session: int = 0) -> Ite
         at_ns = int(batch.rows["host_ns"][0])
         if downlink is None:
             flight = flight_of(log.metadata, log.metadata.get("flight", {}).get("flight", ""), log.path.name)
-            downlink, now_ns = Downlink(Settings.of(settings), session, flight, at_ns), at_ns
+            downlink, now_ns = Downlink(TelemetrySettings.of(settings), session, flight, at_ns), at_ns
         while at_ns >= now_ns + STEP_NS:
             now_ns += STEP_NS
             yield from (Sent(now_ns, packet) for packet in downlink.packets(now_ns))

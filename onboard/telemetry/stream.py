@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from onboard.telemetry.packets import COUNTS, HEADER_BYTES, KINDS, Kind, Packet, PacketError, crc, decode
+from onboard.telemetry.packets import COUNTS, HEADER_BYTES, KINDS, Packet, PacketError, PacketKind, crc, decode
 
 _WINDOW = COUNTS // 2  # counts that lie ahead; those behind are of packets that came late or twice
 _SILENCE_NS = 60_000_000_000  # so much later than the newest: counts have gone round since
@@ -27,7 +27,7 @@ class Stream:
     """
 
     def __init__(self, apids: Mapping[str, int]) -> None:
-        self._kinds: dict[int, Kind] = {apid: KINDS[name] for name, apid in apids.items()}
+        self._kinds: dict[int, PacketKind] = {apid: KINDS[name] for name, apid in apids.items()}
         self._head = re.compile(b"|".join(_head(kind, apid) for apid, kind in self._kinds.items()), re.DOTALL)
         self._waiting = b""
         self.skipped = 0
@@ -70,13 +70,13 @@ class Stream:
         return found
 
 
-def _head(kind: Kind, apid: int) -> bytes:
+def _head(kind: PacketKind, apid: int) -> bytes:
     """What a primary header looks like: version 0, telemetry, with a secondary header, unsegmented, of this length."""
     identity, length = (0x0800 | apid).to_bytes(2, "big"), (kind.length - HEADER_BYTES - 1).to_bytes(2, "big")
     return re.escape(identity) + b"[\xc0-\xff]." + re.escape(length)
 
 
-class Place(NamedTuple):
+class PacketPlace(NamedTuple):
     """Where a packet stands in its series."""
 
     new: bool  # False: it came before
@@ -99,7 +99,7 @@ class Series:
         self._newest_ns: dict[tuple[int, str], int] = {}
         self._open: dict[tuple[int, str], dict[int, None]] = {}  # counts that are missing, the oldest first
 
-    def place(self, packet: Packet) -> Place:
+    def place(self, packet: Packet) -> PacketPlace:
         """Where ``packet`` stands."""
         key, name = (packet.session, packet.kind.name), packet.kind.name
         expected = self._next.get(key)
@@ -112,11 +112,11 @@ class Series:
         if packet.count in self._open[key]:
             del self._open[key][packet.count]
             self.missing[name] -= 1
-            return Place(new=True, missing=0)
+            return PacketPlace(new=True, missing=0)
         self.repeated += 1
-        return Place(new=False, missing=0)
+        return PacketPlace(new=False, missing=0)
 
-    def _ahead(self, key: tuple[int, str], packet: Packet, ahead: int, expected: int) -> Place:
+    def _ahead(self, key: tuple[int, str], packet: Packet, ahead: int, expected: int) -> PacketPlace:
         name = packet.kind.name
         left = self._open.setdefault(key, {})
         left.update(dict.fromkeys((expected + one) % COUNTS for one in range(ahead)))
@@ -126,4 +126,4 @@ class Series:
         self.missing[name] = self.missing.get(name, 0) + ahead
         self._next[key] = (packet.count + 1) % COUNTS
         self._newest_ns[key] = max(packet.at_ns, self._newest_ns.get(key, 0))
-        return Place(new=True, missing=ahead)
+        return PacketPlace(new=True, missing=ahead)

@@ -18,7 +18,7 @@ from spacepackets.ecss.req_id import RequestId
 from spacepackets.ecss.tc import InvalidTcCrc16Error, PusTc
 
 from onboard.channels import Order, Refusal
-from onboard.telemetry.downlink import Flight
+from onboard.telemetry.downlink import FlightIdentity
 
 SERVICE = 128
 LAYOUTS = {Order.MARK: struct.Struct(">HH"), Order.STOP: struct.Struct(">H"), Order.SPAN: struct.Struct(">HII")}
@@ -87,7 +87,7 @@ class Uplink:
         left_out: commands beyond :data:`MOST_AT_ONCE`, neither judged nor reported on.
     """
 
-    def __init__(self, apid: int, session: int, armed: Collection[str], flight: Flight) -> None:
+    def __init__(self, apid: int, session: int, armed: Collection[str], flight: FlightIdentity) -> None:
         identity = (0x1800 | apid).to_bytes(2, "big")  # version 0, telecommand, with a secondary header
         self._head = re.compile(re.escape(identity) + b"[\xc0-\xff].\x00", re.DOTALL)
         self._session, self._armed, self._flight = session, armed, flight

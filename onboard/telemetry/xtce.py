@@ -32,7 +32,7 @@ from yamcs.pymdb.parameters import (
 from yamcs.pymdb.systems import System
 
 from onboard.channels import NUMBERS, Order
-from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, VERSION, Field, Kind
+from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, VERSION, Field, PacketKind
 from onboard.telemetry.uplink import SERVICE
 
 ROOT = "space_packet"  # container to begin with
@@ -138,7 +138,7 @@ def _heads(system: System, apids: Mapping[str, int]) -> tuple[Parameter[Any], tu
     return apid, (head("heft", [], AndExpression(*others)), head("pus", lead, OrExpression(*pus)))
 
 
-def _kind(system: System, kind: Kind, head: Container, is_kind: EqExpression, quantities: Sequence[str]) -> None:
+def _kind(system: System, kind: PacketKind, head: Container, is_kind: EqExpression, quantities: Sequence[str]) -> None:
     fields = {field.name: _parameter(system, f"{kind.name}_{field.name}", field) for field in kind.fields}
     error_control = Field("error_control", "H", "Packet error control: CRC-16")
     check = _parameter(system, f"{kind.name}_error_control", error_control)

@@ -33,7 +33,7 @@ class ResyncError(ValueError):
     """The offset of the two clocks cannot be determined; the message gives reason and remedy."""
 
 
-class Stream(NamedTuple):
+class RecorderStream(NamedTuple):
     """Signals of a recorder: times on its own clock, and values."""
 
     time_s: FloatArray  # (n,), rising
@@ -65,8 +65,8 @@ class Alignment(NamedTuple):
 
 
 def align(
-    reference: Stream,
-    other: Stream,
+    reference: RecorderStream,
+    other: RecorderStream,
     peak_Hz: float,
     rate_limit: float = 0.02,
     offset_limit_s: float = np.inf,
@@ -98,7 +98,7 @@ def align(
         theta = np.array([first_s, search.rate])
         rate = float(_grown(seen, told, theta, pivot_s, span_s).theta[1])
         nearly = pivot_s + (1.0 + rate) * (other.time_s - pivot_s)
-        told = _band_passed(Stream(nearly, other.values), peak_Hz, step_s)
+        told = _band_passed(RecorderStream(nearly, other.values), peak_Hz, step_s)
         theta[1] = 0.0
     fit = _grown(seen, told, theta, pivot_s, span_s)
     offset_s, more, drift = (*fit.theta, 0.0, 0.0)[:3]
@@ -117,7 +117,7 @@ def align(
     )
 
 
-def _grown(seen: Stream, told: Stream, theta: FloatArray, pivot_s: float, first_s: float) -> "_Fit":
+def _grown(seen: RecorderStream, told: RecorderStream, theta: FloatArray, pivot_s: float, first_s: float) -> "_Fit":
     """Fit on a span about the pivot that grows to the whole, so that the error at its ends stays below a period."""
     spline = interpolate.CubicSpline(told.time_s, told.values)
     low, high = pivot_s - 0.5 * first_s, pivot_s + 0.5 * first_s
@@ -134,7 +134,7 @@ def _grown(seen: Stream, told: Stream, theta: FloatArray, pivot_s: float, first_
     return bent if abs(bent.theta[2]) > SIGMAS_TO_BEND * np.sqrt(bent.covariance[2, 2]) else fit
 
 
-def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
+def _band_passed(stream: RecorderStream, peak_Hz: float, step_s: float) -> RecorderStream:
     """ORDER passes of the derivative of a Gaussian, on a uniform grid of ``step_s``, without phase shift."""
     if np.any(np.diff(stream.time_s) <= 0.0):
         raise ResyncError("times of a recording do not rise: sort it, or mend its clock")
@@ -157,17 +157,17 @@ def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
     reach = len(kernel) // 2
     columns = [np.interp(grid_s, times_s, np.convolve(column, mean, "valid")) for column in stream.values.T]
     filtered = np.column_stack([np.convolve(column, kernel, "valid") for column in columns])
-    return Stream(grid_s[reach : len(grid_s) - reach], filtered)
+    return RecorderStream(grid_s[reach : len(grid_s) - reach], filtered)
 
 
-def _most_energetic(stream: Stream, span_s: float) -> Stream:
+def _most_energetic(stream: RecorderStream, span_s: float) -> RecorderStream:
     """The segment of ``span_s`` with the most energy, each signal normalised by its own."""
     step_s = stream.time_s[1] - stream.time_s[0]
     n = max(2, int(span_s / step_s))
     energy = ((stream.values / np.maximum(stream.values.std(axis=0), 1e-300)) ** 2).sum(axis=1)
     total = np.convolve(np.minimum(energy, 9.0 * np.median(energy) + 1e-300), np.ones(n), "valid")
     first = int(np.argmax(total))
-    return Stream(stream.time_s[first : first + n], stream.values[first : first + n])
+    return RecorderStream(stream.time_s[first : first + n], stream.values[first : first + n])
 
 
 class Candidate(NamedTuple):
@@ -199,7 +199,7 @@ class _Search(NamedTuple):
         return found
 
 
-def shocks(stream: Stream, bin_s: float) -> Stream:
+def shocks(stream: RecorderStream, bin_s: float) -> RecorderStream:
     """Shock intensity per bin, (bins, 1), in which taps stand out for any kind of sensor.
 
     Logarithm of the sample differences in each bin over their median, so that weak and strong taps count alike.
@@ -213,10 +213,12 @@ def shocks(stream: Stream, bin_s: float) -> Stream:
     filled, counts = np.unique(number, return_counts=True)
     rms = np.sqrt(np.bincount(number, energy)[filled] / counts)
     middle_s = stream.time_s[0] + (filled + 0.5) * bin_s
-    return Stream(middle_s, np.log1p(rms / max(float(np.median(rms)), 1e-300))[:, None])
+    return RecorderStream(middle_s, np.log1p(rms / max(float(np.median(rms)), 1e-300))[:, None])
 
 
-def candidates(reference: Stream, other: Stream, peak_Hz: float, rate_limit: float, count: int) -> list[Candidate]:
+def candidates(
+    reference: RecorderStream, other: RecorderStream, peak_Hz: float, rate_limit: float, count: int
+) -> list[Candidate]:
     """The best offsets in order, for a caller with a further criterion to choose among them.
 
     Args:
@@ -239,11 +241,13 @@ def candidates(reference: Stream, other: Stream, peak_Hz: float, rate_limit: flo
     ]
 
 
-def _first_span_s(seen: Stream, told: Stream, wanted_s: float) -> float:
+def _first_span_s(seen: RecorderStream, told: RecorderStream, wanted_s: float) -> float:
     return float(min(wanted_s, 0.9 * np.ptp(told.time_s), 0.9 * np.ptp(seen.time_s)))
 
 
-def _search(seen: Stream, window: Stream, peak_Hz: float, rate_limit: float, offset_limit_s: float) -> _Search:
+def _search(
+    seen: RecorderStream, window: RecorderStream, peak_Hz: float, rate_limit: float, offset_limit_s: float
+) -> _Search:
     """Explained share over all offsets, at the best of a grid of rates."""
     step_s = seen.time_s[1] - seen.time_s[0]
     span_s, middle_s = float(np.ptp(window.time_s)), float(window.time_s.mean())
@@ -296,7 +300,7 @@ def _stands_out(found: _Search, peak_Hz: float) -> tuple[int, float, float]:
     return best, nats, runner_up_s
 
 
-def _bandwidth(stream: Stream) -> float:
+def _bandwidth(stream: RecorderStream) -> float:
     """Equivalent bandwidth of unit-variance signals: half the number of independent samples per second."""
     step_s = stream.time_s[1] - stream.time_s[0]
     power = (np.abs(fft.rfft(stream.values / np.maximum(stream.values.std(axis=0), 1e-300), axis=0)) ** 2).sum(axis=1)
@@ -331,7 +335,7 @@ class _Fit(NamedTuple):
 
 
 def _refine(
-    seen: Stream, spline: interpolate.CubicSpline, theta: FloatArray, pivot_s: float, span: tuple[float, float]
+    seen: RecorderStream, spline: interpolate.CubicSpline, theta: FloatArray, pivot_s: float, span: tuple[float, float]
 ) -> _Fit:
     """Gauss-Newton on offset, rate (and drift), the linear map projected out; covariance from blocks of residuals."""
     theta = theta.copy()

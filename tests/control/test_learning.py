@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 from onboard.control.laws import Gains
-from onboard.control.learning import Kind, Learning, contraction
+from onboard.control.learning import Learning, LearningLaw, contraction
 
 PERIOD_S = 0.004
 
@@ -16,13 +16,13 @@ def scalar(*values):
     return [np.array([value]) for value in values]
 
 
-@pytest.mark.parametrize("kind", [Kind.PD, Kind.PI])
+@pytest.mark.parametrize("kind", [LearningLaw.PD, LearningLaw.PI])
 def test_the_boundary_of_stability_is_the_closed_form(rng, kind):
     frequency = np.geomspace(1e-5, 1e5, 2000)
     seen = set()
     for _ in range(200):
         M, kp, kv, phi, second = np.exp(rng.uniform(-2.0, 2.0, 5))
-        if kind is Kind.PD:
+        if kind is LearningLaw.PD:
             ratios = second / (2.0 * M), 2.0 * kp * second / (phi * (2.0 * kv - phi))
             law = Learning(*scalar(phi, second, 0.0), low_pass_hz=1e9)
         else:
@@ -50,7 +50,7 @@ def respond(torques, M, damping, stiffness):
     return np.array(positions)
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", LearningLaw)
 @pytest.mark.parametrize("hertz", [0.5, 1.5])
 @pytest.mark.parametrize("heavier", [1.0, 4.0])
 def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
@@ -73,7 +73,7 @@ def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
         errors.append(wanted - q - held)
         torques = law.next(torques, first, errors[-1][:, None], PERIOD_S)
     [left] = contraction(law, gains, np.array([[M]]), viscous, np.array([hertz]))
-    if kind is Kind.FORGETTING:  # e_(k+1) = (1 - alpha - L G) e_k + alpha e_0: differences shrink by it
+    if kind is LearningLaw.FORGETTING:  # e_(k+1) = (1 - alpha - L G) e_k + alpha e_0: differences shrink by it
         steps = [np.linalg.norm(a - b) for a, b in pairwise(errors)]
         measured = steps[1] / steps[0]
         remembering = law._replace(forgetting=0.0)  # what was first is not forgotten in the first step
@@ -88,7 +88,7 @@ def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
 def test_independent_joints_learn_as_one_each():
     inertia = np.array([0.2, 0.5])
     gains, frequency = Gains.of(np.diag(inertia)), np.array([0.3, 1.0, 3.0])
-    law = Learning.of(Kind.PI, gains, inertia)
+    law = Learning.of(LearningLaw.PI, gains, inertia)
     both = contraction(law, gains, np.diag([0.8, 0.5]), np.array([0.1, 0.0]), frequency)
     each = []
     for place, M, viscous in ((0, 0.8, 0.1), (1, 0.5, 0.0)):
@@ -100,7 +100,7 @@ def test_independent_joints_learn_as_one_each():
 
 
 def test_what_is_above_the_low_pass_is_not_learned():
-    law = Learning.of(Kind.PD, Gains.of(np.eye(1)), np.ones(1))
+    law = Learning.of(LearningLaw.PD, Gains.of(np.eye(1)), np.ones(1))
     time_s = PERIOD_S * np.arange(2000)
     none = np.zeros((len(time_s), 1))
     slow, fast = (

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from onboard.control.motion import Limits, Motion, fitted
+from onboard.control.motion import JointLimits, Motion, fitted
 from onboard.control.watch import astray, diverges
 
-WIDE = Limits(*(np.full(3, value) for value in (-3.0, 3.0, 2.0, 50.0)))
+WIDE = JointLimits(*(np.full(3, value) for value in (-3.0, 3.0, 2.0, 50.0)))
 
 
 def test_rates_are_derivatives_and_trials_follow_each_other():

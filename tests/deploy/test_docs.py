@@ -73,6 +73,12 @@ def test_recipes_are_scenarios_that_differ_from_the_vehicles_own() -> None:
         assert scenario_of("dymaflex", tomllib.loads(block)) != usual, block
 
 
+def test_the_changelog_is_what_a_user_notices() -> None:
+    releases = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")[1:]
+    assert len(releases) >= 3
+    assert {release.split()[0]: n for release in releases if (n := len(release.splitlines())) > 60} == {}
+
+
 def test_the_picture_of_the_rooms_is_of_this_code() -> None:
     """Otherwise: ``python -m bench.architecture_picture docs/architecture.svg docs/sample.svg``."""
     shown = set(re.findall(r">([\w.]+)</text>", (ROOT / "docs" / "architecture.svg").read_text(encoding="utf-8")))

@@ -5,7 +5,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
-from onboard.dynamics.joint_errors import JOINT_ERRORS, JointErrors, Readings
+from onboard.dynamics.joint_errors import JOINT_ERRORS, EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion, link_motions
 from onboard.dynamics.model.errors import SignalError
 from tests.dynamics.derivatives import FIELDS, derivative
@@ -96,7 +96,7 @@ def test_derivatives_by_errors_of_joints_are_finite_differences(flown):
     turns = 4.0 * q[:, [1, 4]]
     waves = np.stack([np.sin(turns), 4.0 * np.cos(turns) * dq[:, [1, 4]], np.zeros((12, 2))], axis=1)
     waves[:, 2] = 4.0 * np.cos(turns) * ddq[:, [1, 4]] - 16.0 * np.sin(turns) * dq[:, [1, 4]] ** 2
-    readings = Readings(q, dq, ddq, PERIOD_s, waves)
+    readings = EncoderReadings(q, dq, ddq, PERIOD_s, waves)
     errors, rate = JointErrors(flown.vehicle, cyclic=(1, 4)), np.array([0.03, -0.02, 0.05])
     at = np.append(rng.normal(size=(5, 6)) * [1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], [1e-3, -2e-3])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.dynamics.joint_errors import Readings
+from onboard.dynamics.joint_errors import EncoderReadings
 
 PERIOD_s = 1e-3
 TURNS = 100.0  # of the motor in one of the joint
@@ -23,7 +23,7 @@ def test_a_late_encoder_behind_a_gear_shows_the_motion_and_not_its_ripple() -> N
     functions = waves(*told)
     q, dq, ddq = told + ripple_rad * functions.swapaxes(0, 1)
     errors = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, late_s]])
-    read = Readings(q, dq, ddq, PERIOD_s, functions)
+    read = EncoderReadings(q, dq, ddq, PERIOD_s, functions)
     found = read.corrected(errors, np.array([-ripple_rad]), np.zeros(1, np.intp))
     for one, true in zip(found[:3], motion(at_s), strict=True):
         assert np.abs(one - true)[2:-2].max() < 0.6 * late_s**2  # of second order

@@ -16,7 +16,7 @@ from onboard.dynamics.model.urdf import with_bodies
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
-from onboard.ground.identify.kinds.planar_log import Recorder
+from onboard.ground.identify.kinds.planar_log import PlanarTickRecorder
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
@@ -128,7 +128,7 @@ def test_a_run_begins_where_the_base_is_let_go_and_not_after_a_gap() -> None:
     joints[60] = np.nan
     still = BaseMotion(*np.zeros((3, n, 3)))
     signals = Signals(0.01 * np.arange(n), joints, joints, joints, still, np.zeros((n, 6)), np.ones((n, 6)))
-    recorder = Recorder("payload", 5)
+    recorder = PlanarTickRecorder("payload", 5)
     excluded = np.where(np.arange(n) < 20, int(GateReason.PHASE), 0)
     found = recorder.update(signals, np.arange(n) >= 10, excluded)
     assert (found[60] == GateReason.GAP).all()

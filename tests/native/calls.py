@@ -18,13 +18,13 @@ from onboard.dynamics.free_flight import (
     rate_of_momentum,
     sensor_in_base,
 )
-from onboard.dynamics.joint_errors import ErrorsAlong, Readings
+from onboard.dynamics.joint_errors import EncoderReadings, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, chain_motion
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
-from onboard.identification.exiddm.prediction.ticks import Prediction
+from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.timebase import polygon
@@ -55,7 +55,7 @@ def outcomes(seed):
     corners = polygon.moved(polygon.box(-3.0, 5.0, 2.0, 4.0), (0.3, 0.1), rng.normal(size=(2, 2)), [(1.0, 0.2, 4.0)])
     angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 40))
     wide = polygon.widen(np.stack([5.0 * np.cos(angles), np.sin(angles)], axis=1), 1e-3, 1e-3)
-    plus = Prediction(
+    plus = TickPrediction(
         *rng.normal(size=(2, 3))[:1], rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=(2, 7))
     )
     more = plus.plus(rng.normal(size=7), np.array([0, 3]))
@@ -93,7 +93,7 @@ def fuzz_once(seed):
             return None
 
     chi, other = case.vehicle.chi, random_case((seed + 1) % 40)
-    read = Readings(*map(spoiled, case.readings[:3]), PERIOD_s, spoiled(case.readings.cyclic))
+    read = EncoderReadings(*map(spoiled, case.readings[:3]), PERIOD_s, spoiled(case.readings.cyclic))
     attempt(
         read.corrected, spoiled(case.of_joints), spoiled(case.multiples), case.errors.of_cyclic + rng.integers(-1, 2)
     )
@@ -140,7 +140,7 @@ def fuzz_once(seed):
             polygon.moved(corners, (np.nan, 1.0) if rng.random() < 0.1 else (0.1, 0.2), segments, cuts)
         )
     )
-    plus = Prediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
+    plus = TickPrediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
     attempt(plus.plus, spoiled(np.ones(7)), np.array([0, 3]))
 
 

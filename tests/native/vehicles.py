@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.free_flight import Push
-from onboard.dynamics.joint_errors import JointErrors, Readings
+from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
@@ -18,7 +18,7 @@ class Case(NamedTuple):
     """A vehicle, and a few ticks of its flight."""
 
     vehicle: VehicleModel
-    readings: Readings
+    readings: EncoderReadings
     errors: JointErrors
     of_joints: np.ndarray  # (joints, 6)
     multiples: np.ndarray  # (k,) of the first functions
@@ -46,7 +46,7 @@ def random_case(seed: int) -> Case:
     n, joints, links = int(rng.integers(4, 17)), len(vehicle.joints), len(vehicle.links)
     m, k = int(rng.integers(0, 5)), int(rng.integers(0, 4))
     motion = rng.normal(size=(3, 1, joints)) + 0.1 * rng.normal(size=(3, n, joints))
-    readings = Readings(*motion, PERIOD_s, rng.normal(size=(n, 3, m)))
+    readings = EncoderReadings(*motion, PERIOD_s, rng.normal(size=(n, 3, m)))
     errors = JointErrors(vehicle, rng.integers(0, joints, m).tolist())
     of_joints = 1e-2 * rng.normal(size=(joints, 6))
     free = tuple(rng.permutation(links)[: rng.integers(0, links + 1)].tolist())

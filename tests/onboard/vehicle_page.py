@@ -35,7 +35,7 @@ from onboard.config.estimation import (
 from onboard.config.keys.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
 from onboard.config.telemetry import Telemetry
-from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Realtime, RecordingSection, VehicleSection
 from onboard.ground.log.tables.columns import unit_of
 from onboard.section import LARGEST, Section
 from tests.onboard.device_page import _toml, _type
@@ -70,7 +70,7 @@ TABLES: dict[str, type[Section]] = {
     "[pivot]": Pivot,
     "[body]": Body,
     "[[pivot.balance]]": Balance,
-    "[recording]": Recording,
+    "[recording]": RecordingSection,
     "[realtime]": Realtime,
     "[telemetry]": Telemetry,
     "[drive]": Drive,

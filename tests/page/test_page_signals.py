@@ -7,7 +7,7 @@ from drivers import records
 from onboard import channels
 from onboard.estimation.gates import GateReason
 from onboard.page import signals
-from onboard.page.signals import Signals
+from onboard.page.signals import PageSignals
 from tests.page.made import SECOND, START
 
 
@@ -21,7 +21,7 @@ def imu(count: int, rng: np.random.Generator) -> records.Rows:
 
 @pytest.mark.parametrize("count", [1, 500, 60_000])
 def test_each_step_has_the_lowest_and_highest_sample_of_its_time(count: int, rng: np.random.Generator) -> None:
-    found, rows = Signals(), imu(count, rng)
+    found, rows = PageSignals(), imu(count, rng)
     for part in np.array_split(rows, max(1, count // 97)):
         found.add("imu_0", part)
     assert found.names() == ["imu_0 rate", "imu_0 specific force"]
@@ -40,7 +40,7 @@ def test_each_step_has_the_lowest_and_highest_sample_of_its_time(count: int, rng
 
 
 def test_samples_that_are_not_valid_or_no_numbers_are_left_out() -> None:
-    found, rows = Signals(), np.zeros(4, records.SCALAR)
+    found, rows = PageSignals(), np.zeros(4, records.SCALAR)
     rows["host_ns"], rows["value_raw"], rows["scale"] = START, [1, 2, 900, 3], [1.0, 1.0, 1.0, np.nan]
     rows["unit"], rows["status"][2] = b"N", records.SampleStatus.NOT_VALID
     found.add("load_cell", rows[2:])
@@ -55,7 +55,7 @@ def test_samples_that_are_not_valid_or_no_numbers_are_left_out() -> None:
 
 
 def test_share_of_the_regression_s_lines_that_is_used_or_contradicts() -> None:
-    found, rows = Signals(), np.zeros(3, channels.row_dtype(4, 1))
+    found, rows = PageSignals(), np.zeros(3, channels.row_dtype(4, 1))
     rows["host_ns"] = START + np.arange(3) * SECOND
     rows["gate"] = [
         [0, 0, 0, 0],
@@ -73,14 +73,14 @@ def test_share_of_the_regression_s_lines_that_is_used_or_contradicts() -> None:
 
 
 def test_a_clock_that_steps_back_keeps_the_order() -> None:
-    found, rows = Signals(), np.zeros(3, records.SCALAR)
+    found, rows = PageSignals(), np.zeros(3, records.SCALAR)
     rows["host_ns"], rows["value_raw"], rows["scale"] = [START + SECOND, START, START + 2 * SECOND], [1, 5, 2], 1.0
     found.add("joint_1", rows)
     assert found.of("joint_1", START)["points"] == [[1.0, 1.0, 5.0], [2.0, 2.0, 2.0]]
 
 
 def test_prediction_errors_are_shown_in_their_sigmas() -> None:
-    found, rows = Signals(), np.zeros(4, channels.INNOVATION)
+    found, rows = PageSignals(), np.zeros(4, channels.INNOVATION)
     rows["host_ns"], rows["sigma"] = START, [[0.5] * 3 + [2.0] * 3] * 3 + [[np.nan] * 6]
     rows["error"][:3] = [[0.1, 0, 0, 0, 0, -3.0], [-2.0, 0, 0, 0, 0, 1.0], [0.1, 0, 0, 0, 0, 0]]
     found.add("innovation", rows)

@@ -15,15 +15,15 @@ from onboard.identification import quantities, standing
 from onboard.page import state as states
 from onboard.page.follow import Followed, packed, payload_of
 from onboard.page.recorded import Recorded
-from onboard.page.state import State
+from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.page.made import MARKUP, SECOND, START, Rings, flight
 from tests.recording.logs import make_log
 
 
-def whole(*, live: bool = False) -> State:
-    state = State("made", "payload", live=live)
+def whole(*, live: bool = False) -> PageState:
+    state = PageState("made", "payload", live=live)
     for channel, rows in flight():
         for first in range(0, len(rows), 100):
             state.add(Batch(channel, rows[first : first + 100]))
@@ -85,7 +85,7 @@ def test_processes_computer_and_what_is_not_known() -> None:
 
 
 class TestGo:
-    def word(self, state: State, **more: object) -> tuple[str, list[str]]:
+    def word(self, state: PageState, **more: object) -> tuple[str, list[str]]:
         go = state.frame(**more)["go"]  # type: ignore[arg-type]
         return go["word"], [f"{one['kind']}: {one['text']}" for one in go["reasons"]]
 
@@ -93,7 +93,7 @@ class TestGo:
         assert self.word(whole()) == ("GO", ["note: all numbers of what is held are good, and nothing fails"])
 
     def test_before_an_estimate(self) -> None:
-        state = State("made", live=True)
+        state = PageState("made", live=True)
         assert self.word(state)[0] == "NO-GO"
         state.add(flight()[0])
         assert "open: nothing is estimated yet" in self.word(state)[1]
@@ -112,7 +112,7 @@ class TestGo:
         ]  # and not the instrument's
 
     def test_no_value_of_an_answer_that_is_withdrawn_is_told(self) -> None:
-        state = State("made", live=False)
+        state = PageState("made", live=False)
         rows = flight()[2].rows[-3:].copy()
         rows["supported"], rows["level"] = 1, [2, 0, 0]
         state.add(Batch("quantity", rows))
@@ -126,10 +126,10 @@ class TestGo:
         rows["name"] = [f"{kind}_payload".encode() for kind in quantities.BODY] + [b"m_link_1"]
         rows["unit"] = [unit.encode() for unit in quantities.BODY_UNITS] + [b"kg"]
         rows["level"][-1] = 2
-        state = State("made", "payload", live=False)
+        state = PageState("made", "payload", live=False)
         state.add(Batch("quantity", rows))
         assert self.word(state)[0] == "GO"
-        other = State("made", "", live=False)
+        other = PageState("made", "", live=False)
         other.add(Batch("quantity", rows))
         assert self.word(other)[0] == "NO-GO"
 
@@ -152,7 +152,7 @@ class TestGo:
 
 
 def test_a_long_flight_keeps_so_many_points_and_events() -> None:
-    state = State("long", live=True)
+    state = PageState("long", live=True)
     row, event = flight()[2].rows[-3:-2].copy(), np.zeros(1, records.EVENT)
     for step in range(20_000):
         row["host_ns"] = event["host_ns"] = START + step * SECOND
@@ -228,7 +228,7 @@ def test_numbers_that_are_none_and_levels_of_another_version() -> None:
     rows = np.zeros(1, channels.QUANTITY)
     rows["name"], rows["unit"], rows["supported"], rows["level"] = b"m_payload", b"kg", 1, 77
     rows["value"], rows["low"], rows["high"] = np.nan, -np.inf, np.inf
-    state = State("made", live=False)
+    state = PageState("made", live=False)
     state.add(Batch("quantity", rows))
     clock = np.zeros(1, channels.CLOCK)
     clock["state"], clock["sigma_ns"], clock["channel"] = 99, np.inf, b"joint_1"

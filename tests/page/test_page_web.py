@@ -20,7 +20,7 @@ from onboard import cli
 from onboard.page import address as addresses
 from onboard.page import process, web
 from onboard.page.recorded import Recorded
-from onboard.page.state import State
+from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from tests.page.made import START, Rings, flight
 from tests.page.served import Served, Stream, ask, raw, served
@@ -36,7 +36,7 @@ class Flying:
     live = True
 
     def __init__(self) -> None:
-        self.state = State("made", live=True)
+        self.state = PageState("made", live=True)
         for batch in flight():
             self.state.add(batch)
 

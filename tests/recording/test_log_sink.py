@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import SeekingReader
 
-from onboard.recording.sink import FileSink, Taken
+from onboard.recording.sink import FileSink, FileTaken
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import READING, FailingSink, MemorySink, reading_rows
 from tests.recording.stock_readers import stock_rows
@@ -130,5 +130,5 @@ def test_a_file_removed_while_it_is_looked_for_was_not_renamed(tmp_path: Path, m
         return lstat(self)
 
     monkeypatch.setattr(Path, "lstat", removed_first)
-    assert sink.taken() == Taken("removed", 0)
+    assert sink.taken() == FileTaken("removed", 0)
     sink.close()

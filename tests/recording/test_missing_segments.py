@@ -11,9 +11,9 @@ from drivers import records
 from onboard import cli, config
 from onboard.recording.format import mcap_format
 from onboard.recording.format.mcap_format import RECORD_HEAD, Chunk
-from onboard.recording.format.scan import Found, Scan
+from onboard.recording.format.scan import Scan, ScannedRecord
 from onboard.recording.reader import LogReader
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.writer import LogWriter
 
 STEP_NS = 50_000_000
@@ -31,7 +31,9 @@ def scalars(first, count):
 
 def write(path, flight, facts=FACTS):
     """Two channels of 40 rows a step, 10 steps a segment."""
-    log = SegmentedLog(path, Preamble(flight, (), facts), limits=Limits(span_ns=10 * STEP_NS), sync_interval_ns=0)
+    log = SegmentedLog(
+        path, Preamble(flight, (), facts), limits=SegmentLimits(span_ns=10 * STEP_NS), sync_interval_ns=0
+    )
     for name in ("a", "b"):
         log.register(name, records.SCALAR)
     for step in range(ROWS // 40):
@@ -287,7 +289,7 @@ def test_whatever_is_done_to_a_flight_it_is_never_called_whole_when_rows_are_mis
 def test_a_crafted_chunk_with_extreme_numbers_is_read_or_refused(tmp_path, whole, capsys):
     """Sequence numbers and times that no flight has, and that overflow where somebody subtracts them."""
     data = whole["x.mcap"]
-    chunks = [found for found in Scan(lay(tmp_path, {"x.mcap": data})).records() if isinstance(found, Found)]
+    chunks = [found for found in Scan(lay(tmp_path, {"x.mcap": data})).records() if isinstance(found, ScannedRecord)]
     chunk = next(one for one in chunks if isinstance(one.content, Chunk))
     row = scalars(0, 1).tobytes()
     tail = chunk.content.records.index(row[:24])

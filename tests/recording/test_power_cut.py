@@ -4,7 +4,7 @@ import pytest
 
 from onboard.recording.format.segments import segments
 from onboard.recording.reader import LogReader
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from tests.recording.disks import PowerCutDisk
 from tests.recording.logs import LABEL, READING, label_rows, reading_rows, same_fields
 
@@ -19,7 +19,7 @@ def fly(log, rng):
     writer = SegmentedLog(
         log,
         Preamble("f1", (), {"flight": {"vehicle": "x"}}),
-        limits=Limits(span_ns=20 * STEP_NS),
+        limits=SegmentLimits(span_ns=20 * STEP_NS),
         sync_interval_ns=OLDEST_NS - STEP_NS,
         open_sink=disk.open,
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drivers.records import EVENT, GAP, Severity, event
 from onboard.recording.reader import LogReader
 from onboard.recording.recorder import EVENT_CHANNEL, GAP_CHANNEL, Recorder
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.space import Room
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter
@@ -408,7 +408,7 @@ def test_recorders_that_die_at_any_step_are_followed_without_a_row_lost_doubled_
     log, now_ns = tmp_path / "log.mcap", 0
     preamble = Preamble("f1")
     for _ in range(60):
-        writer = SegmentedLog.resume(log, preamble, limits=Limits(span_ns=8 * STEP_NS))
+        writer = SegmentedLog.resume(log, preamble, limits=SegmentLimits(span_ns=8 * STEP_NS))
         recorder = Recorder(writer, [RingReader(ring.path)], recorded=writer.recorded)
         for _ in range(int(rng.integers(0, 7))):
             ring.push(int(rng.integers(1, 30)))

@@ -16,7 +16,7 @@ from onboard.recording.format.segments import flights, read_head, segment_path, 
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress
 from onboard.recording.seal import seal
-from onboard.recording.segmented import SEAL_AFTER_NS, Limits, Preamble, Progress, SegmentedLog
+from onboard.recording.segmented import SEAL_AFTER_NS, Preamble, Progress, SegmentedLog, SegmentLimits
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
 
@@ -32,7 +32,7 @@ class Flight:
     """Writes 40 rows a step of 50 ms; a segment lasts 10 steps."""
 
     def __init__(self, log, preamble=PREAMBLE, **options):
-        self.writer = SegmentedLog.resume(log, preamble, limits=Limits(span_ns=10 * STEP_NS), **options)
+        self.writer = SegmentedLog.resume(log, preamble, limits=SegmentLimits(span_ns=10 * STEP_NS), **options)
         self.writer.register("reading", READING)
         self.writer.register("label", LABEL)
         self.now_ns = self.number = 0
@@ -83,7 +83,7 @@ def test_each_segment_is_whole_and_says_everything(tmp_path, name):
 
 
 def test_a_segment_is_full_by_size_too(tmp_path):
-    writer = SegmentedLog(tmp_path / "a.mcap", PREAMBLE, limits=Limits(size=50_000), sync_interval_ns=0)
+    writer = SegmentedLog(tmp_path / "a.mcap", PREAMBLE, limits=SegmentLimits(size=50_000), sync_interval_ns=0)
     writer.register("reading", READING)
     for n in range(40):
         writer.write("reading", reading_rows(n * 100, 100))

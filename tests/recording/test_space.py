@@ -6,7 +6,7 @@ import pytest
 
 from onboard.recording.format.segments import segments
 from onboard.recording.recorder import Recorder
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.sink import FileSink, is_locked
 from onboard.recording.space import MARGIN, SpaceGuard
 from tests.recording.logs import READING, reading_rows, write_small
@@ -16,7 +16,7 @@ RESERVE = 1 << 20
 
 def fly(log, flight, count=3):
     """A flight of at least ``count`` segments."""
-    writer = SegmentedLog(log, Preamble(flight), limits=Limits(size=20_000), sync_interval_ns=0)
+    writer = SegmentedLog(log, Preamble(flight), limits=SegmentLimits(size=20_000), sync_interval_ns=0)
     writer.register("reading", READING)
     for n in range(count * 4):
         writer.write("reading", reading_rows(n * 100, 100))

@@ -8,7 +8,7 @@ import pytest
 from onboard.recording.format.segments import segment_path
 from onboard.recording.reader import LogReader
 from onboard.recording.recorder import EVENT_CHANNEL, GAP_CHANNEL, Recorder
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.ring import RingReader, RingWriter
 from tests.recording.logs import READING, reading_rows
 
@@ -24,7 +24,7 @@ class Flight:
         log.parent.mkdir(exist_ok=True)
         self.ring = RingWriter(log.parent.parent / "reading.ring", READING, 10_000)
         self.preamble = Preamble(name, (), {"flight": {"vehicle": "x"}})
-        self.writer = SegmentedLog(log, self.preamble, limits=Limits(span_ns))
+        self.writer = SegmentedLog(log, self.preamble, limits=SegmentLimits(span_ns))
         reader, losses = RingReader(self.ring.path), self.writer.take_losses
         self.recorder = Recorder(self.writer, [reader], losses=losses, said=self.said.extend)
         self.now_ns = self.number = 0

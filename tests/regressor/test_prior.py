@@ -6,10 +6,10 @@ import pytest
 from onboard.dynamics.model.errors import UnknownFrameError, UrdfError
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_of, standard_of
-from onboard.regressor.prior import Made, prior_root
+from onboard.regressor.prior import LinkSigmas, prior_root
 from tests.regressor.test_base_parameters import rocksat
 
-ARM = Made(mass_relative=0.01, centre_m=5e-4, inertia_relative=0.02)
+ARM = LinkSigmas(mass_relative=0.01, centre_m=5e-4, inertia_relative=0.02)
 REST = {"plate": 1.0, "tip_mass": 1.0}
 BIAS = {"bias_load_cell": 2.0}
 

@@ -7,13 +7,13 @@ import numpy as np
 from drivers.records import Batch, Severity, event
 from onboard import channels
 from onboard.config.telemetry import Telemetry
-from onboard.telemetry.downlink import Downlink, Flight
+from onboard.telemetry.downlink import Downlink, FlightIdentity
 from onboard.telemetry.packets import Packet
 from onboard.telemetry.stream import Stream
 
 SECOND_NS = 1_000_000_000
 START_NS = 50 * SECOND_NS
-FLIGHT = Flight("a1b2", "rocksat", "flight-001.mcap", 1_764_000_000 * SECOND_NS, START_NS)
+FLIGHT = FlightIdentity("a1b2", "rocksat", "flight-001.mcap", 1_764_000_000 * SECOND_NS, START_NS)
 NAMES = ("m_payload", "c_x_payload", "c_y_payload", "c_z_payload", "I_xx_payload", "I_xy_payload", "I_yy_payload")
 
 

@@ -10,14 +10,25 @@ from hypothesis import strategies as st
 
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry import packets
-from onboard.telemetry.packets import ANSWER, EVENT, KINDS, PHASE, STATUS, Kind, PacketError, decode, encode, plain
+from onboard.telemetry.packets import (
+    ANSWER,
+    EVENT,
+    KINDS,
+    PHASE,
+    STATUS,
+    PacketError,
+    PacketKind,
+    decode,
+    encode,
+    plain,
+)
 
 APIDS = Telemetry().apids
 BY_APID = {apid: KINDS[name] for name, apid in APIDS.items()}
 AT_NS = 1_764_000_000_123_456_789
 
 
-def some(kind: Kind, **given: Any) -> dict[str, Any]:
+def some(kind: PacketKind, **given: Any) -> dict[str, Any]:
     """A value for each field."""
     values = {}
     for number, field in enumerate((*kind.lead, *kind.fields)):
@@ -25,7 +36,7 @@ def some(kind: Kind, **given: Any) -> dict[str, Any]:
     return values | given
 
 
-def made(kind: Kind, count: int = 5, **given: Any) -> bytes:
+def made(kind: PacketKind, count: int = 5, **given: Any) -> bytes:
     return encode(kind, APIDS[kind.name], count, 77, AT_NS, some(kind, **given))
 
 
@@ -53,7 +64,7 @@ def test_the_crc_is_that_of_the_standards_examples() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_what_is_sent_is_read(kind: Kind) -> None:
+def test_what_is_sent_is_read(kind: PacketKind) -> None:
     data = made(kind, count=packets.COUNTS + 3)
     packet = decode(data, BY_APID)
     assert (packet.kind, packet.count, packet.session, len(data)) == (kind, 3, 77, kind.length)

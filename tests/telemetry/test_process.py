@@ -28,7 +28,7 @@ from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingWriter
 from onboard.telemetry import link
-from onboard.telemetry.commander import Asked, Commander, parse
+from onboard.telemetry.commander import Commander, OperatorCommand, parse
 from onboard.telemetry.packets import Packet
 from onboard.telemetry.process import sending
 from onboard.telemetry.stream import Series, Stream
@@ -74,7 +74,7 @@ def flight(log: Path) -> Iterator[Flight]:
 class Line(threading.Thread):
     """The far end of a serial line, at a path that the near end opens; what came so far, and commands that go back."""
 
-    def __init__(self, path: Path, commands: Sequence[Asked] = ()) -> None:
+    def __init__(self, path: Path, commands: Sequence[OperatorCommand] = ()) -> None:
         super().__init__(daemon=True)
         self._stream, self._out, self.reports = Stream(Telemetry().apids), deque[bytes](), list[str]()
         self.commander = Commander(commands, Telemetry().command_apid, 9, 1, self._out, self.reports.append)

@@ -16,7 +16,7 @@ from onboard.channels import Order, Refusal
 from onboard.cli.common import console
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry import xtce
-from onboard.telemetry.board import Board
+from onboard.telemetry.board import PacketBoard
 from onboard.telemetry.packets import KINDS, SECONDARY
 from onboard.telemetry.stream import Series, Stream
 from onboard.telemetry.uplink import LAYOUTS, MOST_AT_ONCE, Command, Uplink, telecommand
@@ -224,7 +224,7 @@ def test_without_an_armed_command_the_database_has_none() -> None:
 def test_the_board_says_what_became_of_a_command() -> None:
     link = downlink(bytes_s=10_000)
     stream, series = Stream(Telemetry().apids), Series()
-    board, now_ns = Board(stream, series), START_NS
+    board, now_ns = PacketBoard(stream, series), START_NS
     for subtype, why in ((1, {}), (8, {"code": 8, "why": "see the log"})):
         link.report(subtype, told(Order.STOP, count=77)[:4], 2, **why)
         now_ns += SECOND_NS

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
-from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
+from onboard.timebase.resync import Alignment, RecorderStream, ResyncError, align, shocks
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def seen_at(times_s: Floats, motion: Floats) -> Floats:
 
 def recorders(
     rng: np.random.Generator, rate: float, start_s: float, drift_per_s: float = 0.0, noise: float = 0.02
-) -> tuple[Stream, Stream, Floats]:
+) -> tuple[RecorderStream, RecorderStream, Floats]:
     """A gyro on the reference's clock, five joints on another, and the true reference times of the latter's samples."""
     joints = wander(rng, 5)
     gyro_s = np.arange(0.0, LENGTH_S, 1e-3)
@@ -41,7 +41,11 @@ def recorders(
     own_s = np.arange(0.0, 0.75 * LENGTH_S, 2e-3)
     true_s = start_s + (1.0 + rate + 0.5 * drift_per_s * own_s) * own_s
     encoders = seen_at(true_s, joints)
-    return Stream(gyro_s, gyro + noise * rng.standard_normal(gyro.shape)), Stream(own_s + 1000.0, encoders), true_s
+    return (
+        RecorderStream(gyro_s, gyro + noise * rng.standard_normal(gyro.shape)),
+        RecorderStream(own_s + 1000.0, encoders),
+        true_s,
+    )
 
 
 @settings(max_examples=15, deadline=None)
@@ -97,7 +101,7 @@ def test_periodic_motion_is_refused_and_the_period_named(rng: np.random.Generato
     joint = stroke(own_s)[:, None]
 
     with pytest.raises(ResyncError, match=r"another offset, [+-]\d+\.\d+ s from the best"):
-        align(Stream(times_s, gyro), Stream(own_s, joint), PEAK_HZ)
+        align(RecorderStream(times_s, gyro), RecorderStream(own_s, joint), PEAK_HZ)
 
 
 def test_recordings_of_different_motions_are_refused() -> None:
@@ -105,15 +109,15 @@ def test_recordings_of_different_motions_are_refused() -> None:
     _, other, _ = recorders(np.random.default_rng(4), 0.0, 3.0)
 
     with pytest.raises(ResyncError, match="the recordings have no common motion"):
-        align(reference, Stream(other.time_s, other.values[:, :1]), PEAK_HZ)
+        align(reference, RecorderStream(other.time_s, other.values[:, :1]), PEAK_HZ)
 
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda s: Stream(s.time_s[::-1], s.values), "do not rise"),
-        (lambda s: Stream(s.time_s[:1000], s.values[:1000]), "shorter than 6 periods"),
-        (lambda s: Stream(s.time_s[::100], s.values[::100]), "lower the frequency to 0.5 Hz"),
+        (lambda s: RecorderStream(s.time_s[::-1], s.values), "do not rise"),
+        (lambda s: RecorderStream(s.time_s[:1000], s.values[:1000]), "shorter than 6 periods"),
+        (lambda s: RecorderStream(s.time_s[::100], s.values[::100]), "lower the frequency to 0.5 Hz"),
     ],
 )
 def test_recordings_that_cannot_serve_are_named(spoil, message) -> None:  # type: ignore[no-untyped-def]
@@ -133,8 +137,8 @@ def test_taps_of_a_mallet_align_recorders_that_measure_nothing_alike(rng: np.ran
     taps_s = np.sort(rng.uniform(12.0, 28.0, 7))
     imu_s, own_s = np.arange(0.0, 40.0, 1e-3), np.arange(0.0, 30.0, 2e-3)
     true_s = 6.0 + 1.004 * own_s
-    imu = shocks(Stream(imu_s, tapped(imu_s, taps_s, rng, 3, 0.1)), 0.005)
-    encoder = shocks(Stream(own_s, tapped(true_s, taps_s, rng, 1, 0.1)), 0.005)
+    imu = shocks(RecorderStream(imu_s, tapped(imu_s, taps_s, rng, 3, 0.1)), 0.005)
+    encoder = shocks(RecorderStream(own_s, tapped(true_s, taps_s, rng, 1, 0.1)), 0.005)
 
     found = align(imu, encoder, 15.0, rate_limit=0.02, first_s=28.0)
 
@@ -146,8 +150,8 @@ def test_taps_of_a_mallet_align_recorders_that_measure_nothing_alike(rng: np.ran
 def test_evenly_spaced_taps_are_refused(rng: np.random.Generator) -> None:
     taps_s = np.arange(12.0, 28.0, 2.0)
     imu_s, own_s = np.arange(0.0, 40.0, 1e-3), np.arange(8.0, 20.0, 2e-3)
-    imu = shocks(Stream(imu_s, tapped(imu_s, taps_s, rng, 3, 0.1)), 0.005)
-    encoder = shocks(Stream(own_s, tapped(own_s, taps_s, rng, 1, 0.1)), 0.005)
+    imu = shocks(RecorderStream(imu_s, tapped(imu_s, taps_s, rng, 3, 0.1)), 0.005)
+    encoder = shocks(RecorderStream(own_s, tapped(own_s, taps_s, rng, 1, 0.1)), 0.005)
 
     with pytest.raises(ResyncError, match="explains the motion nearly as well"):
         align(imu, encoder, 15.0, rate_limit=0.0, first_s=10.0)
@@ -160,10 +164,10 @@ def test_a_delay_put_on_the_wheel_of_recorded_throws_is_found(datasets: Path) ->
     for delay_s, throw in zip(np.linspace(0.004, 0.05, len(throws)), throws, strict=True):
         recorded = np.load(throw)
         time_s = (recorded["time_us"] - recorded["time_us"][0]) * 1e-6
-        gyro = Stream(time_s, np.deg2rad(recorded["gyro_raw"] / 16.384))
+        gyro = RecorderStream(time_s, np.deg2rad(recorded["gyro_raw"] / 16.384))
         wheel = recorded["erpm_raw"].reshape(-1, 1).astype(float)
         late_s = time_s[::2] + delay_s  # another recorder: half as many samples, from another one on
-        as_recorded = align(gyro, Stream(time_s, wheel), 35.0, rate_limit=0.0, offset_limit_s=0.1)
-        delayed = align(gyro, Stream(late_s[60:], wheel[::2][60:]), 35.0, rate_limit=0.0, offset_limit_s=0.1)
+        as_recorded = align(gyro, RecorderStream(time_s, wheel), 35.0, rate_limit=0.0, offset_limit_s=0.1)
+        delayed = align(gyro, RecorderStream(late_s[60:], wheel[::2][60:]), 35.0, rate_limit=0.0, offset_limit_s=0.1)
         half_a_millisecond = 5e-4
         assert as_recorded.offset_s - delayed.offset_s == pytest.approx(delay_s, abs=half_a_millisecond), throw.name

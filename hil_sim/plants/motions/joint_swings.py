@@ -16,7 +16,7 @@ from hil_sim.plants.motions.motion import PhaseSpan, Program, minimum_jerk
 from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import Motion, Scenario, SequenceStep
+from hil_sim.scenario.vehicle_tables import MotionTable, Scenario, SequenceStep
 
 _FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
 _MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
@@ -226,7 +226,7 @@ def wheels(scenario: Scenario) -> frozenset[str]:
     return frozenset(str(table["at"]) for table in tables if table.get("measures") in sensors)
 
 
-def _posture(joint: DrawnJoint, motion: Motion, drawn: float) -> float:
+def _posture(joint: DrawnJoint, motion: MotionTable, drawn: float) -> float:
     """``drawn``: from -1 to 1."""
     if joint.name in motion.posture:
         at = motion.posture[joint.name] + motion.posture_spread * drawn

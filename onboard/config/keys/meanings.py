@@ -34,7 +34,7 @@ from onboard.config.keys.drive_meanings import DRIVE, MISSION
 from onboard.config.keys.flight_meanings import REALTIME, TELEMETRY
 from onboard.config.mission import MissionKeys
 from onboard.config.telemetry import Telemetry
-from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Realtime, RecordingSection, VehicleSection
 from onboard.section import Section
 
 
@@ -78,7 +78,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "calibrated": _M("Date, log and command of its calibration."),
     },
-    Recording: {
+    RecordingSection: {
         "directory": _M("Where logs go, relative to where heft runs.", "the medium for logs is mounted elsewhere"),
         "sync_period_ms": _M(
             "Nothing recorded is ever longer than this off the medium.", "the medium wears, or is slow"

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.mechanics.chain import Chain, rotations
+from onboard.dynamics.mechanics.chain import SerialChain, rotations
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
@@ -33,7 +33,7 @@ class ReducedInertia(NamedTuple):
     D_qq: FloatArray  # (n, n)
 
 
-def barycentric(chain: Chain) -> Barycentric:
+def barycentric(chain: SerialChain) -> Barycentric:
     """Barycentric vectors of a serial arm (2.32, 2.33).
 
     Raises:
@@ -50,7 +50,7 @@ def barycentric(chain: Chain) -> Barycentric:
     return Barycentric(c, r_own - c, l_own - c)
 
 
-def augmented_inertias(chain: Chain) -> FloatArray:
+def augmented_inertias(chain: SerialChain) -> FloatArray:
     """Inertia of each augmented body about its barycentre, (n + 1, 3, 3) kg m^2, its axes: D_ii of (2.37).
 
     The augmented body has, besides its own mass, that of all bodies before at its first joint and of all after at its
@@ -66,7 +66,7 @@ def augmented_inertias(chain: Chain) -> FloatArray:
     return out
 
 
-def reduced_inertia(chain: Chain, q: FloatArray) -> ReducedInertia:
+def reduced_inertia(chain: SerialChain, q: FloatArray) -> ReducedInertia:
     """D, D_q and D_qq at joint positions (n,) (2.36, 2.37)."""
     b, R, n = barycentric(chain), rotations(chain, q), len(chain.axis)
     r, l = np.einsum("iab,ib->ia", R, b.r), np.einsum("iab,ib->ia", R, b.l)  # noqa: E741
@@ -88,7 +88,7 @@ def reduced_inertia(chain: Chain, q: FloatArray) -> ReducedInertia:
     return ReducedInertia(D_j.sum(axis=0), D_q, D_qq)
 
 
-def body_rates(chain: Chain, q: FloatArray) -> FloatArray:
+def body_rates(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Inertial angular velocity of every body per joint rate at zero momentum, (n + 1, 3, n), base axes (2.35)."""
     inertia, R, n = reduced_inertia(chain, q), rotations(chain, q), len(chain.axis)
     axes = np.einsum("iab,ib->ia", R[1:], chain.axis)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.mechanics.chain import Chain, rotations
+from onboard.dynamics.mechanics.chain import SerialChain, rotations
 from onboard.estimation.arrays import FloatArray
 
 
@@ -30,14 +30,14 @@ class Count(NamedTuple):
     formula: str
 
 
-def first_cluster(chain: Chain, first: int = 0) -> int:
+def first_cluster(chain: SerialChain, first: int = 0) -> int:
     """B: how many joints, from ``first`` on, have parallel axes (a link cluster of section 2.1.4)."""
     cosines = [chain.axis[k] @ chain.next_axes[k + 1] @ chain.axis[k + 1] for k in range(first, len(chain.axis) - 1)]
     parallel = [abs(abs(cosine) - 1.0) < 1e-9 for cosine in cosines]
     return 1 + (parallel.index(False) if False in parallel else len(parallel))
 
 
-def fixed_base_count(chain: Chain, gravity: FloatArray) -> Count | None:
+def fixed_base_count(chain: SerialChain, gravity: FloatArray) -> Count | None:
     """Count for an arm on a fixed base (2.64-2.67), gravity (3,) in base axes; None if a joint is not revolute."""
     if not all(chain.revolute):
         return None
@@ -48,13 +48,13 @@ def fixed_base_count(chain: Chain, gravity: FloatArray) -> Count | None:
     return Count(7 * n - 4 * cluster - less, f"7 x {n} - 4 x {cluster}{' - 2' if along else ''}")
 
 
-def free_base_count(chain: Chain) -> Count | None:
+def free_base_count(chain: SerialChain) -> Count | None:
     """Count for an arm on a free base of known wrench (derived here: 10 + 7 per joint); None if not all revolute."""
     n = len(chain.axis)
     return Count(10 + 7 * n, f"10 + 7 x {n}") if all(chain.revolute) else None
 
 
-def planar_base_count(chain: Chain) -> Count | None:
+def planar_base_count(chain: SerialChain) -> Count | None:
     """Count for the base wrench on a level bed, z of the base vertical (derived here); None if not all revolute."""
     if not all(chain.revolute):
         return None

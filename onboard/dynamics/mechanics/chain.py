@@ -13,7 +13,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 
 
-class Chain(NamedTuple):
+class SerialChain(NamedTuple):
     """Bodies 0..n of a serial arm."""
 
     mass: FloatArray  # (n + 1,) kg
@@ -25,7 +25,7 @@ class Chain(NamedTuple):
     revolute: tuple[bool, ...]  # (n,)
 
 
-def chain_of(arm: FloatingArm) -> Chain:
+def chain_of(arm: FloatingArm) -> SerialChain:
     """The serial chain from the base to the arm's tip (notation of Limparis 2.1.2, 2.1.3).
 
     Raises:
@@ -45,7 +45,7 @@ def chain_of(arm: FloatingArm) -> Chain:
     places = [model.jointPlacements[k] for k in order] + [model.frames[arm.tip].placement]
     joints = {joint.name: joint for joint in arm.vehicle.joints}
     moving = [joints[model.names[k]] for k in order]
-    return Chain(
+    return SerialChain(
         np.array([body.mass for body in inertias]),
         np.array([body.lever for body in inertias]),
         np.array([body.inertia for body in inertias]),
@@ -56,7 +56,7 @@ def chain_of(arm: FloatingArm) -> Chain:
     )
 
 
-def rotations(chain: Chain, q: FloatArray) -> FloatArray:
+def rotations(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Axes of every body in the base's, (n + 1, 3, 3), by Rodrigues' formula."""
     R = np.empty((len(chain.mass), 3, 3))
     R[0] = np.eye(3)
@@ -66,7 +66,7 @@ def rotations(chain: Chain, q: FloatArray) -> FloatArray:
     return R
 
 
-def offsets(chain: Chain, q: FloatArray) -> FloatArray:
+def offsets(chain: SerialChain, q: FloatArray) -> FloatArray:
     """From each body's origin to the next one's (to the tip for the last), (n + 1, 3), in the body's own axes.
 
     A prismatic joint adds its travel to the body before it.

@@ -12,27 +12,27 @@ to its joints. A prismatic joint's travel is scaled by the share of what is befo
 
 import numpy as np
 
-from onboard.dynamics.mechanics.chain import Chain, offsets, rotations
+from onboard.dynamics.mechanics.chain import SerialChain, offsets, rotations
 from onboard.estimation.arrays import FloatArray
 
 
-def mass_shares(chain: Chain) -> FloatArray:
+def mass_shares(chain: SerialChain) -> FloatArray:
     """``mu_i``, (n + 1,): the share of the vehicle's mass in bodies 0..i (2.25-2.28)."""
     return np.asarray(np.cumsum(chain.mass) / chain.mass.sum(), np.float64)
 
 
-def virtual_links(chain: Chain, q: FloatArray) -> FloatArray:
+def virtual_links(chain: SerialChain, q: FloatArray) -> FloatArray:
     """``V_i``, (n + 1, 3) m, in each body's axes; constant but for prismatic joints (2.25-2.29)."""
     share = chain.mass / chain.mass.sum()
     return np.asarray(mass_shares(chain)[:, None] * offsets(chain, q) - share[:, None] * chain.centre, np.float64)
 
 
-def virtual_tip(chain: Chain, q: FloatArray) -> FloatArray:
+def virtual_tip(chain: SerialChain, q: FloatArray) -> FloatArray:
     """From the virtual ground to the tip, (3,) m, base axes (2.28)."""
     return np.asarray(np.einsum("iab,ib->a", rotations(chain, q), virtual_links(chain, q)), np.float64)
 
 
-def virtual_jacobian(chain: Chain, q: FloatArray, axes_rate: FloatArray) -> FloatArray:
+def virtual_jacobian(chain: SerialChain, q: FloatArray, axes_rate: FloatArray) -> FloatArray:
     """The tip's velocity per joint rate, (3, n), with bodies turning by ``axes_rate`` (n + 1, 3, n), base axes.
 
     ``axes_rate[i]`` is the angular velocity of body i in inertial space per joint rate; for a base that floats at zero

@@ -16,7 +16,7 @@ class Tree(NamedTuple):
     seat_axes: FloatArray  # (joints, 3, 3) axes of each joint's frame at zero, in those of the body that carries it
     axis: FloatArray  # (joints, 3) in the joint's frame
     below: FloatArray  # (joints, joints) one where the column's joint lies between the base and the row's
-    compiled: structures.Tree  # what the compiled core moves
+    compiled: structures.TreeStruct  # what the compiled core moves
 
 
 class TreeJoint(Protocol):
@@ -62,7 +62,7 @@ def tree_of(model: pin.Model, joints: Sequence[TreeJoint], links: Sequence[str])
     motion = axes, np.stack([seat_axes @ hat, seat_axes @ hat @ hat]), revolute
     link_axes = _stacked([frame.placement.rotation for frame in frames], (3, 3))
     link_origin = _stacked([frame.placement.translation for frame in frames], (3,))
-    compiled = structures.Tree(len(joints), len(links), parent, on, *seats, *motion, link_axes, link_origin)
+    compiled = structures.TreeStruct(len(joints), len(links), parent, on, *seats, *motion, link_axes, link_origin)
     return Tree(seat_axes, axes, path[parent], compiled)
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.model.bases import BaseKind
-from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, Problem, read
+from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, UrdfProblem, read
 from onboard.estimation.arrays import FloatArray
 
 FARTHEST_M = 109.0  # the largest thing that flies: the truss of the International Space Station
@@ -78,7 +78,7 @@ def require_flyable(
     if not problems and floats and not base_weighs(drawing, payload_link):
         line = drawing.lines[drawing.links[drawing.root]]
         what = f"the base, link {drawing.root!r} with what is fixed to it, weighs nothing"
-        problems = [Problem(line, f"{what}; one that is {base} moves by its mass and inertia: give it <inertial>")]
+        problems = [UrdfProblem(line, f"{what}; one that is {base} moves by its mass and inertia: give it <inertial>")]
     if problems:
         raise DrawingError(problems, label)
     return drawing
@@ -110,7 +110,7 @@ def vector(element: ET.Element | None, key: str, default: str = "0 0 0") -> Floa
     return np.array([float(part) for part in text.split()], np.float64)
 
 
-def _sizes(drawing: Drawing) -> Iterator[Problem]:
+def _sizes(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Every number that is read: it is one, finite, and of a size that something can have."""
     for name, link in drawing.links.items():
         for inertial in link.findall("inertial")[:1]:
@@ -130,19 +130,21 @@ def _sizes(drawing: Drawing) -> Iterator[Problem]:
             yield from _numbers(drawing, limit, given, f"{who}: limit", math.inf, "")
 
 
-def _place(drawing: Drawing, parent: ET.Element, who: str) -> Iterator[Problem]:
+def _place(drawing: Drawing, parent: ET.Element, who: str) -> Iterator[UrdfProblem]:
     origin = parent.find("origin")
     if origin is not None:
         yield from _vector(drawing, origin, "xyz", who, FARTHEST_M, "m")
         yield from _vector(drawing, origin, "rpy", who, MOST_ANGLE_RAD, "rad")
 
 
-def _vector(drawing: Drawing, element: ET.Element, key: str, who: str, largest: float, unit: str) -> Iterator[Problem]:
+def _vector(
+    drawing: Drawing, element: ET.Element, key: str, who: str, largest: float, unit: str
+) -> Iterator[UrdfProblem]:
     """An attribute that is three numbers, where it is given."""
     text = element.get(key)
     parts = [] if text is None else text.split()
     if text is not None and len(parts) != 3:
-        yield Problem(drawing.lines[element], f"{who}: {key}={text!r} is not three numbers; write them with spaces")
+        yield UrdfProblem(drawing.lines[element], f"{who}: {key}={text!r} is not three numbers; write them with spaces")
         return
     for part in parts:
         yield from _number(drawing.lines[element], part, f"{who}: {key}", largest, unit)
@@ -150,28 +152,28 @@ def _vector(drawing: Drawing, element: ET.Element, key: str, who: str, largest: 
 
 def _numbers(
     drawing: Drawing, element: ET.Element | None, keys: Iterable[str], who: str, largest: float, unit: str
-) -> Iterator[Problem]:
+) -> Iterator[UrdfProblem]:
     """Attributes that are a number each, and there."""
     if element is None:
         return
     for key in keys:
         text = element.get(key)
         if text is None:
-            yield Problem(drawing.lines[element], f"{who} has no {key}; add it, in SI units")
+            yield UrdfProblem(drawing.lines[element], f"{who} has no {key}; add it, in SI units")
         else:
             yield from _number(drawing.lines[element], text.strip(), f"{who}: {key}", largest, unit)
 
 
-def _number(line: int, text: str, who: str, largest: float, unit: str) -> Iterator[Problem]:
+def _number(line: int, text: str, who: str, largest: float, unit: str) -> Iterator[UrdfProblem]:
     if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
         comma = " with a decimal point" if "," in text else ""
-        yield Problem(line, f"{who}={text!r} is no number; write it in digits{comma}")
+        yield UrdfProblem(line, f"{who}={text!r} is no number; write it in digits{comma}")
     elif abs(float(text)) > largest:
         remedy = _REMEDIES.get(unit, "write it as a number near one")
-        yield Problem(line, f"{who}: {text} {unit} is more than anything that flies has ({largest:.4g}); {remedy}")
+        yield UrdfProblem(line, f"{who}: {text} {unit} is more than anything that flies has ({largest:.4g}); {remedy}")
 
 
-def _bodies(drawing: Drawing) -> Iterator[Problem]:
+def _bodies(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Links whose mass and inertia no body has."""
     for name, link in drawing.links.items():
         own = inertial_of(link)
@@ -179,7 +181,7 @@ def _bodies(drawing: Drawing) -> Iterator[Problem]:
             continue
         why = impossible(own.mass_kg, own.inertia_kg_m2) or _too_wide(drawing, name, own)
         if why:
-            yield Problem(drawing.lines[link.findall("inertial")[0]], f"link {name!r} {why}")
+            yield UrdfProblem(drawing.lines[link.findall("inertial")[0]], f"link {name!r} {why}")
 
 
 def impossible(mass_kg: float, inertia_kg_m2: FloatArray) -> str:
@@ -267,16 +269,16 @@ def rotation(roll_pitch_yaw_rad: FloatArray) -> FloatArray:
     )
 
 
-def _axes(drawing: Drawing) -> Iterator[Problem]:
+def _axes(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Axes that have no direction."""
     for joint in drawing.joints.values():
         length = float(np.linalg.norm(vector(joint.element.find("axis"), "xyz", "1 0 0"))) if joint.moves else 1.0
         if length < 1.0 / _LONGEST_AXIS:
             what = f"joint {joint.name!r} has an axis of no length; give its direction, e.g. 0 0 1"
-            yield Problem(drawing.lines[joint.element], what, joint.name)
+            yield UrdfProblem(drawing.lines[joint.element], what, joint.name)
 
 
-def _ranges(drawing: Drawing) -> Iterator[Problem]:
+def _ranges(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Joints without a range, and joints that follow another."""
     for joint in drawing.joints.values():
         if not joint.moves:
@@ -285,42 +287,42 @@ def _ranges(drawing: Drawing) -> Iterator[Problem]:
         limit, mimic = joint.element.find("limit"), joint.element.find("mimic")
         if mimic is not None:
             what = f"{who} follows {mimic.get('joint')!r}, which is not simulated"
-            yield Problem(line, f"{what}; make it fixed, or take <mimic> out where it is measured", joint.name)
+            yield UrdfProblem(line, f"{what}; make it fixed, or take <mimic> out where it is measured", joint.name)
         if joint.kind == "continuous":
             continue
         if limit is None:
-            yield Problem(line, f"{who} has no <limit>; add it with lower and upper, or make it fixed", joint.name)
+            yield UrdfProblem(line, f"{who} has no <limit>; add it with lower and upper, or make it fixed", joint.name)
             continue
         low, high = (float(limit.get(key, "0")) for key in ("lower", "upper"))
         if not low < high:
             what = f"{who} goes from {low:g} to {high:g}"
-            yield Problem(line, f"{what}; write lower below upper in its <limit>, or make it fixed", joint.name)
+            yield UrdfProblem(line, f"{what}; write lower below upper in its <limit>, or make it fixed", joint.name)
 
 
-def _carried(drawing: Drawing) -> Iterator[Problem]:
+def _carried(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Joints that move nothing: a torque on them would have no finite acceleration."""
     for joint in drawing.joints.values():
         if joint.moves and not any(_resists(drawing.links[link]) for link in drawing.group(joint.child)):
             what = f"link {joint.child!r}, which joint {joint.name!r} moves, has no mass or no inertia"
-            yield Problem(
+            yield UrdfProblem(
                 drawing.lines[drawing.links[joint.child]],
                 f"{what}, nor has what is fixed to it; give it <inertial>, or make the joint fixed",
                 joint.name,
             )
 
 
-def _placed_twice(drawing: Drawing) -> Iterator[Problem]:
+def _placed_twice(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Second origins: readers of URDF take the first, and MuJoCo refuses the file."""
     for link in drawing.links.values():
         yield from _second_origin(drawing, link.findall("inertial"))
     yield from _second_origin(drawing, (joint.element for joint in drawing.joints.values()))
 
 
-def _second_origin(drawing: Drawing, elements: Iterable[ET.Element]) -> Iterator[Problem]:
+def _second_origin(drawing: Drawing, elements: Iterable[ET.Element]) -> Iterator[UrdfProblem]:
     for element in elements:
         for again in element.findall("origin")[1:2]:
             what = f"<{element.tag}> has <origin> a second time; take one of them out"
-            yield Problem(drawing.lines[again], what)
+            yield UrdfProblem(drawing.lines[again], what)
 
 
 def _resists(link: ET.Element) -> bool:

@@ -25,7 +25,7 @@ _WORDS = {  # expat's, in ours
 }
 
 
-class Problem(NamedTuple):
+class UrdfProblem(NamedTuple):
     """Why a URDF cannot fly.
 
     Attributes:
@@ -39,7 +39,7 @@ class Problem(NamedTuple):
     joint: str = ""
 
 
-class Joint(NamedTuple):
+class UrdfJoint(NamedTuple):
     """A ``<joint>``: its element, name, type and links."""
 
     element: ET.Element
@@ -66,12 +66,12 @@ class Drawing(NamedTuple):
     """
 
     links: dict[str, ET.Element]
-    joints: dict[str, Joint]
+    joints: dict[str, UrdfJoint]
     root: str
-    carried: dict[str, list[Joint]]
+    carried: dict[str, list[UrdfJoint]]
     lines: dict[ET.Element, int]
 
-    def below(self, link: str) -> list[Joint]:
+    def below(self, link: str) -> list[UrdfJoint]:
         """Joints that a link carries."""
         return self.carried.get(link, [])
 
@@ -91,7 +91,7 @@ class DrawingError(UrdfError):
         label: what its file is called.
     """
 
-    def __init__(self, problems: Iterable[Problem], label: str) -> None:
+    def __init__(self, problems: Iterable[UrdfProblem], label: str) -> None:
         self.problems, self.label = tuple(sorted(problems)), label
         told = [f"{label}:{one.line}: {one.text}" for one in self.problems[:MOST_TOLD]]
         more = len(self.problems) - len(told)
@@ -108,7 +108,7 @@ def read(urdf: str, label: str) -> Drawing:
         robot, lines = _parsed(urdf)
     except expat.ExpatError as error:
         why = str(expat.ErrorString(error.code))
-        raise DrawingError([Problem(error.lineno, f"no XML: {_WORDS.get(why, why)}")], label) from error
+        raise DrawingError([UrdfProblem(error.lineno, f"no XML: {_WORDS.get(why, why)}")], label) from error
     if problems := _foreign(robot, lines):
         raise DrawingError(problems, label)
     links, joints = robot.findall("link"), robot.findall("joint")
@@ -155,61 +155,61 @@ def _parsed(urdf: str) -> tuple[ET.Element, dict[ET.Element, int]]:
     return builder.close(), lines
 
 
-def _joint(element: ET.Element) -> Joint:
+def _joint(element: ET.Element) -> UrdfJoint:
     parent, child = element.find("parent"), element.find("child")
     ends = ("" if end is None else str(end.get("link")) for end in (parent, child))
-    return Joint(element, str(element.get("name")), str(element.get("type")), *ends)
+    return UrdfJoint(element, str(element.get("name")), str(element.get("type")), *ends)
 
 
-def _foreign(robot: ET.Element, lines: dict[ET.Element, int]) -> list[Problem]:
+def _foreign(robot: ET.Element, lines: dict[ET.Element, int]) -> list[UrdfProblem]:
     if robot.tag != "robot":
-        return [Problem(lines[robot], f"no URDF: its first tag is <{robot.tag}>, not <robot>; convert it to URDF")]
+        return [UrdfProblem(lines[robot], f"no URDF: its first tag is <{robot.tag}>, not <robot>; convert it to URDF")]
     for element in robot.iter():
         if "xacro}" in element.tag:
             remedy = "write it out first: xacro FILE > robot.urdf"
-            return [Problem(lines[element], f"written for xacro (<xacro:{element.tag.split('}')[1]}>); {remedy}")]
+            return [UrdfProblem(lines[element], f"written for xacro (<xacro:{element.tag.split('}')[1]}>); {remedy}")]
     if robot.find("link") is None:
-        return [Problem(lines[robot], "it has no <link>; a vehicle has a base and the links of its arm")]
+        return [UrdfProblem(lines[robot], "it has no <link>; a vehicle has a base and the links of its arm")]
     return []
 
 
-def _names(elements: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator[Problem]:
+def _names(elements: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator[UrdfProblem]:
     """Elements without a name, with one that cannot be told, or with that of another."""
     first: dict[str, int] = {}
     for element in elements:
         name, line = element.get("name"), lines[element]
         if not name or not name.isprintable() or name != name.strip():
-            yield Problem(line, f"<{element.tag} name={name!r}>: give it a name of letters, digits, - and _")
+            yield UrdfProblem(line, f"<{element.tag} name={name!r}>: give it a name of letters, digits, - and _")
         elif name in first:
-            yield Problem(line, f"{element.tag} {name!r} stands in line {first[name]} too; rename one of them")
+            yield UrdfProblem(line, f"{element.tag} {name!r} stands in line {first[name]} too; rename one of them")
         else:
             first[name] = line
 
 
-def _tags(links: list[ET.Element], joints: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator[Problem]:
+def _tags(links: list[ET.Element], joints: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator[UrdfProblem]:
     """Elements that are missing, too many, or of a type that nobody knows."""
     for element in (*links, *joints, *(part for link in links for part in link.findall("inertial"))):
         for tag in ("inertial", "mass", "inertia", "parent", "child", "axis", "limit", "mimic"):
             if len(found := element.findall(tag)) > 1:
-                yield Problem(lines[found[1]], f"<{element.tag}> has <{tag}> a second time; take one of them out")
+                yield UrdfProblem(lines[found[1]], f"<{element.tag}> has <{tag}> a second time; take one of them out")
     for link in links:
         for inertial in link.findall("inertial"):
             if missing := [tag for tag in ("mass", "inertia") if inertial.find(tag) is None]:
                 what = f"link {link.get('name')!r}: <inertial> has no <{missing[0]}>"
-                yield Problem(lines[inertial], f"{what}; <inertial> needs <mass> and <inertia>: add it")
+                yield UrdfProblem(lines[inertial], f"{what}; <inertial> needs <mass> and <inertia>: add it")
     for joint in joints:
         kind, who = joint.get("type"), f"joint {joint.get('name')!r}"
         if kind not in ("fixed", *MOVING):
             free = ': base = "free" lets the root go, take joint and world out' if kind == "floating" else ""
             known = f"fixed, {', '.join(MOVING)} ones can fly"
-            yield Problem(lines[joint], f"{who} is {kind!r}; {known}{free}", str(joint.get("name")))
+            yield UrdfProblem(lines[joint], f"{who} is {kind!r}; {known}{free}", str(joint.get("name")))
         for tag in ("parent", "child"):
             end = joint.find(tag)
             if end is None or not end.get("link"):
-                yield Problem(lines[joint], f'{who} lacks <{tag} link="...">; add it')
+                yield UrdfProblem(lines[joint], f'{who} lacks <{tag} link="...">; add it')
 
 
-def _references(drawing: Drawing) -> Iterator[Problem]:
+def _references(drawing: Drawing) -> Iterator[UrdfProblem]:
     """Links that are not there, and links that hang on two joints."""
     hangs: dict[str, str] = {}
     for joint in drawing.joints.values():
@@ -218,24 +218,26 @@ def _references(drawing: Drawing) -> Iterator[Problem]:
                 near = difflib.get_close_matches(name, drawing.links, 1, 0.5)
                 meant = f"did you mean {near[0]!r}?" if near else f"it has {shortened(drawing.links)}"
                 what = f"joint {joint.name!r} names link {name!r}, which is not there"
-                yield Problem(drawing.lines[joint.element], f"{what}; {meant}")
+                yield UrdfProblem(drawing.lines[joint.element], f"{what}; {meant}")
         if hangs.setdefault(joint.child, joint.name) != joint.name:
             what = f"link {joint.child!r} hangs on joint {joint.name!r} and on {hangs[joint.child]!r}"
-            yield Problem(drawing.lines[joint.element], f"{what}; a link has one joint before it: cut the loop")
+            yield UrdfProblem(drawing.lines[joint.element], f"{what}; a link has one joint before it: cut the loop")
 
 
-def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:
+def _tree(drawing: Drawing, roots: list[str]) -> Iterator[UrdfProblem]:
     """A forest, a ring, or more than can be handled."""
     first, moving = next(iter(drawing.links.values())), sum(one.moves for one in drawing.joints.values())
     if len(roots) != 1:
         what = f"it hangs on {shortened(roots) or 'nothing, for its joints go in a ring'}"
         element = drawing.links[roots[1]] if roots else first
-        yield Problem(drawing.lines[element], f"{what}; a vehicle has one root: join the others to it by fixed joints")
+        yield UrdfProblem(
+            drawing.lines[element], f"{what}; a vehicle has one root: join the others to it by fixed joints"
+        )
         return
     if len(drawing.links) > MOST_LINKS or moving > MOST_JOINTS:
         what = f"it has {len(drawing.links)} links and {moving} joints that move"
         remedy = f"{MOST_LINKS} and {MOST_JOINTS} are the most: make joints fixed that are not measured"
-        yield Problem(drawing.lines[first], f"{what}; {remedy}")
+        yield UrdfProblem(drawing.lines[first], f"{what}; {remedy}")
         return
     reached = [drawing.root]
     for name in reached:
@@ -243,7 +245,7 @@ def _tree(drawing: Drawing, roots: list[str]) -> Iterator[Problem]:
     inside = set(reached)
     if lost := [name for name in drawing.links if name not in inside]:
         what = f"link {lost[0]!r} is in a ring of joints"
-        yield Problem(drawing.lines[drawing.links[lost[0]]], f"{what} that hangs on nothing; cut it")
+        yield UrdfProblem(drawing.lines[drawing.links[lost[0]]], f"{what} that hangs on nothing; cut it")
 
 
 def shortened(names: Iterable[str]) -> str:

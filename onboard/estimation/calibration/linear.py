@@ -10,7 +10,7 @@ from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import REFUSE, of_each
 
 
-class Line(NamedTuple):
+class StraightLine(NamedTuple):
     """``reading = slope x known + offset``."""
 
     slope: float
@@ -20,7 +20,7 @@ class Line(NamedTuple):
     residual: float  # rms over the degrees of freedom, unit of the readings; zero for two points
 
 
-def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, reading_sigma: FloatArray) -> Line:
+def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, reading_sigma: FloatArray) -> StraightLine:
     """Weighted least squares with errors on both sides (York's iteration at a slope that hardly moves).
 
     Args:
@@ -58,7 +58,7 @@ def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, readin
         )
     sigma = np.sqrt(np.diag(covariance))
     rms = float(np.sqrt(np.sum((y - slope * x - offset) ** 2) / freedom)) if freedom else 0.0
-    return Line(float(slope), float(sigma[0]), float(offset), float(sigma[1]), rms)
+    return StraightLine(float(slope), float(sigma[0]), float(offset), float(sigma[1]), rms)
 
 
 class EncoderScale(NamedTuple):
@@ -84,7 +84,7 @@ def encoder(
     return EncoderScale(found.slope * turn, found.slope_sigma * turn, found.offset, found.offset_sigma)
 
 
-class Balance(NamedTuple):
+class Balanced(NamedTuple):
     """A body's mass and centre of mass."""
 
     mass_kg: float
@@ -100,7 +100,7 @@ def balance(
     push: FloatArray,
     force_N: FloatArray,
     sigma_N: float,
-) -> Balance:
+) -> Balanced:
     """Mass and centre of mass from a load cell that holds a body off its hinge, in several orientations.
 
     About the hinge the moments of cell and gravity add to zero: ``F h . ((s - p) x n) + h . ((c - p) x m g) = 0``,
@@ -146,4 +146,4 @@ def balance(
     m, c = float(x[0]), np.asarray(x[1:] / x[0], np.float64)
     D = np.zeros((4, 4))
     D[0, 0], D[1:, 0], D[1:, 1:] = 1.0, -c / m, np.eye(3) / m
-    return Balance(m, c, np.asarray(D @ covariance @ D.T, np.float64))
+    return Balanced(m, c, np.asarray(D @ covariance @ D.T, np.float64))

@@ -52,7 +52,7 @@ _FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer t
 _LOCAL = 9  # poses about one, whose median is the zero there
 
 
-class Prior(NamedTuple):
+class Priors(NamedTuple):
     """What is known before.
 
     Attributes:
@@ -105,7 +105,7 @@ class State(NamedTuple):
         )
 
 
-class Fit(NamedTuple):
+class PoseFit(NamedTuple):
     """One fit.
 
     Attributes:
@@ -126,9 +126,9 @@ class Fit(NamedTuple):
 class Weighing(NamedTuple):
     """A mixture of fits, by the spreads of the scales."""
 
-    best: Fit
+    best: PoseFit
     weights: FloatArray  # (k,)
-    fits: tuple[Fit, ...]
+    fits: tuple[PoseFit, ...]
     freedom: float  # degrees of it, of the noise
     spreads: FloatArray  # (k, 6) of the axes' scales, over what is stated
 
@@ -144,7 +144,7 @@ class Weighing(NamedTuple):
         return float(self.weights @ beyond.all(axis=1)), np.asarray(self.weights @ alone, np.float64)
 
 
-def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) -> Fit:
+def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS) -> PoseFit:
     """The most likely state with the stated spread of the scales.
 
     Args:
@@ -171,7 +171,7 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Prior, rounds: int = _ROUNDS) 
     return one
 
 
-def weigh(R: FloatArray, wrench: FloatArray, prior: Prior, first: Fit) -> Weighing:
+def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> Weighing:
     """The mixture over the spread of the scales, about a first fit.
 
     Args:
@@ -224,12 +224,12 @@ def interval(
     return middle, whole, end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))
 
 
-def predicted(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+def predicted(R: FloatArray, state: State, prior: Priors) -> FloatArray:
     """Readings without zeros, (n, 6)."""
     return np.asarray(_in_frame(R, state, prior) @ (state.sensitivity @ state.mounting).T, np.float64)
 
 
-def outliers(R: FloatArray, wrench: FloatArray, prior: Prior) -> NDArray[np.bool_]:
+def outliers(R: FloatArray, wrench: FloatArray, prior: Priors) -> NDArray[np.bool_]:
     """Poses with a reading that no noise makes, (n,): by the closed form of the three quarters that agree best.
 
     Residuals are compared with the median of some neighbours, so that a zero that drifts makes no outlier.
@@ -246,7 +246,7 @@ def outliers(R: FloatArray, wrench: FloatArray, prior: Prior) -> NDArray[np.bool
     return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < READING).any(axis=1))
 
 
-def zeros(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def zeros(one: PoseFit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Zeros of the axes at each pose, (n, 6), and their sigma at the last one, (6,).
 
     The third is the sigma of what a zero has moved between the first and the last pose, (6,).
@@ -268,7 +268,7 @@ def zeros(one: Fit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return value, sigma, np.asarray(np.sqrt((weights * gone).sum(axis=0)), np.float64)
 
 
-def begun(R: FloatArray, wrench: FloatArray, prior: Prior) -> State:
+def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> State:
     """A closed form: mounting and mass by orthogonal Procrustes (Kabsch 1976), then the first moment."""
     h = np.einsum("nba,b->na", R, prior.gravity_m_s2)
     about, force = h - h.mean(axis=0), wrench[:, :3] - wrench[:, :3].mean(axis=0)
@@ -286,12 +286,12 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Prior) -> State:
     return State(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
 
 
-def jacobian(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+def jacobian(R: FloatArray, state: State, prior: Priors) -> FloatArray:
     """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
     return _linearised(R, state, prior)[1]
 
 
-def _linearised(R: FloatArray, state: State, prior: Prior) -> tuple[FloatArray, FloatArray]:
+def _linearised(R: FloatArray, state: State, prior: Priors) -> tuple[FloatArray, FloatArray]:
     """:func:`predicted` and :func:`jacobian`: both are linear in ``R``, whose coefficients give theirs."""
     level = _level(prior.gravity_m_s2)
     down = _tilted(state, level) @ prior.gravity_m_s2
@@ -338,7 +338,7 @@ def coefficients(values: FloatArray) -> FloatArray:
     return np.asarray(dct(values, axis=0, norm="ortho")[1:], np.float64)
 
 
-def _in_frame(R: FloatArray, state: State, prior: Prior) -> FloatArray:
+def _in_frame(R: FloatArray, state: State, prior: Priors) -> FloatArray:
     """Gravity in the axes of the frame whose pose is given, (n, 3)."""
     down = _tilted(state, _level(prior.gravity_m_s2)) @ prior.gravity_m_s2
     return np.asarray(R.transpose(0, 2, 1) @ down, np.float64)
@@ -379,7 +379,7 @@ def _largest(values: FloatArray) -> float:
     return max(float(np.abs(values).max()), 1e-9)
 
 
-def prior_sigmas(wrench: FloatArray, prior: Prior, cross: float) -> FloatArray:
+def prior_sigmas(wrench: FloatArray, prior: Priors, cross: float) -> FloatArray:
     """Prior sigma of the unknowns, (45,)."""
     g = float(np.linalg.norm(prior.gravity_m_s2))
     force, moment = _largest(wrench[:, :3]), _largest(wrench[:, 3:])
@@ -411,7 +411,7 @@ def variances(noise: Noise, n: int) -> FloatArray:
     return np.asarray(noise.sigma**2 + noise.walk**2 / _eigenvalues(n)[:, None], np.float64)
 
 
-def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: Noise) -> Fit:
+def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: State, noise: Noise) -> PoseFit:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
     own, turned, read = 1.0 / np.sqrt(spread), coefficients(R), coefficients(wrench)
@@ -431,10 +431,10 @@ def _fit(R: FloatArray, wrench: FloatArray, prior: Prior, state: State, noise: N
     volume = float(np.log(unit / np.diag(U)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
     root, _ = lapack.dtrtrs(U, np.diag(unit), trans=1)
-    return Fit(state, root.T @ root, noise, residual, evidence)
+    return PoseFit(state, root.T @ root, noise, residual, evidence)
 
 
-def _noise(one: Fit, own: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
+def _noise(one: PoseFit, own: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
     """One step of expectation maximisation: noise and walk of each axis, and cross-talk; as of :func:`_walks`."""
     weights, variance, _ = _walks(one, own)
     sigma = np.sqrt((weights * variance).sum(axis=0))
@@ -445,7 +445,7 @@ def _noise(one: Fit, own: FloatArray, prior: Prior, floor: FloatArray) -> Noise:
     return Noise(sigma, walk, float(cross))
 
 
-def _walks(one: Fit, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _walks(one: PoseFit, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Probability of each walk, variance with it, (walks, 6), and what it multiplies variances by, (walks, n - 1).
 
     A walk that does not show may still be there, so all of them are kept. ``own``: of the Jacobian, the coefficients.

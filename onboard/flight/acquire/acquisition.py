@@ -9,7 +9,7 @@ from drivers.device import Device, Rests
 from drivers.errors import DriverError
 from drivers.records import Batch, Severity, event
 from onboard.flight.acquire.arming import Arming
-from onboard.flight.acquire.publisher import Expected, Publisher, joined
+from onboard.flight.acquire.publisher import ExpectedChannel, Publisher, joined
 
 
 class Acquisition:
@@ -108,7 +108,7 @@ class Acquisition:
             self.stop_device(device, now_ns)
         self.finish(now_ns)
 
-    def expect(self, channels: Mapping[str, Expected], since_ns: int) -> None:
+    def expect(self, channels: Mapping[str, ExpectedChannel], since_ns: int) -> None:
         """Record what ``channels`` miss from ``since_ns`` to their first row as gaps."""
         self._publisher.expect(channels, since_ns)
 

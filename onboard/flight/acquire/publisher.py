@@ -17,7 +17,7 @@ SHARED_CHANNELS = ("event", "gap")
 RESTART, ABSENT = "worker_restart", "absent_at_start"
 
 
-class Expected(NamedTuple):
+class ExpectedChannel(NamedTuple):
     """What a channel that has no row yet is to bring.
 
     Attributes:
@@ -101,7 +101,7 @@ class Publisher:
                         left = left._replace(period_ns=0.0, value=int(rows["value_raw"][-1]))
                     self._left[name] = left
 
-    def expect(self, channels: Mapping[str, Expected], since_ns: int) -> None:
+    def expect(self, channels: Mapping[str, ExpectedChannel], since_ns: int) -> None:
         """Rows of ``channels`` were to come since ``since_ns``: what is missed until a late first one becomes a gap.
 
         Args:

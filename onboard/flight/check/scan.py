@@ -37,7 +37,7 @@ Clock = Callable[[], int]
 Wait = Callable[[float], object]
 
 
-class Found(NamedTuple):
+class DetectedDevice(NamedTuple):
     """One thing on a bus.
 
     Attributes:
@@ -57,7 +57,7 @@ class Bus(NamedTuple):
     """A bus, what is on it, and why it could not be looked at."""
 
     url: str
-    found: tuple[Found, ...] = ()
+    found: tuple[DetectedDevice, ...] = ()
     problem: str = ""
 
 
@@ -115,7 +115,7 @@ def scan(url: str, clock: Clock, wait: Wait) -> Bus:
         return Bus(url, problem=f"cannot be used: {error}")
 
 
-def on_i2c(port: I2cPort) -> Iterable[Found]:
+def on_i2c(port: I2cPort) -> Iterable[DetectedDevice]:
     """Chips at the addresses that known kinds can have.
 
     Raises:
@@ -138,15 +138,15 @@ def on_i2c(port: I2cPort) -> Iterable[Found]:
                 others = f"does not answer properly {explain(error)}"
                 continue
             if name is not None:
-                yield Found(at, name, kind, address)
+                yield DetectedDevice(at, name, kind, address)
                 break
             others = others or "answers, and is no chip that heft reads"
         else:
             if others:
-                yield Found(at, others)
+                yield DetectedDevice(at, others)
 
 
-def on_line(port: SerialPort, wait: Wait, scheme: str) -> Iterable[Found]:
+def on_line(port: SerialPort, wait: Wait, scheme: str) -> Iterable[DetectedDevice]:
     """Stations that answer the question of a known kind on an open line, at its speed, or on an open connection.
 
     Args:
@@ -160,10 +160,10 @@ def on_line(port: SerialPort, wait: Wait, scheme: str) -> Iterable[Found]:
     for kind, section in DEVICES.items():
         if issubclass(section, BusDevice) and scheme in section.urls and section.answering is not None:
             for one in section.answering(port, wait):
-                yield Found(f"ID {one.number}", one.what, kind if one.is_read else "", one.number)
+                yield DetectedDevice(f"ID {one.number}", one.what, kind if one.is_read else "", one.number)
 
 
-def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[Found]:
+def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[DetectedDevice]:
     """SYNC, nodes with their device type and maker, and identifiers that are no CANopen node's.
 
     Raises:
@@ -182,17 +182,19 @@ def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[Found]:
                 if len(got.data) == 1 and got.identifier - frame.HEARTBEAT in NODES:
                     states[got.identifier - frame.HEARTBEAT] = got.data[0] & 0x7F
     if errors:
-        yield Found("", f"{errors} error frames: check the bit rate and both terminations")
+        yield DetectedDevice("", f"{errors} error frames: check the bit rate and both terminations")
     heard_s = 1e-9 * (clock() - since_ns)
     if len(syncs_ns) > 1:
         period_us = 1e-3 * (syncs_ns[-1] - syncs_ns[0]) / (len(syncs_ns) - 1)
-        yield Found("080h", f"SYNC, every {1e-3 * period_us:.3g} ms", "canopen_sync", round(period_us))
+        yield DetectedDevice("080h", f"SYNC, every {1e-3 * period_us:.3g} ms", "canopen_sync", round(period_us))
     nodes = sorted(states.keys() | _answering(port, wait))
     for node in nodes:
         yield _node(port, clock, wait, node, states.get(node))
     known = {base + node for node in nodes for base in (*frame.TPDO[1:], frame.EMERGENCY, frame.HEARTBEAT)}
     for identifier in sorted(heard.keys() - known - {frame.SYNC, frame.NMT}):
-        yield Found(f"{identifier:03X}h", f"{heard[identifier] / heard_s:.3g} frames/s of no node that answers")
+        yield DetectedDevice(
+            f"{identifier:03X}h", f"{heard[identifier] / heard_s:.3g} frames/s of no node that answers"
+        )
 
 
 def _answering(port: CanPort, wait: Wait) -> set[int]:
@@ -205,7 +207,7 @@ def _answering(port: CanPort, wait: Wait) -> set[int]:
     return answered & set(NODES)
 
 
-def _node(port: CanPort, clock: Clock, wait: Wait, node: int, state: int | None) -> Found:
+def _node(port: CanPort, clock: Clock, wait: Wait, node: int, state: int | None) -> DetectedDevice:
     """Read its device type, vendor and product (CiA 301, 7.5.2.1 and 7.5.2.16)."""
     told: dict[tuple[int, int], int] = {}
     client = SdoClient(node, port.send)
@@ -225,7 +227,7 @@ def _node(port: CanPort, clock: Clock, wait: Wait, node: int, state: int | None)
     maker = [f"{name} {told[0x1018, n]:#x}" for n, name in ((1, "vendor"), (2, "product")) if (0x1018, n) in told]
     stated = {entry.value: entry.name.lower().replace("_", "-") for entry in frame.NmtState}
     stands = "no heartbeat" if state is None else stated.get(state, f"state {state}")
-    return Found(f"node {node}", ", ".join((said, *maker, stands)), kind, node)
+    return DetectedDevice(f"node {node}", ", ".join((said, *maker, stands)), kind, node)
 
 
 def _reading(entry: tuple[int, int], told: dict[tuple[int, int], int]) -> Setup:

@@ -11,7 +11,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import composite_functional
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.identification.body.fit import BodyModel, Stated, Thrusters, Tracker
+from onboard.identification.body.fit import BodyModel, BodySigmas, Thrusters, Tracker
 from onboard.identification.body.valves import Valve
 
 _LEAST_ON_TABLE = 0.5  # of a thruster's force: less is hardly one that moves the body on the table
@@ -77,7 +77,7 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
     errors = pose.misalignment_sigma_rad, pose.place_sigma_m, pose.scale_sigma
     tracker = Tracker(p_BM[:2], float(np.arctan2(R_BM[1, 0], R_BM[0, 0])), *errors, noise)
     low, high = asked.delay_ms
-    stated = Stated(
+    stated = BodySigmas(
         asked.mass_sigma,
         asked.tilt_sigma_m_s2,
         asked.uneven_sigma_m_s2,

@@ -18,7 +18,7 @@ from onboard.flight.store.manifest import Manifest, Storage
 from onboard.native import library
 from onboard.recording.format.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
-from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
+from onboard.recording.segmented import Preamble, Progress, SegmentedLog, SegmentLimits
 from onboard.recording.sink import FileSink
 from onboard.recording.space import SpaceGuard
 from onboard.ring import RingReader
@@ -61,7 +61,7 @@ def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = Non
     return Preamble(flight, attachments, metadata)
 
 
-def storage(recording: config.Recording) -> Storage:
+def storage(recording: config.RecordingSection) -> Storage:
     """How a flight is recorded, from its vehicle file."""
     return Storage(
         sync_period_ns=round(recording.sync_period_ms * 1e6),
@@ -101,7 +101,7 @@ def open_recorder(
     writer = SegmentedLog.resume(
         manifest.log,
         manifest.preamble,
-        limits=Limits(kept.segment_span_ns, kept.segment_bytes),
+        limits=SegmentLimits(kept.segment_span_ns, kept.segment_bytes),
         sync_interval_ns=kept.sync_period_ns - step_ns(kept),
         progress=Progress.from_bytes(progress.read_bytes()) if progress.exists() else None,
         told=keep,
@@ -144,7 +144,7 @@ def open_simulated_log(vehicle: config.Vehicle, log: Path) -> SegmentedLog:
         OSError: the file cannot be created.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    never, opened = Limits(1 << 62, 1 << 62), partial(FileSink, durable=False)
+    never, opened = SegmentLimits(1 << 62, 1 << 62), partial(FileSink, durable=False)
     return SegmentedLog(log, preamble(vehicle, ""), limits=never, open_sink=opened)
 
 

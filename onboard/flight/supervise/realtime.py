@@ -45,7 +45,7 @@ class Settings(NamedTuple):
 UNCHANGED = Settings(0, (), lock_memory=False, freeze=False, by_file=False)
 
 
-class Asked(NamedTuple):
+class SchedulingOutcome(NamedTuple):
     """What came of it.
 
     Attributes:
@@ -118,7 +118,7 @@ def _lock_memory() -> None:
 OF_THE_KERNEL = System(_set_priority, _set_cpus, _lock_memory)
 
 
-def apply(wanted: Settings, system: System = OF_THE_KERNEL) -> Asked:
+def apply(wanted: Settings, system: System = OF_THE_KERNEL) -> SchedulingOutcome:
     """Ask for ``wanted``, for this process and the threads that it starts later."""
     granted: list[str] = []
     refused: list[str] = []
@@ -144,4 +144,4 @@ def apply(wanted: Settings, system: System = OF_THE_KERNEL) -> Asked:
     if wanted.freeze:
         gc.collect()
         gc.freeze()
-    return Asked(tuple(granted), tuple(refused), wanted.by_file)
+    return SchedulingOutcome(tuple(granted), tuple(refused), wanted.by_file)

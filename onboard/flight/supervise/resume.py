@@ -100,7 +100,7 @@ def path_of(log: Path) -> Path:
     return log.with_name(log.name + SUFFIX)
 
 
-class Start(NamedTuple):
+class FlightStart(NamedTuple):
     """What a start is to fly."""
 
     vehicle: config.Vehicle
@@ -112,7 +112,9 @@ class Start(NamedTuple):
     why_not: str = ""  # why a checkpoint that is there is not used
 
 
-def planned(vehicle: config.Vehicle, new_log: Path, now_ns: int, under_way: set[Path], *, fresh: bool = False) -> Start:
+def planned(
+    vehicle: config.Vehicle, new_log: Path, now_ns: int, under_way: set[Path], *, fresh: bool = False
+) -> FlightStart:
     """The flight to go on with, or a new one.
 
     Args:
@@ -124,7 +126,7 @@ def planned(vehicle: config.Vehicle, new_log: Path, now_ns: int, under_way: set[
     """
     own = digest(vehicle)
     name, why_not = vehicle.file.vehicle.name, ""
-    new = Start(vehicle, new_log, new_log.stem, own)
+    new = FlightStart(vehicle, new_log, new_log.stem, own)
     found: FlightState | None = None
     superseded: list[Path] = []
     for path in sorted(new_log.parent.glob(f"*{SUFFIX}")) if new_log.parent.is_dir() else ():
@@ -193,7 +195,7 @@ class Keeper:
         wall_clock_ns: reads the wall clock.
     """
 
-    def __init__(self, plan: Start, wall_clock_ns: Callable[[], int]) -> None:
+    def __init__(self, plan: FlightStart, wall_clock_ns: Callable[[], int]) -> None:
         self._plan, self._clock = plan, wall_clock_ns
         self._path, self._failed = path_of(plan.log), False
         self._waiting: queue.SimpleQueue[FlightState | None] = queue.SimpleQueue()

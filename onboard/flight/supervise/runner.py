@@ -30,7 +30,7 @@ from onboard.flight.supervise.announcer import LOGGER, Announcer, missing_all_fl
 from onboard.flight.supervise.end_of_mission import EndOfMission
 from onboard.flight.supervise.modes import Modes
 from onboard.flight.supervise.orders import Orders
-from onboard.flight.supervise.resume import Keeper, Start, planned
+from onboard.flight.supervise.resume import FlightStart, Keeper, planned
 from onboard.flight.supervise.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.supervise.runner_notify import Notifier
 from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worker
@@ -65,7 +65,7 @@ def fly(
     status_s: float | None = None,
     ready: Callable[[], None] = lambda: None,
     enough: Callable[[float], bool] = lambda _: False,
-    plan: Start | None = None,
+    plan: FlightStart | None = None,
     servers: "Servers | None" = None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, ``enough``, SIGINT or SIGTERM; then stop in order.
@@ -86,7 +86,7 @@ def fly(
         return _flight(vehicle, log, its, duration_s, _Listeners(progress, ready, enough, status_s, plan))
 
 
-def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Start:
+def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> FlightStart:
     """The flight that lost its power and is to be gone on with, or a new one; see :func:`planned`."""
     under_way = {one.log for one in manifest.waiting() if not directories.is_free(one.directory)}
     return planned(vehicle, new_log, time.time_ns(), under_way, fresh=fresh)
@@ -148,7 +148,7 @@ class _Listeners(NamedTuple):
     ready: Callable[[], None]
     enough: Callable[[float], bool]
     status_s: float | None
-    plan: Start | None = None
+    plan: FlightStart | None = None
 
 
 class Servers:
@@ -334,7 +334,7 @@ def _still_ending(
     notifier.feed(time.monotonic(), answering=True)
 
 
-def _say_plan(plan: Start | None, tell: Callable[[Severity, str, str, str], None]) -> None:
+def _say_plan(plan: FlightStart | None, tell: Callable[[Severity, str, str, str], None]) -> None:
     if plan is None:
         return
     if plan.before is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
-from onboard.ground.log.tables.columns import TIME_FIELD, Column, Times, Values
+from onboard.ground.log.tables.columns import TIME_FIELD, TableColumn, Times, Values
 from onboard.ground.log.tables.vehicle_time import UNKNOWN
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class ChannelTable(NamedTuple):
     frame: str = ""
 
     @classmethod
-    def of(cls, name: str, columns: Sequence[Column], rows: Rows, times: Times, frame: str = "") -> "ChannelTable":
+    def of(cls, name: str, columns: Sequence[TableColumn], rows: Rows, times: Times, frame: str = "") -> "ChannelTable":
         """From rows with times (n,) and the columns that show them."""
         values = {column.name: _readable(column.values(rows)) for column in columns}
         units = {column.name: column.unit for column in columns if column.unit}

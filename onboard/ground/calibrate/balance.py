@@ -10,13 +10,13 @@ from onboard import config
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.linear import Balance, balance
+from onboard.estimation.calibration.linear import Balanced, balance
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, require_within, still
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 from onboard.section import Positive, Section, Vector3
 
 UNLOADED = 0.02  # of the largest reading: between two orientations the body is lifted off the cell
@@ -99,7 +99,7 @@ def _solved(
     means: Sequence[tuple[FloatArray, FloatArray]],
     held: Rig,
     place: Place,
-) -> tuple[Balance, float]:
+) -> tuple[Balanced, float]:
     """With the places' error as a force: the weight over the lever of the cell, for a body that the hinge carries."""
     lever = np.abs(
         np.einsum("ka,ka->k", columns["hinge"], np.cross(columns["support_m"] - columns["pivot_m"], columns["push"]))
@@ -143,7 +143,7 @@ def _require_up(imu: Readings, vehicle: config.Vehicle, held: Rig, read: Reading
             )
 
 
-def _result(vehicle: config.Vehicle, found: Balance, scale_sigma: float, sigma_N: float, place: Place) -> Calibration:
+def _result(vehicle: config.Vehicle, found: Balanced, scale_sigma: float, sigma_N: float, place: Place) -> Calibration:
     link = vehicle.file.vehicle.base_link
     model = build_model(vehicle)
     at = 10 * model.links.index(link)
@@ -151,7 +151,7 @@ def _result(vehicle: config.Vehicle, found: Balance, scale_sigma: float, sigma_N
     mass_sigma = float(np.hypot(np.sqrt(found.covariance[0, 0]), scale_sigma * found.mass_kg))
     centre_sigma = np.sqrt(np.diag(found.covariance)[1:])
     result = Calibration(
-        [Found(f"mass of {link}", found.mass_kg, mass_sigma, "kg", float(drawn.mass_kg))],
+        [CalibratedNumber(f"mass of {link}", found.mass_kg, mass_sigma, "kg", float(drawn.mass_kg))],
         notes=[f"{sigma_N:.2g} N of reading and places; gravity {place.gravity_m_s2:.5f} m/s^2"],
     )
     result.add(f"centre of mass of {link}", found.centre_of_mass_m, centre_sigma, "m", drawn.centre_of_mass_m)

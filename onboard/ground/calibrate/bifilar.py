@@ -24,7 +24,7 @@ from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import Readings, Span, still
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 SHORTEST_s = 12.0
 RATE_hz = 50.0
@@ -113,9 +113,9 @@ def _into(
     drawn = body_of(model.chi[at : at + 10])
     before = elements(drawn.inertia_kg_m2)
     for name, value, one, was in zip(ELEMENTS, six, sigma, before, strict=True):
-        result.found.append(Found(f"I {name} of {link}", float(value), float(one), "kg m^2", float(was)))
+        result.found.append(CalibratedNumber(f"I {name} of {link}", float(value), float(one), "kg m^2", float(was)))
     result.found.append(
-        Found(f"mass of {link}", suspension.mass_kg, suspension.mass_sigma_kg, "kg", float(drawn.mass_kg))
+        CalibratedNumber(f"mass of {link}", suspension.mass_kg, suspension.mass_sigma_kg, "kg", float(drawn.mass_kg))
     )
     table = ("link", link)
     told = ", ".join(f"{one:.2g}" for one in sigma)

@@ -10,7 +10,7 @@ from onboard.devices.base import JointDevice
 from onboard.estimation.calibration.linear import encoder
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.readings import Readings, Span, steps
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, two_digits
 
 AGREES = 3.0  # sigmas of the counts per turn
 LARGEST = 0.2
@@ -67,8 +67,8 @@ def calibrate_encoder(
         zero_sigma = max(zero_sigma, found.zero_sigma)
     result = Calibration(
         [
-            Found("counts per turn", found.counts_per_revolution, found.counts_sigma, "", float(nominal)),
-            Found("zero count", float(weight), zero_sigma, "", float(section.zero_count)),
+            CalibratedNumber("counts per turn", found.counts_per_revolution, found.counts_sigma, "", float(nominal)),
+            CalibratedNumber("zero count", float(weight), zero_sigma, "", float(section.zero_count)),
         ]
     )
     table = ("device", device)

@@ -21,7 +21,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, still
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 _UPRIGHT = 0.97  # cosine: within 14 deg of a face
@@ -98,7 +98,7 @@ def calibrate_imu(
         value = float(np.sqrt(np.mean(allan.sample_noise[part] ** 2)))
         spread = value * allan.relative_sigma
         unit = "rad/s" if part is GYRO else "m/s^2"
-        result.found.append(Found(key, value, spread, unit, getattr(section, key)))
+        result.found.append(CalibratedNumber(key, value, spread, unit, getattr(section, key)))
         result.changes.append(KeyChange(("device", device), key, two_digits(value), f"{spread:.2g} by Allan deviation"))
     return result, allan
 

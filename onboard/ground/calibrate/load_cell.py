@@ -12,12 +12,12 @@ from onboard.estimation.calibration.linear import line
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.place import Place
 from onboard.ground.calibrate.readings import Readings, Span, require_within, steps
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 GAIN = 0.25  # a scale further off is a wrong unit or mass
 
 
-class Masses(NamedTuple):
+class HungMasses(NamedTuple):
     """What was hung on the cell, in this order.
 
     Attributes:
@@ -38,7 +38,7 @@ class Masses(NamedTuple):
 
 
 def calibrate_load_cell(
-    read: Readings, vehicle: config.Vehicle, device: str, hung: Masses, at: Sequence[Span] = ()
+    read: Readings, vehicle: config.Vehicle, device: str, hung: HungMasses, at: Sequence[Span] = ()
 ) -> Calibration:
     """From readings in which the masses hung on the cell one after the other, still for some seconds each.
 
@@ -85,10 +85,10 @@ def calibrate_load_cell(
                 f"it reads {found.slope:.3g} N for a newton; check the masses, kg, the unit, and how the cell is held"
             )
         gain_sigma = found.slope * common
-        result.found.append(Found("gain", found.slope, gain_sigma, "N/N", section.gain))
+        result.found.append(CalibratedNumber("gain", found.slope, gain_sigma, "N/N", section.gain))
         result.changes.append(KeyChange(table, "gain", rounded(np.array(found.slope), gain_sigma), f"{gain_sigma:.2g}"))
         result.changes.append(KeyChange(table, "scale_sigma", two_digits(common)))
-    result.found.append(Found("offset", found.offset, found.offset_sigma, "N", section.offset_N))
+    result.found.append(CalibratedNumber("offset", found.offset, found.offset_sigma, "N", section.offset_N))
     value = rounded(np.array(found.offset), found.offset_sigma)
     result.changes.append(KeyChange(table, "offset_N", value, f"{found.offset_sigma:.2g}"))
     return result
@@ -98,7 +98,7 @@ def _lever(
     result: Calibration,
     table: tuple[str, ...],
     section: LoadCellKeys,
-    hung: Masses,
+    hung: HungMasses,
     slope: float,
     common: float,
 ) -> None:
@@ -113,7 +113,7 @@ def _lever(
             f"a lever of {1e3 * lever:.4g} mm where the file has {1e3 * section.lever_m:.4g} mm; check --arm-m, the "
             "masses, and lever_m in the file"
         )
-    result.found.append(Found("lever", lever, sigma, "m", section.lever_m))
+    result.found.append(CalibratedNumber("lever", lever, sigma, "m", section.lever_m))
     result.changes += [
         KeyChange(table, "lever_m", rounded(np.array(lever), sigma), f"{sigma:.2g}"),
         KeyChange(table, "lever_sigma_m", two_digits(sigma)),

@@ -11,7 +11,7 @@ from rich.table import Table
 from onboard.estimation.arrays import FloatArray
 
 
-class Found(NamedTuple):
+class CalibratedNumber(NamedTuple):
     """One number."""
 
     name: str
@@ -40,7 +40,7 @@ class Calibration:
         notes: what the operator should know.
     """
 
-    found: list[Found] = field(default_factory=list)
+    found: list[CalibratedNumber] = field(default_factory=list)
     changes: list[KeyChange] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -49,7 +49,7 @@ class Calibration:
         for index in np.ndindex(values.shape):
             label = "".join("xyz"[n] for n in index)
             one = float(values[index]), float(sigmas[index])
-            self.found.append(Found(f"{name} {label}", *one, unit, float(before[index])))
+            self.found.append(CalibratedNumber(f"{name} {label}", *one, unit, float(before[index])))
 
     def as_json(self) -> dict[str, Any]:
         """The same for programs."""

@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import REFUSE, of_each
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.ground.calibrate.result import Calibration, Found, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
 
 _SQUARE = 0.5  # sine of the angle between an edge and up, at the least
@@ -238,7 +238,7 @@ def _mass(
         worst = int(np.abs((sums - mass) / own).argmax())
         raise CalibrationError(f"scales {worst + 1} weighs {sums[worst]:.4g} kg, all together {mass:.4g} kg; repeat it")
     sigma = float(np.hypot((own**-2.0).sum() ** -0.5, held.scale_relative * mass))
-    result.found.append(Found(f"mass of {link}", mass, sigma, "kg", drawn_kg))
+    result.found.append(CalibratedNumber(f"mass of {link}", mass, sigma, "kg", drawn_kg))
     if known is not None and known.mass_relative * drawn_kg < sigma:
         result.notes.append("the file knows the mass better than these scales: it stays")
         return

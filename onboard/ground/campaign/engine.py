@@ -59,18 +59,18 @@ class Where(NamedTuple):
     patience_s: float = 300.0
 
 
-class Watcher(NamedTuple):
+class CampaignWatcher(NamedTuple):
     """What is told while a campaign runs."""
 
     dashboard: Callable[[str], None] = lambda link: None
     done: Callable[[Item, Done], None] = lambda item, done: None
 
 
-NOBODY = Watcher()
+NOBODY = CampaignWatcher()
 
 
 def run(
-    items: Mapping[str, Item], revision: str, fly: Fly, where: Where, store: Store, watcher: Watcher = NOBODY
+    items: Mapping[str, Item], revision: str, fly: Fly, where: Where, store: Store, watcher: CampaignWatcher = NOBODY
 ) -> None:
     """Do every item, in any order, and keep what comes of it.
 

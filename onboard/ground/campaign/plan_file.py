@@ -31,7 +31,7 @@ class Campaign(Section):
     keep: Literal["none", "wrong", "all"] = "wrong"
 
 
-class Flight(Section):
+class FlightSection(Section):
     """``[flight]``: exactly one of ``mission``, ``logs``, ``call``; each flight's beginning, before the factors.
 
     ``mission``: of ``heft hil``: a packaged mission, or a vehicle.toml. ``over``: a scenario file that lies over it.
@@ -147,7 +147,7 @@ class PlanFile(Section):
     """A whole plan. ``scenario``, ``vehicle``, ``settings``: tables of every flight, below those of the factors."""
 
     campaign: Campaign
-    flight: Flight
+    flight: FlightSection
     scenario: Tables = Field(default_factory=dict)
     vehicle: Tables = Field(default_factory=dict)
     settings: Tables = Field(default_factory=dict)

@@ -29,7 +29,7 @@ class Outcome(StrEnum):
     UNKNOWN = "no truth"
 
 
-class Answer(NamedTuple):
+class FlightAnswer(NamedTuple):
     """One quantity of a flight, in SI units; NaN for what is not known or not said."""
 
     quantity: str
@@ -85,7 +85,7 @@ class FlightResult(NamedTuple):
         what: flew; the plan's mission or function where it is empty.
     """
 
-    answers: tuple[Answer, ...]
+    answers: tuple[FlightAnswer, ...]
     faults: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     accounted: bool | None = None
@@ -134,9 +134,9 @@ def of_mission(table: Mapping[str, Any]) -> FlightResult:
     )
 
 
-def _answer(row: Mapping[str, Any], unit: str) -> Answer:
+def _answer(row: Mapping[str, Any], unit: str) -> FlightAnswer:
     level, why = _standing(str(row["standing"]))
-    made = Answer(str(row["quantity"]), unit, float(row["truth"]), level=level, why=why, leans=str(row["leans"]))
+    made = FlightAnswer(str(row["quantity"]), unit, float(row["truth"]), level=level, why=why, leans=str(row["leans"]))
     if not row["supported"]:
         return made
     numbers: dict[str, Any] = {key: float(row[key]) for key in (*NUMBERS, "drawn")}
@@ -159,7 +159,7 @@ def of_log(found: "Identified", truth: Truth | None) -> FlightResult:
     why = "; ".join(found.verdict.reasons) if refused else ""
     answers, each = [], found.standings
     for one in found.answers:
-        made = Answer(one.name, one.unit, known.get(one.name, math.nan), bound=one.bound, leans=one.leans)
+        made = FlightAnswer(one.name, one.unit, known.get(one.name, math.nan), bound=one.bound, leans=one.leans)
         of_one = each.get(one.name, Standing(Level.WEAK))
         level = Level.DO_NOT_USE if refused else of_one.level
         made = made._replace(level=str(level), why=why or of_one.why)

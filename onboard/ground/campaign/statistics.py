@@ -56,7 +56,7 @@ def share_of(part: int, whole: int) -> Share:
     return Share(part, whole, float(band.low), float(band.high))
 
 
-class Errors(NamedTuple):
+class ErrorStatistics(NamedTuple):
     """Of a quantity, over the flights that answer it and whose truth is known; ``shown_in`` is the unit of all numbers.
 
     ``in_sigma`` and ``in_bound``: rms of the error over its sigma, and over the Cramer-Rao bound.
@@ -112,7 +112,7 @@ class Summary(NamedTuple):
     """Everything that a report shows."""
 
     flights: int
-    errors: tuple[Errors, ...]
+    errors: tuple[ErrorStatistics, ...]
     effects: tuple[Effect, ...]
     answers: Counter[str]  # by outcome
     outcomes: dict[str, Counter[str]]  # the same by fault; an answer under two faults counts under both
@@ -226,7 +226,7 @@ def _scale(row: Row) -> tuple[str, float]:
     return _SCALES.get(row["unit"], (row["unit"], 1.0))
 
 
-def _errors(rows: Sequence[Row]) -> Errors | None:
+def _errors(rows: Sequence[Row]) -> ErrorStatistics | None:
     """None where no truth is known."""
     if not any(row["truth"] is not None for row in rows):
         return None
@@ -234,12 +234,12 @@ def _errors(rows: Sequence[Row]) -> Errors | None:
     quantity, flights = rows[0]["quantity"], len({row["flight"] for row in rows})
     if not known:
         no = math.nan
-        return Errors(quantity, "", flights, 0, no, no, no, no, no, no, no, no, share_of(0, 0), np.zeros(0))
+        return ErrorStatistics(quantity, "", flights, 0, no, no, no, no, no, no, no, no, share_of(0, 0), np.zeros(0))
     factor = np.array([_scale(row)[1] for row in known])
     plain, sigma = _column(known, "value") - _column(known, "truth"), _column(known, "sigma")
     error, bound = factor * plain, _column(known, "bound")
     inside = (_column(known, "low") <= _column(known, "truth")) & (_column(known, "truth") <= _column(known, "high"))
-    return Errors(
+    return ErrorStatistics(
         quantity,
         _scale(known[0])[0],
         flights,

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from onboard.channels import NUMBERS
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Answer, Done, FlightResult
+from onboard.ground.campaign.results import Done, FlightAnswer, FlightResult
 
 FACTOR = "factor "  # begins the name of a factor's column
 _COLUMNS: dict[str, Any] = {
@@ -155,7 +155,7 @@ def _table(address: str, item: Item, revision: str, result: FlightResult) -> pa.
         columns[FACTOR + name] = pa.string() if isinstance(value, str) else pa.float64()
         common[FACTOR + name] = value
     rows = []
-    for one in result.answers or (Answer(""),):
+    for one in result.answers or (FlightAnswer(""),):
         outcome = str(one.outcome(unseen=result.unseen)) if one.quantity else ""
         told, beyond, good_beyond, farthest = one.instants
         outer = dict(zip(("low_999", "high_999"), one.outer, strict=True))

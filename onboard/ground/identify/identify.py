@@ -25,13 +25,13 @@ from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
 from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
-from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
 from onboard.ground.identify.kinds.planar_log import identify_planar
 from onboard.ground.identify.kinds.residuals import keep_rows
-from onboard.ground.identify.kinds.throws import Calibration, LoadSummary, Throw
+from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed, feed_rows
 from onboard.identification.essential import essential
@@ -65,7 +65,7 @@ class Identification:
 
     vehicle: config.Vehicle
     logs: tuple[Identified, ...]
-    calibration: Calibration | None
+    calibration: ThrowCalibration | None
     together: Mapping[str, Throw] = field(default_factory=dict)  # by load: all its throws in one estimate
     predicted: tuple[tuple[Path, HeldOutFit], ...] = ()  # other logs, from the first of these
     recorded: tuple[str, ...] = ()  # what the recording says of itself, other than the vehicle file
@@ -263,13 +263,13 @@ def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
     return own or names
 
 
-def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
+def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
     """The last QUANTITY rows, with the bound of each; of a payload that is told as a body, not its base parameters."""
     link, held = who.model.vehicle.spec.payload_link, who.payload is not None
     told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
     twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()
     return tuple(
-        Answer(
+        IdentifiedQuantity(
             printable(row["name"]),
             printable(row["unit"]) or ("kg" if printable(row["name"]) in (f"M_{link}", f"M_{link}_R") else ""),
             float(row["value"]),

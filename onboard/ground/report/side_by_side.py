@@ -11,7 +11,7 @@ from onboard.ground.drawing import html, theme
 from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
 from onboard.ground.drawing.theme import COLOUR, CYCLE, label_lowest, subplots
-from onboard.ground.log.views.compare import DISAGREE, ComparedQuantity, Comparison, interval
+from onboard.ground.log.views.compare import DISAGREE, ComparedQuantity, FlightComparison, interval
 
 _CAPTION = (
     "Each flight's last answer with its 95 % interval, in the order flown. Line and band: the mean of all, weighted by "
@@ -20,7 +20,7 @@ _CAPTION = (
 )
 
 
-def write(found: Comparison, output: Path) -> None:
+def write(found: FlightComparison, output: Path) -> None:
     """Write the page of ``found``.
 
     Raises:
@@ -34,7 +34,7 @@ def write(found: Comparison, output: Path) -> None:
     html.write(output, text)
 
 
-def _verdicts(found: Comparison) -> list[tuple[str, str]]:
+def _verdicts(found: FlightComparison) -> list[tuple[str, str]]:
     told = []
     for one in found.quantities:
         unit = f" {one.unit}" if one.unit else ""
@@ -50,7 +50,7 @@ def _verdicts(found: Comparison) -> list[tuple[str, str]]:
     return told or [("good", f"{several} quantities that more than one flight answered: all agree, none has a trend")]
 
 
-def _flights(found: Comparison) -> str:
+def _flights(found: FlightComparison) -> str:
     rows = []
     for number, flight in enumerate(found.flights, 1):
         missing = Cell(f"{flight.about.unexplained:,}") if flight.about.unexplained else Cell("-")
@@ -59,7 +59,7 @@ def _flights(found: Comparison) -> str:
     return html.table(["", "log", "length, s", "unexplained", "rows used"], rows)
 
 
-def _answers(found: Comparison) -> str:
+def _answers(found: FlightComparison) -> str:
     rows = []
     for one in found.quantities:
         each = [Cell(interval(value, sigma)) for value, sigma in zip(one.value, one.sigma, strict=True)]
@@ -72,7 +72,7 @@ def _answers(found: Comparison) -> str:
     return html.table(["quantity", "unit", "together", "change a flight", "", *numbers], rows)
 
 
-def _figure(found: Comparison) -> Figure | None:
+def _figure(found: FlightComparison) -> Figure | None:
     shown = [one for one in found.quantities if np.isfinite(one.mean)]
     if not shown:
         return None

@@ -19,9 +19,9 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.estimation.policy import ODDS_OF_PART
-from onboard.identification.body.start import Series, guess
+from onboard.identification.body.start import PoseWindow, guess
 from onboard.identification.body.valves import Opening, Valve
-from onboard.identification.exiddm.prediction.parameters import Block, Layout
+from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
 WINDOW_s, SHORTEST = 5.0, 20  # and fewest poses in one
@@ -53,7 +53,7 @@ class Thrusters(NamedTuple):
     valves: tuple[Valve, ...]
 
 
-class Stated(NamedTuple):
+class BodySigmas(NamedTuple):
     """1 sigma of what moves the body besides its thrusters' scales, and of what is known of these."""
 
     mass: float | None  # relative; None: nothing is known of it
@@ -81,7 +81,7 @@ class Tracker(NamedTuple):
     noise: FloatArray  # (3,) of one pose: m, m, rad
 
 
-class Poses(NamedTuple):
+class TrackedPoses(NamedTuple):
     """Poses of the tracked frame, (n,) and (n, 3): x, y, yaw, which goes on beyond half a turn."""
 
     time_s: FloatArray
@@ -92,7 +92,7 @@ class _Windows(NamedTuple):
     start_s: FloatArray  # (k,)
     steps: int
     period_s: float
-    poses: list[Poses]
+    poses: list[TrackedPoses]
 
     @property
     def grid_s(self) -> FloatArray:
@@ -131,7 +131,9 @@ class BodyModel:
         weighed: its mass is stated.
     """
 
-    def __init__(self, drawn: tuple[float, FloatArray, float], thrusters: Thrusters, tracker: Tracker, stated: Stated):
+    def __init__(
+        self, drawn: tuple[float, FloatArray, float], thrusters: Thrusters, tracker: Tracker, stated: BodySigmas
+    ):
         self._drawn, self._thrusters, self._tracker, self._stated = drawn, thrusters, tracker, stated
         mass_kg, centre_m, inertia = drawn
         reach = float(np.abs(thrusters.place_m - centre_m).max())
@@ -154,7 +156,7 @@ class BodyModel:
                 np.array([tracker.turn_sigma_rad, *[tracker.place_sigma_m] * 2, tracker.scale_sigma]),
             ),
         }
-        self._layout = Layout(blocks)
+        self._layout = UnknownLayout(blocks)
         self.names, self.sigma = self._layout.names, self._layout.sigma
         self.weighed = stated.mass is not None
         self.steady_sigma = np.array([*[stated.uneven_m_s2] * 2, stated.turning_rad_s2])
@@ -164,7 +166,9 @@ class BodyModel:
         mass_kg, centre_m, inertia = self._drawn
         return mass_kg * float(np.exp(x[0])), centre_m + x[1:3], inertia * float(np.exp(x[3]))
 
-    def fit(self, poses: Poses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()) -> BodyFit:
+    def fit(
+        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
+    ) -> BodyFit:
         """The unknowns that explain the poses best.
 
         Args:
@@ -196,18 +200,18 @@ class BodyModel:
         return [float(length) + 1e-4 for length in lengths]
 
     def _windows_of(
-        self, poses: Poses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]]
+        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]]
     ) -> _Windows:
         """Windows of poses, at all of which the commands are known, the largest delay earlier too."""
         longest_s = self._stated.delay_s[1]
-        starts, kept = [], list[Poses]()
+        starts, kept = [], list[TrackedPoses]()
         at_s, end_s = max(float(poses.time_s[0]), known_s[0] + longest_s), min(float(poses.time_s[-1]), known_s[1])
         while at_s < end_s and len(kept) < _MOST_WINDOWS:
             until_s = min(at_s + WINDOW_s, end_s)
             inside = slice(*np.searchsorted(poses.time_s, [at_s, until_s]).tolist())
             lost = any(a < until_s and b > at_s - longest_s for a, b in unknown)
             if inside.stop - inside.start >= SHORTEST and not lost:
-                kept.append(Poses(poses.time_s[inside], poses.measured[inside]))
+                kept.append(TrackedPoses(poses.time_s[inside], poses.measured[inside]))
                 starts.append(float(poses.time_s[inside][0]))
             at_s = until_s
         if not kept:
@@ -229,7 +233,7 @@ class BodyModel:
                 level = np.diff(valve.impulse_s(grid_s, Opening(delay_s, 0.0, 0.0)), axis=1) / windows.period_s
                 forces[d] += level[..., None] * own
         series = [
-            Series(*poses, grid, forces[:, k])
+            PoseWindow(*poses, grid, forces[:, k])
             for k, (poses, grid) in enumerate(zip(windows.poses, grid_s, strict=False))
         ]
         first = guess(series, tracker.place_m, tracker.yaw_rad, tracker.noise)

@@ -18,7 +18,7 @@ from onboard.estimation.errors import ConvergenceError
 _LONGEST_s = 2.5  # of a window's part that is fitted by itself: unknown accelerations do not add up in it
 
 
-class Series(NamedTuple):
+class PoseWindow(NamedTuple):
     """One window of poses with its commands."""
 
     time_s: FloatArray  # (u,) of the poses
@@ -36,7 +36,7 @@ class Guess(NamedTuple):
     inertia_kg_m2: float
 
 
-def guess(windows: list[Series], place_m: FloatArray, yaw_rad: float, noise: FloatArray) -> Guess:
+def guess(windows: list[PoseWindow], place_m: FloatArray, yaw_rad: float, noise: FloatArray) -> Guess:
     """The guess that leaves least of the poses.
 
     Args:
@@ -101,7 +101,7 @@ class _Normal:
 def _add(
     yaw: _Normal,
     place: _Normal,
-    window: Series,
+    window: PoseWindow,
     part: np.ndarray,
     d: int,
     place_m: FloatArray,

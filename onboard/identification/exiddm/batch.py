@@ -41,7 +41,7 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     tick_mean,
     whitened,
 )
-from onboard.identification.exiddm.prediction.parameters import Block, Layout, UncertainLinks
+from onboard.identification.exiddm.prediction.parameters import Block, UncertainLinks, UnknownLayout
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 
@@ -133,7 +133,7 @@ class Exiddm:
             raise SignalError("more than half of the flight has no IMU; cut it to where it has")
         widths = [np.sqrt(np.diag(block)) for block in self._links.covariances]
         imu = imu_blocks(imu_prior)
-        self.layout = layout = Layout(
+        self.layout = layout = UnknownLayout(
             {
                 "start": base.start,
                 "payload": Block(self._links.payload_names, payload_sigma),

@@ -16,7 +16,7 @@ from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Prediction
+from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.identification.exiddm.suspects import Believed, Rivals
 
 _LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
@@ -27,7 +27,7 @@ _FREE = 1e3  # stated sigmas of an error that may be of any size
 class Batch(NamedTuple):
     """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines); their times."""
 
-    predicted: Prediction
+    predicted: TickPrediction
     measured: FloatArray
     sigma: FloatArray
     time_s: FloatArray  # (b,)

@@ -24,7 +24,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal, inverse_of
 from onboard.estimation.recursive.consistency import NoiseScale
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
-from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, Layout
+from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, UnknownLayout
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
@@ -116,7 +116,7 @@ class PivotModel:
         self._moving = sum(len(block.names) for block in blocks.values())
         per_g = tuple(f"gyro_per_g_{row}{column}" for row in "xyz" for column in "xyz")
         errors = imu_blocks(imu_prior._replace(clock_rate_error=0.0))
-        self._layout = Layout(blocks | errors | {"per_g": Block(per_g, np.full(9, per_g_rad_s))})
+        self._layout = UnknownLayout(blocks | errors | {"per_g": Block(per_g, np.full(9, per_g_rad_s))})
         self.names, self.sigma = self._layout.names, self._layout.sigma
 
     def body(self, x: FloatArray) -> FloatArray:

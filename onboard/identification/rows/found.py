@@ -1,21 +1,48 @@
 """What is found about an estimate by rows that its intervals do not contain."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.estimation.policy import MOST_CONTRADICTED
-from onboard.estimation.recursive.memory import FOR_EVER
+from onboard.estimation.recursive.consistency import JackknifeEstimate
+from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.identification.corrections import doubtful, too_large
-from onboard.identification.quantities import Findings
-from onboard.identification.rows.checks.agreement import judged_between, judged_fit
+from onboard.identification.quantities import Findings, Quantity
+from onboard.identification.rows.checks.agreement import InstrumentFit, judged_between, judged_fit
+from onboard.identification.rows.checks.suspects import RowSuspects
+from onboard.identification.rows.grasped import GraspedPayload
+from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.rows.stated_errors.drawing import judged_drawing
+from onboard.identification.rows.stated_errors.fitted_corrections import Fitted
+from onboard.identification.rows.stated_errors.stated import Taken
 
-if TYPE_CHECKING:
-    from onboard.identification.rows.identifier import Identifier
+
+class _Judged(Protocol):
+    """What is judged of an identifier by rows."""
+
+    quantities: tuple[Quantity, ...]
+    considered: tuple[Considered, ...]
+    memory: Memory
+    suspects: RowSuspects | None
+    payload: GraspedPayload | None
+    rows_used: int
+    refused: dict[GateReason, int]
+
+    @property
+    def taken(self) -> Taken: ...
+    @property
+    def correlation(self) -> float: ...
+    @property
+    def fitted_errors(self) -> Fitted | None: ...
+    def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate: ...
+    def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]: ...
+    def scales(self, jackknife: JackknifeEstimate) -> dict[str, float]: ...
+    def contradiction(self, jackknife: JackknifeEstimate) -> str: ...
 
 
-def found(of: "Identifier") -> Findings:
+def found(of: _Judged) -> Findings:
     """Reasons to refuse all estimates of an identifier or to weaken them, and what is told with any."""
     said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
     share = (residual := of.refused[GateReason.RESIDUAL]) / max(of.rows_used + residual, 1)

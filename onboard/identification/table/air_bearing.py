@@ -18,7 +18,7 @@ import numpy as np
 
 from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.joint_errors import Readings
+from onboard.dynamics.joint_errors import EncoderReadings
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody
@@ -138,7 +138,7 @@ class AirBearingBase:
         ``since``: the tick from which on the encoders have theirs; places are of all ticks.
         """
         signals = self.signals
-        read = Readings(signals.q, signals.dq, signals.ddq, signals.period_s, np.zeros((len(signals.q), 3, 0)))
+        read = EncoderReadings(signals.q, signals.dq, signals.ddq, signals.period_s, np.zeros((len(signals.q), 3, 0)))
         motions = zip(
             (signals.q, signals.dq, signals.ddq),
             read.corrected(errors, np.zeros(0), np.zeros(0, np.intp)),

@@ -10,7 +10,7 @@ from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.exiddm.misfit import beyond_chance
 
 
-class Block(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations of some ticks of one instrument at an estimate."""
 
     normal: Normal  # by the parameters in ``columns``
@@ -20,7 +20,7 @@ class Block(NamedTuple):
     held: bool
     middle_s: float
 
-    def moved(self, by: FloatArray) -> "Block":
+    def moved(self, by: FloatArray) -> "NormalEquations":
         """At parameters that are so far from the estimate, (p,), as the normal equations tell it."""
         d, normal = by[self.columns], self.normal
         change = normal.information @ d
@@ -28,7 +28,7 @@ class Block(NamedTuple):
         return self._replace(normal=Normal(normal.information, normal.gradient + change, max(0.0, squares)))
 
 
-def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
+def total_of(blocks: Sequence[NormalEquations], parameters: int) -> Normal:
     """Normal equations of all blocks together."""
     information, gradient, squares = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
     for block in blocks:
@@ -38,7 +38,7 @@ def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
     return Normal(information, gradient, squares)
 
 
-def misfit_by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
+def misfit_by_instrument(blocks: Sequence[NormalEquations]) -> dict[str, float]:
     """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
     misfit = {}
     for instrument in dict.fromkeys(block.instrument for block in blocks):

@@ -31,7 +31,7 @@ from onboard.estimation.policy import MISFIT_REFUSED, MOST_CONTRADICTED, READING
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.whole_flight.blocks import Block, apart, misfit_by_instrument, total_of
+from onboard.identification.whole_flight.blocks import NormalEquations, apart, misfit_by_instrument, total_of
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
@@ -68,7 +68,7 @@ class FlightFit(NamedTuple):
     names: tuple[str, ...]  # of the parameters fitted
     chi: FloatArray  # (10,) standard parameters of the payload
     chi_covariance: FloatArray  # (10, 10)
-    blocks: tuple[Block, ...]  # at the estimate
+    blocks: tuple[NormalEquations, ...]  # at the estimate
     misfit: float  # residual sum over its degrees of freedom
     by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
     residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
@@ -79,7 +79,7 @@ class _Minimum(NamedTuple):
     """Where the residual sum is least."""
 
     fit: Fit
-    blocks: tuple[Block, ...]  # there
+    blocks: tuple[NormalEquations, ...]  # there
     promised: float  # decrease of the residual sum by the last step, whose end was not predicted
     gained: float  # by the step before; NaN where there is none
 
@@ -244,7 +244,7 @@ class WholeFlight:
         told = found, self.names, chi, covariance, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
 
-    def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[Block]:
+    def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:
         """Normal equations of all ticks up to so many seconds after the start of each segment, at x, (p,)."""
         found = []
         self._left = [np.full(one.ticks.measured.shape, np.nan) for one in self.segments]
@@ -258,7 +258,7 @@ class WholeFlight:
                         ticks = np.arange(along.ticks.start, along.ticks.stop)[use]
                         self._left[k][ticks, instrument.lines] = r.reshape(len(ticks), -1)
                         normal = Normal.of(r, J)
-                        found.append(Block(normal, columns, r.size, instrument.name, one.held, middle_s))
+                        found.append(NormalEquations(normal, columns, r.size, instrument.name, one.held, middle_s))
         return found
 
     def without_payload(self, x: FloatArray) -> list[tuple[float, float]]:
@@ -280,7 +280,7 @@ class WholeFlight:
         return found
 
     def _settle(
-        self, x: FloatArray, tolerance: float, length_s: float = np.inf, known: tuple[Block, ...] = ()
+        self, x: FloatArray, tolerance: float, length_s: float = np.inf, known: tuple[NormalEquations, ...] = ()
     ) -> _Minimum:
         """The minimum; the normal equations at x are not computed where they are ``known``."""
         best = np.inf, x, known, self._left

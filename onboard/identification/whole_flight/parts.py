@@ -19,7 +19,7 @@ from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.whole_flight.blocks import Block, total_of
+from onboard.identification.whole_flight.blocks import NormalEquations, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 
@@ -89,7 +89,7 @@ def halves(flight: WholeFlight, found: FlightFit) -> HeldOut:
 
 
 def _prediction(
-    rows: Normal, x: FloatArray, away: FloatArray, flight: WholeFlight, none: float, blocks: Sequence[Block]
+    rows: Normal, x: FloatArray, away: FloatArray, flight: WholeFlight, none: float, blocks: Sequence[NormalEquations]
 ) -> HeldOutFit:
     """Residual of rows at ``x + away`` with what is specific to a part of the flight re-estimated there."""
     anew, prior = flight.of_a_part, np.diag(flight.prior_information)
@@ -105,7 +105,7 @@ def _prediction(
     return HeldOutFit(float(np.sqrt(squares / none)), squares / sum(block.rows for block in blocks))
 
 
-def _difference(found: FlightFit, part: str, blocks: Iterable[Block]) -> Difference:
+def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) -> Difference:
     rows = list(blocks)
     if not rows or len(rows) == len(found.blocks):
         return Difference(0.0, 0, part)
@@ -118,6 +118,6 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[Block]) -> Differe
     return Difference(squares / max(1.0, found.misfit), freedom, part)
 
 
-def _middle(blocks: Sequence[Block]) -> float:
+def _middle(blocks: Sequence[NormalEquations]) -> float:
     """Time that halves the rows of blocks."""
     return float(np.median([block.middle_s for block in blocks])) if blocks else 0.0

@@ -23,7 +23,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.whole_flight.blocks import Block, misfit_by_instrument, total_of
+from onboard.identification.whole_flight.blocks import NormalEquations, misfit_by_instrument, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import DETERMINED, PAYLOAD
@@ -47,7 +47,7 @@ class _Reduced(NamedTuple):
     gained: float  # by their step
     step: FloatArray  # (o,) of its own for no change of the common ones
     by_common: FloatArray  # (o, c) change of its own for a change of these
-    blocks: tuple[Block, ...]
+    blocks: tuple[NormalEquations, ...]
 
 
 class Pooled(NamedTuple):
@@ -176,7 +176,12 @@ class Pool:
 
 
 def _reduced(
-    rows: Normal, x: FloatArray, own: IndexArray, common: IndexArray, sigma: FloatArray, blocks: tuple[Block, ...]
+    rows: Normal,
+    x: FloatArray,
+    own: IndexArray,
+    common: IndexArray,
+    sigma: FloatArray,
+    blocks: tuple[NormalEquations, ...],
 ) -> _Reduced:
     prior = np.nan_to_num(1.0 / sigma[own] ** 2)
     A = rows.information[np.ix_(own, own)] + np.diag(prior)

@@ -43,7 +43,7 @@ _TOLD = 0.005  # share of a correction's variance that the flight takes away, in
 
 
 @dataclass(frozen=True)
-class Kind(Chance):
+class CorrectionKind(Chance):
     """A kind of correction of an instrument."""
 
     device: int  # its number in the predictor, 0: the first IMU
@@ -64,7 +64,7 @@ class Kind(Chance):
         return f"{which} is not as stated ({chance_text(self.chance)})"
 
 
-def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
+def kinds_of(flight: WholeFlight, found: FlightFit) -> list[CorrectionKind]:
     """Every kind of the instruments that take part that has a stated sigma, the least likely first.
 
     Args:
@@ -87,7 +87,7 @@ def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
             sums = [np.eye(at.size), np.full((at.size, 1), at.size**-0.5)] if at.size > 1 else [np.eye(at.size)]
             for common, along in enumerate(sums if at.size else []):
                 squares, freedom = squares_of(along.T @ scaled, along.T @ told @ along, _TOLD)
-                made.append(Kind(squares, freedom, device, of, name, bool(common), at))
+                made.append(CorrectionKind(squares, freedom, device, of, name, bool(common), at))
     return sorted(made, key=lambda one: one.chance)
 
 
@@ -108,7 +108,7 @@ def _scaled(flight: WholeFlight, found: FlightFit, at: IndexArray) -> tuple[Floa
     return found.fit.x[at] / sigma, np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
 
 
-def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> FlightFit:
+def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[CorrectionKind]) -> FlightFit:
     """The fit once more, with the unlikely kinds hardly bound by what is stated; the same fit where there are none.
 
     Args:

@@ -19,7 +19,7 @@ from onboard.identification.corrections import contradicted, expected_sigma, too
 from onboard.identification.quantities import Findings
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 from onboard.identification.whole_flight.parts import differences
-from onboard.identification.whole_flight.stated import Kind, bodies_of, kinds_of
+from onboard.identification.whole_flight.stated import CorrectionKind, bodies_of, kinds_of
 
 _STAGES_s = (8.0,)  # part of each segment that is fitted first: most fits without an instrument get nowhere
 _NOT_AS_STATED = 1e-3, 1e-4
@@ -33,7 +33,7 @@ class Tested(NamedTuple):
 
     flight: WholeFlight
     found: FlightFit
-    kinds: tuple[Kind, ...]  # of corrections, the least likely first
+    kinds: tuple[CorrectionKind, ...]  # of corrections, the least likely first
     corrections: Mapping[str, float]  # of the first IMU and what else is no link's or joint's, in stated sigmas
     of_bodies: Mapping[str, float]  # of links and joints, in sigmas of what the flight tells of each
     findings: Findings

@@ -59,7 +59,7 @@ def rows_of(runs: list[MessageRun]) -> Rows:
     return rows
 
 
-class Times:
+class RowTimes:
     """Follows the times of a log's rows, channel by channel."""
 
     def __init__(self) -> None:

@@ -51,7 +51,7 @@ class Damage(NamedTuple):
         return f"{where}bytes {self.start} to {self.end}: {self.reason}"
 
 
-class Found(NamedTuple):
+class ScannedRecord(NamedTuple):
     """An intact record and its place in the file."""
 
     start: int
@@ -86,7 +86,7 @@ class Scan:
             self._footer = mcap_format.Footer.at_end_of(file.read())
         self.truncated = self._footer is None
 
-    def records(self) -> Iterator[Found | Damage]:
+    def records(self) -> Iterator[ScannedRecord | Damage]:
         """Records and damage in the order of the file.
 
         Raises:
@@ -116,7 +116,7 @@ class Scan:
             self._crc = zlib.crc32(data, self._crc)
         return data
 
-    def _next(self, file: BinaryIO) -> Iterator[Found | Damage]:
+    def _next(self, file: BinaryIO) -> Iterator[ScannedRecord | Damage]:
         start, crc = self.position, self._crc
         head = self._read(file, _HEAD.size)
         if len(head) < _HEAD.size:
@@ -141,7 +141,7 @@ class Scan:
             except LogFormatError as error:
                 yield self._lost(file, start, str(error))
             else:
-                yield Found(start, self.position, content)
+                yield ScannedRecord(start, self.position, content)
 
     def _cut(self, start: int) -> Damage:
         self._ended = True

@@ -12,7 +12,7 @@ import pytest
 from drivers import records
 from drivers.records import Batch, Rows, SampleStatus, event, gap
 from onboard import config
-from onboard.flight.acquire.publisher import Expected, Publisher
+from onboard.flight.acquire.publisher import ExpectedChannel, Publisher
 from onboard.flight.estimate import estimation
 from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
 from onboard.flight.estimate.estimator import Estimator
@@ -229,8 +229,8 @@ def test_changes_before_a_bus_is_there_are_a_gap_of_at_least_one(tmp_path: Path)
     kinds = {"phase": records.SCALAR, "door": records.SCALAR, "lamp": records.SCALAR, "gap": records.GAP}
     writers = {name: RingWriter(tmp_path / f"{name}.ring", dtype, 500) for name, dtype in kinds.items()}
     publisher = Publisher(writers, renumber=True, changes=["phase", "door", "lamp"])
-    expected = {"phase": Expected(0.0, 0, unheard=True), "door": Expected(0.0, 0, unheard=True)}
-    publisher.expect({**expected, "lamp": Expected(0.0, 0)}, 1_000_000_000)
+    expected = {"phase": ExpectedChannel(0.0, 0, unheard=True), "door": ExpectedChannel(0.0, 0, unheard=True)}
+    publisher.expect({**expected, "lamp": ExpectedChannel(0.0, 0)}, 1_000_000_000)
     publisher.publish([Batch(name, scalars(0, 2, 9_000_000_000)) for name in ("phase", "lamp")])
     publisher.finish(20_000_000_000)
     assert pushed(tmp_path, "phase")["sequence"].tolist() == [1, 2]

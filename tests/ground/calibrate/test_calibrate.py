@@ -12,7 +12,7 @@ from onboard.ground.calibrate.balance import Rig, calibrate_balance
 from onboard.ground.calibrate.bifilar import calibrate_bifilar
 from onboard.ground.calibrate.encoder import Stops, calibrate_encoder
 from onboard.ground.calibrate.imu import ImuOptions, calibrate_imu
-from onboard.ground.calibrate.load_cell import Masses, calibrate_load_cell
+from onboard.ground.calibrate.load_cell import HungMasses, calibrate_load_cell
 from onboard.ground.calibrate.place import Place, place
 from onboard.ground.calibrate.readings import Readings, Span, steps
 
@@ -162,7 +162,7 @@ def test_a_load_cell_by_masses(vehicle):
     z = []
     for seed in range(12):
         read = cell_readings(np.random.default_rng(seed), (0.0, 1.0, 2.0, 0.5))
-        found = calibrate_load_cell(read, vehicle, "load_cell", Masses((0.0, 1.0, 2.0, 0.5), 1e-4, PLACE)).found
+        found = calibrate_load_cell(read, vehicle, "load_cell", HungMasses((0.0, 1.0, 2.0, 0.5), 1e-4, PLACE)).found
         z.append([(found[0].value - 1.03) / found[0].sigma, (found[1].value - 0.2) / found[1].sigma])
     assert np.abs(z).max() < 3.0
     assert found[0].sigma < 1e-3
@@ -182,7 +182,7 @@ def test_a_load_cell_by_masses(vehicle):
 def test_masses_that_do_not_fit_are_refused(vehicle, hung, typed, why):
     read = cell_readings(np.random.default_rng(3), hung)
     with pytest.raises(CalibrationError, match=why):
-        calibrate_load_cell(read, vehicle, "load_cell", Masses(typed, 1e-4, PLACE))
+        calibrate_load_cell(read, vehicle, "load_cell", HungMasses(typed, 1e-4, PLACE))
 
 
 def test_a_moment_cell_gets_its_lever():
@@ -192,14 +192,14 @@ def test_a_moment_cell_gets_its_lever():
     moment = bench.masses(rng, masses, 1e-5, 0.30).moment_n_m[::EVERY]
     force = moment / 0.0415 + 2.5e-3 * rng.standard_normal(len(moment))
     read = read_of("load_cell", force[:, None], 1e-3)
-    found = calibrate_load_cell(read, rocksat, "load_cell", Masses(masses, 1e-5, PLACE, 0.30))
+    found = calibrate_load_cell(read, rocksat, "load_cell", HungMasses(masses, 1e-5, PLACE, 0.30))
     assert abs(found.found[0].value - 0.0415) < 3.0 * found.found[0].sigma
     assert found.found[0].sigma < 1e-4
     assert {one.key for one in found.changes} == {"lever_m", "lever_sigma_m", "scale_sigma", "gain", "offset_N"}
     with pytest.raises(CalibrationError, match="a lever of"):
-        calibrate_load_cell(read, rocksat, "load_cell", Masses(masses, 1e-5, PLACE, 0.6))
+        calibrate_load_cell(read, rocksat, "load_cell", HungMasses(masses, 1e-5, PLACE, 0.6))
     with pytest.raises(CalibrationError, match="has no lever"):
-        calibrate_load_cell(read, config.named("dymaflex"), "load_cell", Masses(masses, 1e-5, PLACE, 0.3))
+        calibrate_load_cell(read, config.named("dymaflex"), "load_cell", HungMasses(masses, 1e-5, PLACE, 0.3))
 
 
 STOPS = tuple(np.deg2rad([-150.0, 150.0, -150.0, 150.0]))
@@ -336,7 +336,7 @@ def test_a_balance_that_cannot_be_is_refused(vehicle):
 def test_a_device_of_another_kind_is_refused(vehicle, table):
     for call in (
         lambda: calibrate_imu(table, vehicle, "load_cell", ImuOptions(PLACE)),
-        lambda: calibrate_load_cell(table, vehicle, "joint_1", Masses((0.0, 1.0), 1e-4, PLACE)),
+        lambda: calibrate_load_cell(table, vehicle, "joint_1", HungMasses((0.0, 1.0), 1e-4, PLACE)),
         lambda: calibrate_encoder(table, vehicle, "imu_2", Stops(STOPS, 1e-3)),
         lambda: calibrate_bifilar(table, vehicle, "joint_1", HUNG),
         lambda: calibrate_balance(table, None, vehicle, "joint_1", RIG, Place(9.8, 1e-3)),

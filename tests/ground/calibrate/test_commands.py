@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil_sim.bench import Bench
+from hil_sim.bench import BenchMission
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard import config
 from onboard.cli import BAD_INPUT, FAILED, OK, main
@@ -49,7 +49,7 @@ def found(directory, number):
 
 
 def truth(kind, settings):
-    return Bench(kind, scenario_of("dymaflex"), 1, settings).truth()
+    return BenchMission(kind, scenario_of("dymaflex"), 1, settings).truth()
 
 
 def off(one, true):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from onboard.ground.campaign.results import Answer, FlightResult
+from onboard.ground.campaign.results import FlightAnswer, FlightResult
 
 
 def drawn(seed: int, settings: dict[str, Any]) -> FlightResult:
@@ -25,7 +25,9 @@ def drawn(seed: int, settings: dict[str, Any]) -> FlightResult:
     value = truth + settings.get("bias", 0.0) + spread * float(rng.standard_normal())
     sigma = settings.get("sigma", spread)
     interval = {"value": value, "low": value - 1.96 * sigma, "high": value + 1.96 * sigma, "sigma": sigma}
-    told = Answer("m", "kg", truth, **interval, bound=0.9 * sigma, supported=True, level=settings.get("level", "good"))
+    told = FlightAnswer(
+        "m", "kg", truth, **interval, bound=0.9 * sigma, supported=True, level=settings.get("level", "good")
+    )
     return FlightResult((told,), faults=tuple(settings.get("faults", ())), unseen=settings.get("unseen", False))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from onboard import cli
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Answer, Done, FlightResult, Outcome, kinds
+from onboard.ground.campaign.results import Done, FlightAnswer, FlightResult, Outcome, kinds
 from onboard.ground.campaign.statistics import Summary, share_of, summary
 from onboard.ground.campaign.store import Content, Store
 from tests.ground.campaign.called import drawn
@@ -69,7 +69,7 @@ def test_the_factor_that_drives_the_error_is_told_and_the_other_is_not(tmp_path:
 
 
 def test_outcomes_of_answers() -> None:
-    told = Answer("m", "kg", 1.0, 1.02, 0.98, 1.06, 0.02, supported=True, level="good")
+    told = FlightAnswer("m", "kg", 1.0, 1.02, 0.98, 1.06, 0.02, supported=True, level="good")
     assert told.outcome() is Outcome.RIGHT
     assert told._replace(truth=0.90).outcome() is Outcome.NONSENSE
     assert told._replace(truth=0.96).outcome() is Outcome.RIGHT  # outside 95 %, inside 99.9 %

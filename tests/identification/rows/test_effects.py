@@ -11,7 +11,7 @@ from onboard.estimation.gates import GateReason, reasons
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.before.foresee.plan import MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
-from onboard.ground.before.init.vehicle import Wanted, make
+from onboard.ground.before.init.vehicle import NewVehicle, make
 from onboard.identification.rows.identifier import Identifier
 
 BIAS_m_s2 = 0.03
@@ -21,7 +21,7 @@ HZ = 50.0
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[config.Vehicle, MotionPlan]:
     directory = tmp_path_factory.mktemp("it")
-    make(Wanted("it", "prescribed", ("shoulder", "elbow"), load_cell="cia404"), directory / "it")
+    make(NewVehicle("it", "prescribed", ("shoulder", "elbow"), load_cell="cia404"), directory / "it")
     vehicle = config.load(directory / "it" / "vehicle.toml").with_row_rate(HZ)
     return vehicle, plan_of(vehicle, default_plan(scenario_of(str(directory / "it" / "vehicle.toml")), 1.0 / HZ))
 

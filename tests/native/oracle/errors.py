@@ -15,7 +15,7 @@ def _change(values, period_s):
 
 
 def corrected(read, errors, cyclic, of):
-    """As :meth:`onboard.dynamics.joint_errors.Readings.corrected`."""
+    """As :meth:`onboard.dynamics.joint_errors.EncoderReadings.corrected`."""
     functions = np.concatenate([read.cyclic, _change(read.cyclic[:, 2:], read.period_s)], axis=1)
     every, taken = functions.copy(), len(cyclic)
     turns = np.eye(len(errors))[of]

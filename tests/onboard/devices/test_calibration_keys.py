@@ -10,7 +10,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import values_of
 from onboard.ground.log.tables.columns import columns
-from onboard.ground.log.tables.meaning import Meaning
+from onboard.ground.log.tables.meaning import ChannelMeaning
 
 PATH = config.packaged("dymaflex")
 TEXT = PATH.read_text(encoding="utf-8")
@@ -48,7 +48,7 @@ def test_an_imu_is_corrected_on_board_and_in_tables(rng):
     on_board, usable = values_of(signal, rows)
     np.testing.assert_allclose(on_board, true, atol=2e-4)
     assert usable.all()
-    shown = {c.name: c.values(rows) for c in columns(IMU, {}, rows, Meaning(frame="imu_base", signal=signal))}
+    shown = {c.name: c.values(rows) for c in columns(IMU, {}, rows, ChannelMeaning(frame="imu_base", signal=signal))}
     for number, axis in enumerate("xyz"):
         np.testing.assert_array_equal(shown[f"gyro_imu_base_{axis}"], on_board[:, number])
         np.testing.assert_array_equal(shown[f"accel_imu_base_{axis}"], on_board[:, 3 + number])

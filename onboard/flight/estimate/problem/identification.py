@@ -383,7 +383,7 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
     return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
 
 
-class Method(NamedTuple):
+class FlyingMethod(NamedTuple):
     """An estimator that flies.
 
     Attributes:
@@ -402,7 +402,7 @@ PREDICTED: Mapping[config.Prediction, Callable[[config.Vehicle], tuple[OnlineIde
     config.Prediction.PIVOT: build_pivot,
 }
 METHODS = {  # by ``[estimation] method``
-    "rows": Method(build_identifier, tick_means=False),
-    "instrumental": Method(build_identifier, tick_means=False),
-    "exiddm": Method(build_likelihood, tick_means=True),
+    "rows": FlyingMethod(build_identifier, tick_means=False),
+    "instrumental": FlyingMethod(build_identifier, tick_means=False),
+    "exiddm": FlyingMethod(build_likelihood, tick_means=True),
 }

@@ -14,7 +14,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.identification.exiddm.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
-from onboard.regressor.prior import Made, prior_root
+from onboard.regressor.prior import LinkSigmas, prior_root
 from onboard.regressor.rows import RowModel
 
 # Of a silent file: air, umbilicals and valves of bench flights, 0.01 N on the 26 kg of DYMAFLEX.
@@ -52,7 +52,7 @@ def row_prior(stated: config.Prior, model: RowModel, further: Mapping[str, float
     Raises:
         ModelError: a sigma that is missing, stated twice, or of no link or column.
     """
-    made = {name: Made(*own.model_dump().values()) for name, own in stated.link.items()}
+    made = {name: LinkSigmas(*own.model_dump().values()) for name, own in stated.link.items()}
     try:
         return prior_root(model, stated.relative, {**stated.absolute, **further}, made)
     except ModelError as error:

@@ -11,7 +11,7 @@ from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.jumps import AngleJumps, Jump
 from onboard.estimation.stuck import NONE
-from onboard.flight.estimate.readings.stuck import Said, breaks
+from onboard.flight.estimate.readings.stuck import StuckEvent, breaks
 
 _EVERY = 1 << 31  # samples: more than are kept
 _ROUNDING = 1.0 / math.sqrt(12.0)  # counts, rms
@@ -36,7 +36,7 @@ class JumpWatch:
 
     def watch(
         self, rows: Rows, angle: FloatArray, times_ns: NDArray[np.int64] | None, in_use: bool
-    ) -> tuple[NDArray[np.bool_], slice, list[Said]]:
+    ) -> tuple[NDArray[np.bool_], slice, list[StuckEvent]]:
         """Judge the next rows, at least one.
 
         Args:
@@ -66,21 +66,21 @@ class JumpWatch:
                 one._replace(at=first + one.at) for one in self._jumps.watch(angle[part], times[part], arrived[part])
             ]
         wrong, before = np.full(len(rows), self._since is not None), NONE
-        said = list[Said]()
+        said = list[StuckEvent]()
         for one in found:
             jumps = f"by {math.degrees(one.size):+.3g} deg between two samples"
             if self._since is not None:
                 if one.undoes(self._since):
                     self._since, wrong[max(one.at, 0) :] = None, False
                     text = f"its angle jumps back {jumps}: it reads as before; rows are used again"
-                    said.append(Said(Severity.INFO, "angle_jumped_back", text))
+                    said.append(StuckEvent(Severity.INFO, "angle_jumped_back", text))
                 continue
             text = f"its angle jumps {jumps}, as no motion does: its zero, scale or delay has changed"
             if not in_use:
                 wrong[: max(one.at, 0)], before = True, slice(-_EVERY, min(one.at, 0))
-                said.append(Said(Severity.WARNING, "angle_jumped", f"{text}; no row before that is used"))
+                said.append(StuckEvent(Severity.WARNING, "angle_jumped", f"{text}; no row before that is used"))
                 continue
             self.jumped, self._since, wrong[max(one.at, 0) :] = True, one, True
             before = slice(min(one.at, 0), 0)
-            said.append(Said(Severity.ERROR, "angle_jumped", f"{text}; no row from there on is used"))
+            said.append(StuckEvent(Severity.ERROR, "angle_jumped", f"{text}; no row from there on is used"))
         return wrong, before, said

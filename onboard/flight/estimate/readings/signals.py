@@ -23,7 +23,7 @@ from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cy
 from onboard.flight.estimate.readings.history import History
 from onboard.flight.estimate.readings.jumps import JumpWatch
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.stuck import Said, StuckWatch
+from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
 from onboard.native import library, structures
 from onboard.timebase.timebase import Timebase
 
@@ -79,7 +79,7 @@ class SignalSmoother:
 
     def append(
         self, batches: Mapping[str, Rows], times_ns: TimesOf | None = None, *, in_use: bool = True
-    ) -> list[tuple[str, Said]]:
+    ) -> list[tuple[str, StuckEvent]]:
         """Take in what a step consumed; returns channels with what there is to say of them.
 
         Args:
@@ -87,7 +87,7 @@ class SignalSmoother:
             times_ns: vehicle time of a channel's rows, (n,), None while it is not known: jumps are not looked for.
             in_use: rows of the estimator were made of what came before.
         """
-        said = list[tuple[str, Said]]()
+        said = list[tuple[str, StuckEvent]]()
         for name, arrived in batches.items():
             if name not in self._signals or not len(arrived):
                 continue
@@ -113,7 +113,7 @@ class SignalSmoother:
                 values = np.nan_to_num(values)
             if why and (name, why) not in self._told:
                 self._told.add((name, why))
-                said.append((name, Said(Severity.ERROR, "not_usable", why)))
+                said.append((name, StuckEvent(Severity.ERROR, "not_usable", why)))
             stuck, before, told = self._watches[name].watch(rows, usable)
             said += [] if told is None else [(name, told)]
             history.mark(before, GateReason.STUCK)

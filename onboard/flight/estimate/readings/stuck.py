@@ -14,7 +14,7 @@ from onboard.estimation.stuck import NONE, StuckReadings, longest_run
 _OVER_S = 1.0  # without a stuck reading before it is said to be over: a freeze that comes and goes is told once
 
 
-class Said(NamedTuple):
+class StuckEvent(NamedTuple):
     """An event about a channel."""
 
     severity: Severity
@@ -36,7 +36,7 @@ class StuckWatch:
         self._fine = 0  # readings since the last stuck one
         self._told = False
 
-    def watch(self, rows: Rows, usable: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], slice, Said | None]:
+    def watch(self, rows: Rows, usable: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], slice, StuckEvent | None]:
         """Judge the next rows, at least one.
 
         Args:
@@ -64,7 +64,7 @@ class StuckWatch:
                 before = slice(begin, min(end, 0))
         return stuck, before, self._say(raw, stuck, before != NONE)
 
-    def _say(self, raw: NDArray[np.generic], stuck: NDArray[np.bool_], before: bool) -> Said | None:
+    def _say(self, raw: NDArray[np.generic], stuck: NDArray[np.bool_], before: bool) -> StuckEvent | None:
         if stuck.any() or before:
             at = np.flatnonzero(stuck)
             self._fine = len(stuck) - 1 - int(at[-1]) if len(at) else len(stuck)
@@ -74,11 +74,11 @@ class StuckWatch:
             value = raw[int(at[0]) if len(at) else 0]
             held = ", ".join(str(count) for count in np.atleast_1d(value))
             text = f"it reads {held} again and again where it must change: rows that need it are refused meanwhile"
-            return Said(Severity.ERROR, "stuck", text)
+            return StuckEvent(Severity.ERROR, "stuck", text)
         self._fine += len(stuck)
         if self._told and self._fine * self._signal.period_s > _OVER_S:
             self._told = False
-            return Said(Severity.INFO, "stuck_over", "its readings change again")
+            return StuckEvent(Severity.INFO, "stuck_over", "its readings change again")
         return None
 
 

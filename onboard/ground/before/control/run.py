@@ -18,8 +18,8 @@ from onboard.config.driving import Range, joint_ranges
 from onboard.control import watch
 from onboard.control.drives import Drives, identified
 from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Reference, feed_forward, free_inertia
-from onboard.control.learning import Kind, Learning, contraction
-from onboard.control.motion import CYCLES, Limits, Motion, fitted
+from onboard.control.learning import Learning, LearningLaw, contraction
+from onboard.control.motion import CYCLES, JointLimits, Motion, fitted
 from onboard.devices.base import JointDevice
 from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
@@ -28,7 +28,7 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire
+from onboard.flight.trials import PERIOD_MS, ArmOnBus, FlownTrial, Trials, Wire
 
 PERIOD_S: Final = 1e-3 * PERIOD_MS
 _COUNTS: Final = 500_000  # in a revolution of a joint that no device of the file measures
@@ -39,7 +39,7 @@ _FREQUENCIES: Final = 60  # at which the convergence is computed
 COMPUTED: Final = "computed_torque"
 
 
-class Stage(StrEnum):
+class TrialSetup(StrEnum):
     """What a trial is flown with."""
 
     EMPTY = "gripper empty, model as drawn"
@@ -51,9 +51,9 @@ class Stage(StrEnum):
 class Trial(NamedTuple):
     """One trial: its number within its stage, from 1, what was flown, and how far the tip was off."""
 
-    stage: Stage
+    stage: TrialSetup
     number: int
-    flown: Flown
+    flown: FlownTrial
     tip_m: FloatArray  # (m,) distance of the tip from where it should be, the base's own motion left out
 
     @property
@@ -93,20 +93,23 @@ class TrialSeries:
     predicted: FloatArray | None = None  # (f, 2): frequency, Hz, and what a trial leaves of the error there
     stopped: str = ""
 
-    def of(self, stage: Stage) -> list[Trial]:
+    def of(self, stage: TrialSetup) -> list[Trial]:
         """The trials of a stage."""
         return [trial for trial in self.trials if trial.stage is stage]
 
     @property
     def errors(self) -> list[float]:
         """Rms of the joints' errors of the controller's trials, rad."""
-        last = Stage.AFTER if self.controller == COMPUTED else Stage.LEARNING
+        last = TrialSetup.AFTER if self.controller == COMPUTED else TrialSetup.LEARNING
         return [trial.flown.rms_rad for trial in self.of(last) if not trial.flown.stopped]
 
     @property
     def gain(self) -> float | None:
         """How many times smaller the error of the tip is once the payload is adopted; None where it was not."""
-        before, after = self.of(Stage.BEFORE), [trial for trial in self.of(Stage.AFTER) if not trial.flown.stopped]
+        before, after = (
+            self.of(TrialSetup.BEFORE),
+            [trial for trial in self.of(TrialSetup.AFTER) if not trial.flown.stopped],
+        )
         return before[0].tip_rms_m / after[0].tip_rms_m if before and after else None
 
     @property
@@ -134,11 +137,11 @@ class TrialSeries:
         }
 
 
-class Asked(NamedTuple):
+class TrialRequest(NamedTuple):
     """What is asked for.
 
     Attributes:
-        controller: a value of :class:`Kind`, or :data:`COMPUTED`.
+        controller: a value of :class:`LearningLaw`, or :data:`COMPUTED`.
         trials: of the controller.
         adopted: URDF with the payload identified; None where there is none.
         model_error: relative.
@@ -187,8 +190,8 @@ def _wire(name: str, joint: str, node: int, device: JointDevice | None) -> Wire:
 
 def run(
     vehicle: config.Vehicle,
-    bench: Bench,
-    asked: Asked,
+    bench: ArmOnBus,
+    asked: TrialRequest,
     told: Callable[[Trial], None] = lambda _: None,
     record: Callable[[Sequence[Batch]], None] = lambda _: None,
 ) -> TrialSeries:
@@ -226,7 +229,7 @@ def run(
         assert trials.gains is not None
         for _ in range(_PILOTS):
             law = FeedForward(feed_forward(space, made.drives, reference), trials.gains)
-            if not pilot.fly(Stage.EMPTY, law, space, reference):
+            if not pilot.fly(TrialSetup.EMPTY, law, space, reference):
                 return made
             made.drives = identified(space, *_together(made.trials[-1].flown), PERIOD_S)
             inertia = space.inertia(trials.posture) + np.diag(made.drives.rotor_kg_m2)
@@ -236,7 +239,7 @@ def run(
     return made
 
 
-def _together(flown: Flown) -> tuple[FloatArray, FloatArray]:
+def _together(flown: FlownTrial) -> tuple[FloatArray, FloatArray]:
     """Positions and the torques in force at the same SYNCs: half of them from each of the two sent before."""
     in_force = 0.5 * (flown.torques[1:-1] + flown.torques[:-2])  # from SYNC i - 1 to i, and from i to i + 1
     return flown.measured[2:], in_force
@@ -248,7 +251,7 @@ class _Pilot:
     def __init__(self, made: TrialSeries, trials: Trials, told: Callable[[Trial], None]) -> None:
         self.made, self.trials, self._told = made, trials, told
 
-    def fly(self, stage: Stage, law: Law, space: JointSpace, reference: Reference) -> bool:
+    def fly(self, stage: TrialSetup, law: Law, space: JointSpace, reference: Reference) -> bool:
         """Whether it was flown to its end."""
         flown = self.trials.fly(law, reference)
         wanted = reference.q[: len(flown.error)]
@@ -262,7 +265,7 @@ class _Pilot:
 
 def _controlled(
     model: VehicleModel,
-    asked: Asked,
+    asked: TrialRequest,
     pilot: _Pilot,
     space: JointSpace,
     reference: Reference,
@@ -272,19 +275,19 @@ def _controlled(
     """The trials after the capture."""
     made, drives = pilot.made, pilot.made.drives
     compares = asked.controller == COMPUTED or asked.adopted is not None
-    if compares and not pilot.fly(Stage.BEFORE, ComputedTorque(space, drives, reference), space, reference):
+    if compares and not pilot.fly(TrialSetup.BEFORE, ComputedTorque(space, drives, reference), space, reference):
         return
     best = space
     if asked.adopted is not None:
         best = adopted = joint_space(VehicleModel(asked.adopted, model.spec), asked.model_error)
         for _ in range(asked.trials if asked.controller == COMPUTED else 1):
-            if not pilot.fly(Stage.AFTER, ComputedTorque(adopted, drives, reference), space, reference):
+            if not pilot.fly(TrialSetup.AFTER, ComputedTorque(adopted, drives, reference), space, reference):
                 return
     if asked.controller == COMPUTED:
         return
     assert pilot.trials.gains is not None
     gains = pilot.trials.gains
-    learning = Learning.of(Kind(asked.controller), gains, free_inertia(inertia), asked.factor)
+    learning = Learning.of(LearningLaw(asked.controller), gains, free_inertia(inertia), asked.factor)
     fastest = (2.0 * max(CYCLES[: len(made.joints)]) + 2.0) / (2.0 * motion.duration_s)
     band = np.geomspace(0.5 / motion.duration_s, max(4.0 * fastest, learning.low_pass_hz), _FREQUENCIES)
     whole = best.inertia(motion.start_rad) + np.diag(drives.rotor_kg_m2)
@@ -292,7 +295,7 @@ def _controlled(
     made.predicted = np.stack([band, left], 1)
     torques = first = feed_forward(space, drives, reference)
     for _ in range(asked.trials):
-        if not pilot.fly(Stage.LEARNING, FeedForward(torques, gains), space, reference):
+        if not pilot.fly(TrialSetup.LEARNING, FeedForward(torques, gains), space, reference):
             return
         why = watch.diverges(made.errors)
         if why:
@@ -314,7 +317,7 @@ def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
     return JointSpace(FloatingArm(model, tip, (1.0 + model_error) * model.chi))
 
 
-def joint_limits(vehicle: config.Vehicle, model: VehicleModel) -> Limits:
+def joint_limits(vehicle: config.Vehicle, model: VehicleModel) -> JointLimits:
     """Of all joints, by the URDF.
 
     Raises:
@@ -336,4 +339,4 @@ def joint_limits(vehicle: config.Vehicle, model: VehicleModel) -> Limits:
                 f"joint {joint.name!r}: it has to be revolute, with lower, upper, velocity and effort in <limit>"
             )
         rows.append((*found, effort))
-    return Limits(*(np.array(column) for column in zip(*rows, strict=True)))
+    return JointLimits(*(np.array(column) for column in zip(*rows, strict=True)))

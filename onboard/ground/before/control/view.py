@@ -9,11 +9,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from onboard.ground.before.control.run import COMPUTED, Stage, Trial, TrialSeries
+from onboard.ground.before.control.run import COMPUTED, Trial, TrialSeries, TrialSetup
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
 
 _GROWS = 1.005  # growth of the error per trial from which on it is reported
-_SHORT = {Stage.BEFORE: "payload unknown", Stage.AFTER: "payload identified"}
+_SHORT = {TrialSetup.BEFORE: "payload unknown", TrialSetup.AFTER: "payload identified"}
 
 
 def render(made: TrialSeries) -> RenderableType:
@@ -55,17 +55,17 @@ def findings_of(made: TrialSeries) -> list[str]:
         lines.append(
             f"tip error of the first trial with the identified payload: {made.gain:.1f} times smaller than without"
         )
-    learned = made.of(Stage.LEARNING)
+    learned = made.of(TrialSetup.LEARNING)
     if made.rate is not None:
         lines.append(f"a trial left {made.rate:.2f} of the joints' error, until it no longer fell")
     if made.predicted is not None:
         slow = made.predicted[made.predicted[:, 1].argmax()]
         within = made.predicted[made.predicted[:, 0] <= 1.0, 1]
-        known = "identified" if made.of(Stage.AFTER) else "no"
+        known = "identified" if made.of(TrialSetup.AFTER) else "no"
         lines.append(f"by the model with {known} payload a trial leaves at most {within.max():.2f} up to 1 Hz")
         if slow[1] >= _GROWS:
             lines.append(f"! at {slow[0]:.1f} Hz the error would grow {slow[1]:.2f} times a trial")
-    after = made.of(Stage.AFTER)
+    after = made.of(TrialSetup.AFTER)
     if learned and after:
         as_good = next((t.number for t in learned if t.tip_rms_m <= after[0].tip_rms_m), None)
         when = f"in trial {as_good}" if as_good is not None else f"not within {len(learned)} trials"
@@ -77,11 +77,11 @@ def draw(made: TrialSeries, path: Path) -> None:
     """Convergence as SVG or PNG by the ending: the tip's and the joints' rms error a trial."""
     with figures():
         drawn, (tip, joints) = subplots(1, 2, 3.0)
-        stage = Stage.AFTER if made.controller == COMPUTED else Stage.LEARNING
+        stage = TrialSetup.AFTER if made.controller == COMPUTED else TrialSetup.LEARNING
         trials = made.of(stage)
         number = [trial.number for trial in trials]
         tip.semilogy(number, [1e3 * trial.tip_rms_m for trial in trials], "o-", label=made.controller, color=CYCLE[0])
-        for other, color in ((Stage.BEFORE, CYCLE[1]), (Stage.AFTER, CYCLE[2])):
+        for other, color in ((TrialSetup.BEFORE, CYCLE[1]), (TrialSetup.AFTER, CYCLE[2])):
             if other is not stage and made.of(other):
                 tip.axhline(1e3 * made.of(other)[0].tip_rms_m, color=color, label=f"computed torque, {_SHORT[other]}")
         each = np.array([np.sqrt((trial.flown.error**2).mean(axis=0)) for trial in trials if len(trial.flown.error)])

@@ -24,7 +24,7 @@ from onboard.flight.estimate.problem.identification import build_exiddm, channel
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
 from onboard.flight.estimate.readings.torques import TorqueLines
-from onboard.ground.before.foresee.plan import Foreseen, JointNoise, MotionPlan, axes_words, body_values, expected
+from onboard.ground.before.foresee.plan import Foreseen, MotionNoise, MotionPlan, axes_words, body_values, expected
 from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
 from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
@@ -64,7 +64,7 @@ def foresee_free(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     return Foreseen(tuple(told), (), flown.payload, float(both.sum() * exiddm.predictor.period_s), words)
 
 
-class Flown(NamedTuple):
+class FilteredMotion(NamedTuple):
     """The filter after a planned motion, as it was when the payload was last held."""
 
     identifier: ExiddmIdentifier
@@ -75,7 +75,7 @@ class Flown(NamedTuple):
     rate: FloatArray  # (n, 3) of the gyro
 
 
-def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) -> Flown | None:
+def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) -> FilteredMotion | None:
     """Covariance of the filter along a planned motion; None where no payload is held in it.
 
     Args:
@@ -90,7 +90,7 @@ def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) ->
     predictor, payload = identifier.exiddm.predictor, plan.payload
     if payload is None or not plan.held.any():
         return None
-    noise, used = Noise(vehicle, model, predictor.further), plan.used(vehicle)
+    noise, used = FilterNoise(vehicle, model, predictor.further), plan.used(vehicle)
     state, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
     state[RATE] = plan.rate_rad_s
     rate = np.zeros((len(plan.q), 3))
@@ -106,7 +106,7 @@ def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) ->
         state, covariance, rate[part] = _fly(predictor, plan, noise, used, part, state, covariance, batch)
         if held:
             last_held = state.copy(), covariance.copy()
-    return Flown(identifier, model, payload, *last_held, rate)
+    return FilteredMotion(identifier, model, payload, *last_held, rate)
 
 
 def body_covariance(payload: RigidBody, covariance: FloatArray) -> FloatArray:
@@ -118,7 +118,7 @@ def body_covariance(payload: RigidBody, covariance: FloatArray) -> FloatArray:
 def _fly(
     predictor: ImuPredictor,
     plan: MotionPlan,
-    noise: "Noise",
+    noise: "FilterNoise",
     used: BoolArray,
     part: slice,
     state: FloatArray,
@@ -146,7 +146,7 @@ def _fly(
     return state, covariance, rate
 
 
-class Noise:
+class FilterNoise:
     """White noise of what the filter takes in, and its functions of the joints' cyclic errors.
 
     Args:
@@ -163,7 +163,7 @@ class Noise:
         means = [one.inflation * np.array(one.noise) / np.sqrt(n) for one, n in zip(signals, per_tick, strict=True)]
         self._of_lines: FloatArray = np.concatenate(means)
         self._torques = TorqueLines.of(roles, model, rows_of(further))
-        self._joints = JointNoise(vehicle, model, CYCLIC_LEFT)
+        self._joints = MotionNoise(vehicle, model, CYCLIC_LEFT)
         self.cyclic = self._joints.cyclic
         width_s, period_s = settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
         self._inflation = correlation_inflation(width_s, period_s, kernel_of(vehicle))

@@ -179,7 +179,7 @@ def steady_noise(vehicle: config.Vehicle, channel: str, derivatives: int) -> Flo
     return np.stack([window.apply(np.zeros(len(times_s)), k).noise_gain[0] * noise for k in range(derivatives + 1)])
 
 
-class JointNoise:
+class MotionNoise:
     """Noise of smoothed angles, rates and accelerations of the joints, and what their cyclic errors do.
 
     Args:

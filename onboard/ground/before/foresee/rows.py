@@ -34,7 +34,7 @@ from onboard.ground.before.foresee.plan import (
     UNDETERMINED,
     Expected,
     Foreseen,
-    JointNoise,
+    MotionNoise,
     MotionPlan,
     axes_words,
     body_values,
@@ -149,7 +149,7 @@ class StatedNoise:
         self._vehicle, self._identifier, self.period_s = vehicle, identifier, period_s
         self._coarse, self._filtered = coarse, identifier.whitening is not None
         roles, of_vehicle = roles_of(vehicle), identifier.model.vehicle
-        self._joints = JointNoise(vehicle, of_vehicle)
+        self._joints = MotionNoise(vehicle, of_vehicle)
         self._of_base = np.stack(_imu_noise(vehicle)) if roles.imus else np.zeros((3, 3))
         by_joint = {joint.joint: joint.is_rate for joint in roles.joints}
         self._orders = orders_of([by_joint[joint.name] for joint in of_vehicle.joints])

@@ -18,7 +18,7 @@ _YOURS = "         <!-- yours -->"
 _CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
-class Body(NamedTuple):
+class NewBody(NamedTuple):
     """What a new body has.
 
     ``thrusters``: their names, those of frames of the URDF at hand where there is one; the force is along a frame's x.
@@ -32,7 +32,7 @@ class Body(NamedTuple):
     marker: str = _MARKER
 
 
-def files(wanted: Body) -> dict[str, str]:
+def files(wanted: NewBody) -> dict[str, str]:
     """Text of each file by its name.
 
     Raises:
@@ -64,7 +64,7 @@ def files(wanted: Body) -> dict[str, str]:
     }
 
 
-def _vehicle(wanted: Body, root: str) -> str:
+def _vehicle(wanted: NewBody, root: str) -> str:
     thrusters = "".join(
         f"""
 [device.{name}]
@@ -106,7 +106,7 @@ method = "exiddm"              # predicts the tracked pose
 """
 
 
-def _mapping(wanted: Body) -> str:
+def _mapping(wanted: NewBody) -> str:
     text = f"""# Which column of a recording is what: put your column names in. Every key: docs/import.md.
 # heft import import.toml RECORDING.csv -o logs; heft identify --vehicle vehicle.toml logs/RECORDING.mcap
 
@@ -128,7 +128,7 @@ value = {{ column = {json.dumps(column)}, values = "physical", scale = {scale}, 
     return text
 
 
-def _sketch(wanted: Body) -> str:
+def _sketch(wanted: NewBody) -> str:
     frames = [mount(_MARKER, "body", "0 0 0", "0 0 0", _YOURS)]
     for k, name in enumerate(wanted.thrusters):
         x, y = _CORNERS[k // 2 % 4]
@@ -155,7 +155,7 @@ def names_of(text: str) -> Sequence[str]:
     return [f"t{k + 1}" for k in range(int(text))] if text.isdecimal() and len(text) < 3 else text.split(",")
 
 
-def write(wanted: Body, directory: Path) -> list[Path]:
+def write(wanted: NewBody, directory: Path) -> list[Path]:
     """Write the vehicle into ``directory``; returns the files.
 
     Raises:

@@ -24,7 +24,7 @@ _IMPORT = "import.toml"
 _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
 
 
-class Wanted(NamedTuple):
+class NewVehicle(NamedTuple):
     """What a new vehicle has.
 
     ``joints``: names, from the base outwards; those of ``drawn``, if there is a URDF at hand. ``imu_frame``,
@@ -74,7 +74,7 @@ class Wanted(NamedTuple):
         return self.encoder == devices.RECORDED
 
 
-def make(wanted: Wanted, directory: Path) -> list[Path]:
+def make(wanted: NewVehicle, directory: Path) -> list[Path]:
     """Write the vehicle into ``directory``; returns the files.
 
     Raises:
@@ -140,7 +140,7 @@ _JOINTLESS = {  # by base
 }
 
 
-def _require(wanted: Wanted) -> None:
+def _require(wanted: NewVehicle) -> None:
     if not wanted.joints:
         where = _JOINTLESS.get(wanted.base, "")
         raise config.ConfigError(f"an arm without joints shows nothing of what it holds; give --joints{where}")
@@ -163,7 +163,7 @@ def _require(wanted: Wanted) -> None:
         raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: {text}")
 
 
-def _devices(wanted: Wanted) -> list[NewDevice]:
+def _devices(wanted: NewVehicle) -> list[NewDevice]:
     chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
     for n, name in enumerate(wanted.joints, 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
@@ -176,7 +176,7 @@ def _devices(wanted: Wanted) -> list[NewDevice]:
     return [*chosen, devices.PULSE] if wanted.pulse and not wanted.recorded else chosen
 
 
-def _head(wanted: Wanted) -> str:
+def _head(wanted: NewVehicle) -> str:
     about = BaseKind(wanted.base).about
     planar = f"""
 [planar]                       # 1 sigma
@@ -198,7 +198,7 @@ payload_link = {json.dumps(wanted.payload_link)}       # what is held: of it not
 {planar if wanted.base == "planar" else ""}"""
 
 
-def _bus(name: str, usual: str, wanted: Wanted) -> str:
+def _bus(name: str, usual: str, wanted: NewVehicle) -> str:
     return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
 
 
@@ -219,7 +219,7 @@ accelerometer_bias_m_s2 = 0.03
 """
 
 
-def _rest(wanted: Wanted) -> str:
+def _rest(wanted: NewVehicle) -> str:
     smoothing = devices.smoothing_ms(wanted.encoder)
     if BaseKind(wanted.base).follows:
         known = "".join(
@@ -273,7 +273,7 @@ row_noise = "by_frequency"     # what differentiated encoders add at high freque
 {held}"""
 
 
-def _torque_sigmas(wanted: Wanted, usual: devices.OfTorque) -> dict[str, float]:
+def _torque_sigmas(wanted: NewVehicle, usual: devices.OfTorque) -> dict[str, float]:
     """Of what joints add to their torques, by the names of the columns; of a recorded arm by its largest torques."""
     own: dict[str, float] = {}
     for number, joint in enumerate(wanted.joints, 1):
@@ -285,14 +285,14 @@ def _torque_sigmas(wanted: Wanted, usual: devices.OfTorque) -> dict[str, float]:
     return own
 
 
-def _of_torques(wanted: Wanted) -> str:
+def _of_torques(wanted: NewVehicle) -> str:
     own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, devices.FREE).items())
     return f"""
 [estimation.prior.absolute]    # 1 sigma about none: friction, rotor and offset in each joint's torque
 {own}"""
 
 
-def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
+def _taken_over(wanted: NewVehicle, drawn: Drawn) -> str:
     """The URDF at hand, with the frames that it lacks."""
     needed = {wanted.imu_frame: drawn.root} if wanted.imu != "none" else {}
     needed[wanted.payload_link] = drawn.last
@@ -303,7 +303,7 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
     return drawn.text
 
 
-def _urdf(wanted: Wanted) -> str:
+def _urdf(wanted: NewVehicle) -> str:
     parts = [_link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
     if wanted.imu != "none":
         parts.append(mount("imu_base", "base", "0 0 0"))
@@ -335,14 +335,14 @@ def _urdf(wanted: Wanted) -> str:
 """
 
 
-def _largest(wanted: Wanted, number: int) -> float:
+def _largest(wanted: NewVehicle, number: int) -> float:
     """Torque of a joint [N m]: the sketch's, or what the URDF at hand says; 10 where it says nothing."""
     if wanted.drawn is None:
         return _effort(wanted, number)
     return wanted.drawn.efforts.get(wanted.joints[number - 1], 10.0)
 
 
-def _effort(wanted: Wanted, number: int) -> float:
+def _effort(wanted: NewVehicle, number: int) -> float:
     """Of a joint [N m]: 10, or in gravity twice what holds the sketched arm stretched, with 1.5 kg, in tens."""
     if wanted.base not in ("fixed", "prescribed"):
         return 10.0

@@ -16,7 +16,7 @@ from onboard.dynamics.mechanics.base_parameter_count import (
     free_base_count,
     planar_base_count,
 )
-from onboard.dynamics.mechanics.chain import Chain, chain_of
+from onboard.dynamics.mechanics.chain import SerialChain, chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
@@ -38,7 +38,7 @@ class Counted(NamedTuple):
     numerical: int
 
 
-def closed_forms(chain: Chain, gravity_m_s2: Gravity) -> dict[BaseKind, Count]:
+def closed_forms(chain: SerialChain, gravity_m_s2: Gravity) -> dict[BaseKind, Count]:
     """Counts in closed form by kind of base; empty where a joint is not revolute."""
     found = fixed_base_count(chain, np.array(gravity_m_s2)), free_base_count(chain), planar_base_count(chain)
     return {base: count for base, count in zip(BASES, found, strict=True) if count is not None}

@@ -20,7 +20,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
-from onboard.ground.before.foresee.free import Noise, body_covariance, fly
+from onboard.ground.before.foresee.free import FilterNoise, body_covariance, fly
 from onboard.ground.before.foresee.plan import MotionPlan
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.quantities import BODY
@@ -84,7 +84,7 @@ class FreeBound(Bound):
         self._before, self._model, self._payload = before, before.model, plan.payload
         self._predictor = before.identifier.exiddm.predictor
         self._prior = np.linalg.inv(before.covariance)
-        self._noise = Noise(vehicle, before.model, self._predictor.further)
+        self._noise = FilterNoise(vehicle, before.model, self._predictor.further)
         self._chi = self._model.chi.copy()
         self._chi[self._model.payload_columns()] = standard_of(plan.payload)
         self.names = tuple(f"{kind}_{self._model.spec.payload_link}" for kind in BODY)

@@ -73,7 +73,7 @@ class _Place(NamedTuple):
     radius_m: float
 
 
-class Limits:
+class MotionLimits:
     """Limits of a vehicle's motion with a payload.
 
     Args:

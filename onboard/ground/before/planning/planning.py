@@ -12,8 +12,8 @@ from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, Bound, FreeBound, RowsBound
 from onboard.ground.before.planning.criteria import Criterion, weakest
-from onboard.ground.before.planning.limits import Limits, LimitsFile
-from onboard.ground.before.planning.search import Found, Search, search
+from onboard.ground.before.planning.limits import LimitsFile, MotionLimits
+from onboard.ground.before.planning.search import Search, SearchResult, search
 from onboard.ground.before.planning.splines import Splines
 
 PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
@@ -52,7 +52,7 @@ class PlannedMotion(NamedTuple):
     untold: tuple[str, ...]  # those that it does not
     asked: tuple[str, ...]
     weakest: str
-    found: Found
+    found: SearchResult
 
 
 def plan_motion(
@@ -84,7 +84,7 @@ def plan_motion(
     model = build_model(vehicle)
     pieces = max(FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
     splines = Splines(plan.q[ticks.start], wanted.end_s - wanted.start_s, pieces)
-    over = Search(bound, Limits(model, wanted.limits, plan.payload), splines, chosen, wanted.criterion)
+    over = Search(bound, MotionLimits(model, wanted.limits, plan.payload), splines, chosen, wanted.criterion)
     found = search(over, wanted.starts, wanted.iterations, np.random.default_rng(wanted.seed), step)
     moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), found.coefficients)
     covariance, (at, sigma) = bound.of(moved).covariance, bound.along(moved)

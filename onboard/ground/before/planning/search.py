@@ -16,7 +16,7 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.before.planning.bound import TICK_HZ, Bound
 from onboard.ground.before.planning.criteria import Criterion, cost
-from onboard.ground.before.planning.limits import Limits
+from onboard.ground.before.planning.limits import MotionLimits
 from onboard.ground.before.planning.splines import Splines
 
 FINE_HZ = 50.0  # of the check
@@ -30,13 +30,13 @@ class Search(NamedTuple):
     """Where a motion is looked for."""
 
     bound: Bound
-    limits: Limits
+    limits: MotionLimits
     splines: Splines
     chosen: tuple[int, ...]  # of the bound's quantities
     criterion: Criterion = Criterion.D
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The motion."""
 
     coefficients: FloatArray  # (size, joints), about the posture
@@ -47,7 +47,7 @@ class Found(NamedTuple):
 
 def search(
     over: Search, starts: int, iterations: int, rng: np.random.Generator, step: Callable[[float], None]
-) -> Found:
+) -> SearchResult:
     """Look for the motion.
 
     Args:
@@ -60,7 +60,7 @@ def search(
     Raises:
         ConfigError: the posture leaves a joint no room.
     """
-    problem = Problem(over)
+    problem = PlanningProblem(over)
     drawn = [problem.kept(problem.draw(rng), coarse=True) for _ in range(starts)]
     drawn.sort(key=problem.value)
     best = problem.kept(drawn[0])
@@ -74,10 +74,12 @@ def search(
         if value < best_value:
             best, best_value = kept, value
     step(1.0)
-    return Found(problem.coefficients(best), best_value, start_value, problem.evaluations)
+    return SearchResult(problem.coefficients(best), best_value, start_value, problem.evaluations)
 
 
-def descend(problem: "Problem", x: FloatArray, iterations: int, told: Callable[[FloatArray], None]) -> FloatArray:
+def descend(
+    problem: "PlanningProblem", x: FloatArray, iterations: int, told: Callable[[FloatArray], None]
+) -> FloatArray:
     """Coefficients, (n,), that are better than ``x``, (n,), or the same; a limit may still be broken a little.
 
     Args:
@@ -98,7 +100,7 @@ def descend(problem: "Problem", x: FloatArray, iterations: int, told: Callable[[
     return np.clip(np.asarray(minimize(problem.value, x, **how).x, np.float64), problem.low, problem.high)
 
 
-class Problem:
+class PlanningProblem:
     """Cost and limits as functions of the coefficients, each in units of the way to its joint's limit.
 
     Attributes:

@@ -17,7 +17,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, FreeBound
-from onboard.ground.before.planning.limits import Limits
+from onboard.ground.before.planning.limits import MotionLimits
 from onboard.ground.before.planning.planning import FEWEST_PIECES, PIECE_s, Wanted, chosen_of, ticks_of
 from onboard.ground.before.planning.search import FINE_HZ, Search, search
 from onboard.ground.before.planning.splines import Splines
@@ -57,7 +57,7 @@ def plan_segments(
     bounds = [FreeBound(coarse, plan._replace(payload=body), first, still=True) for body in bodies]
     rate = wanted.limits.base_rate_rad_s
     said = wanted.limits.model_copy(update={"base_rate_rad_s": None if rate is None else _INDUCED * rate})
-    limits = [Limits(model, said, body) for body in bodies]
+    limits = [MotionLimits(model, said, body) for body in bodies]
     pieces = max(FEWEST_PIECES, round(seconds / PIECE_s))
     splines = Splines(plan.q[first], seconds, pieces)
     rng, names = np.random.default_rng(wanted.seed), list[str]()
@@ -89,7 +89,7 @@ class _Kept(NamedTuple):
     name: str
 
 
-def _kept(moved: FloatArray, bound: FreeBound, limits: Limits) -> _Kept:
+def _kept(moved: FloatArray, bound: FreeBound, limits: MotionLimits) -> _Kept:
     base = bound.base(moved, 1.0 / FINE_HZ)
     excess = limits.excess(moved, base, 1.0 / FINE_HZ).max(axis=0)
     others = [k for k, name in enumerate(limits.names) if name != "base's rate"]
@@ -98,7 +98,7 @@ def _kept(moved: FloatArray, bound: FreeBound, limits: Limits) -> _Kept:
     return _Kept(rate, float(excess[worst]), limits.names[worst])
 
 
-def _safe(own: FloatArray, splines: Splines, bounds: list[FreeBound], limits: list[Limits]) -> FloatArray:
+def _safe(own: FloatArray, splines: Splines, bounds: list[FreeBound], limits: list[MotionLimits]) -> FloatArray:
     """A motion that keeps the limits with every payload, shrunk for it."""
     basis = splines.basis(np.arange(round(splines.duration_s * FINE_HZ)) / FINE_HZ)
     for _ in range(_SHRINKS):
@@ -115,7 +115,7 @@ def _library(
     masses: FloatArray,
     splines: Splines,
     bounds: list[FreeBound],
-    limits: list[Limits],
+    limits: list[MotionLimits],
     wanted: Wanted,
 ) -> Library:
     ticks = round(splines.duration_s * _CSV_HZ) + 1

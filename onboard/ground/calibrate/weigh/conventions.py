@@ -63,11 +63,11 @@ class Known(NamedTuple):
         )
 
     @property
-    def prior(self) -> wrist.Prior:
+    def prior(self) -> wrist.Priors:
         """For the fit."""
         down = np.array(self.down or DOWN, np.float64)
         gravity = self.place.gravity_m_s2 * down / np.linalg.norm(down)
-        return wrist.Prior(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
+        return wrist.Priors(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
 
 
 class Convention(NamedTuple):

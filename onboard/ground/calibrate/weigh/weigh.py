@@ -130,7 +130,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
         said_down,
         poses,
         weighing,
-        tuple(_quantities(weighing, poses, prior, known)),
+        tuple(_answers(weighing, poses, prior, known)),
         tuple(_axes(weighing, poses, prior, (value, sigma, moved), known)),
         _plain(poses, prior, weighing.best, (0, 1, 2)),
         value,
@@ -147,7 +147,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
 
 def _fits(
     meaning: Meaning, known: Known, tell: Callable[[str], None]
-) -> Iterator[tuple[Poses, wrist.Fit, dict[str, Any]]]:
+) -> Iterator[tuple[Poses, wrist.PoseFit, dict[str, Any]]]:
     """A fit of each meaning."""
     ways = list(rotations(meaning))
     failed: Exception | None = None
@@ -176,7 +176,7 @@ def _fits(
         raise failed or PosesError("no orientation in any row: check the columns")
 
 
-def _same_answer(near: list[tuple[Poses, wrist.Fit, dict[str, Any]]]) -> None:
+def _same_answer(near: list[tuple[Poses, wrist.PoseFit, dict[str, Any]]]) -> None:
     """Refuse meanings that are as likely and answer otherwise.
 
     Raises:
@@ -216,12 +216,12 @@ def body_gradient(state: wrist.State) -> FloatArray:
     return out
 
 
-def _body_covariance(one: wrist.Fit) -> FloatArray:
+def _body_covariance(one: wrist.PoseFit) -> FloatArray:
     G = body_gradient(one.state)
     return np.asarray(G @ one.covariance @ G.T, np.float64)
 
 
-def _quantities(weighing: wrist.Weighing, poses: Poses, prior: wrist.Prior, known: Known) -> Iterator[QuantityEstimate]:
+def _answers(weighing: wrist.Weighing, poses: Poses, prior: wrist.Priors, known: Known) -> Iterator[QuantityEstimate]:
     place = known.place
     relative = place.sigma_m_s2 / place.gravity_m_s2
     wide = wrist.prior_sigmas(poses.wrench, prior, weighing.best.noise.cross)
@@ -275,7 +275,7 @@ def _angles(weighing: wrist.Weighing, wide: FloatArray) -> Iterator[QuantityEsti
 def _axes(
     weighing: wrist.Weighing,
     poses: Poses,
-    prior: wrist.Prior,
+    prior: wrist.Priors,
     zeros: tuple[FloatArray, FloatArray, FloatArray],
     known: Known,
 ) -> Iterator[Axis]:
@@ -304,7 +304,7 @@ def _axes(
         )
 
 
-def _plain(poses: Poses, prior: wrist.Prior, one: wrist.Fit, axes: tuple[int, ...]) -> tuple[float, float]:
+def _plain(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit, axes: tuple[int, ...]) -> tuple[float, float]:
     """Mass by plain least squares of some forces with constant zeros, and its sigma by what is left over, kg."""
     state = one.state._replace(mass=1.0, scales=np.zeros(6), cross=np.zeros(30))
     d = wrist.predicted(poses.R, state, prior)[:, axes]
@@ -315,7 +315,7 @@ def _plain(poses: Poses, prior: wrist.Prior, one: wrist.Fit, axes: tuple[int, ..
     return mass, float(np.sqrt(left / squares))
 
 
-def _wrong_axes(poses: Poses, prior: wrist.Prior, first: wrist.Fit, said: Said) -> Wrong | None:
+def _wrong_axes(poses: Poses, prior: wrist.Priors, first: wrist.PoseFit, said: Said) -> Wrong | None:
     """Signs turned and axes exchanged, of forces or of moments, as rivals of the axes as they are.
 
     One turned force with the weight is one turned moment with the reaction and a sensor mounted the other way round:
@@ -359,7 +359,7 @@ def _frozen(read: FloatArray, made: FloatArray) -> bool:
     return any(float(np.ptp(run)) > _RUN * step + 1e-12 for run in runs)
 
 
-def _held_out(poses: Poses, prior: wrist.Prior, one: wrist.Fit) -> HeldOut | None:
+def _held_out(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit) -> HeldOut | None:
     """Each half of the poses predicted from the other; zeros are the half's own."""
     n = len(poses.R)
     if n < _HALVES:
@@ -373,7 +373,7 @@ def _held_out(poses: Poses, prior: wrist.Prior, one: wrist.Fit) -> HeldOut | Non
     return HeldOut(error(halves[1], states[0]), error(halves[0], states[1]), error(slice(0, n), one.state))
 
 
-def _left_over(poses: Poses, prior: wrist.Prior, noise: wrist.Noise, state: wrist.State) -> HeldOutFit:
+def _left_over(poses: Poses, prior: wrist.Priors, noise: wrist.Noise, state: wrist.State) -> HeldOutFit:
     """Of what readings change by from pose to pose, and of their noise."""
     whitened = [
         wrist.coefficients(each) / np.sqrt(wrist.variances(noise, len(each)))

@@ -28,7 +28,7 @@ SHORTEST_S = 0.25  # a throw by hand
 _EVENTS = "event" + SUFFIX
 
 
-class Flown(NamedTuple):
+class UnbrokenRun(NamedTuple):
     """A run of ticks without a gap."""
 
     model: VehicleModel
@@ -60,7 +60,7 @@ class _Recorder(TableRun):
         return found
 
 
-def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
+def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> UnbrokenRun:
     """The last ``longest_s`` of the longest run with one payload; of one with none where no payload was ever held.
 
     Raises:
@@ -97,7 +97,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
     part = ticks.part(slice(max(best.ticks.start, best.ticks.stop - round(longest_s / period_s)), best.ticks.stop))
     payload_held = best.payload > 0 and model.spec.payload_link is not None
     time_s = part.time_s - 1e-9 * (Interleaved(log, estimator.inputs).start_ns or 0)
-    return Flown(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
+    return UnbrokenRun(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
 
 
 def _recorded_changes(log: LogReader) -> list[Change]:

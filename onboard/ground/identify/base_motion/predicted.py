@@ -13,7 +13,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
-from onboard.ground.identify.base_motion.flown import Flown, flown, payload_in
+from onboard.ground.identify.base_motion.flown import UnbrokenRun, flown, payload_in
 from onboard.recording.reader import LogReader
 
 
@@ -99,7 +99,7 @@ def predict(
     return Predicted(log.path, vehicle.file.vehicle.name, whose, run.held, found, refused)
 
 
-def _parameters(run: Flown, log: LogReader, urdf: Path | None, *, drawn: bool) -> tuple[FloatArray, str]:
+def _parameters(run: UnbrokenRun, log: LogReader, urdf: Path | None, *, drawn: bool) -> tuple[FloatArray, str]:
     """Standard parameters of all links, and whose they are in words."""
     model, payload = run.model, run.model.payload_columns()
     chi, whose = model.chi.copy(), "as drawn"

@@ -15,8 +15,8 @@ from onboard.estimation.policy import HALF, INTERVAL, MISFIT_DOUBTED, MISFIT_REF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.ground.identify.kinds.identified import Answer, Identified, standings
-from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, Poses, WINDOW_s
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, TrackedPoses, WINDOW_s
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.leaning import Causes
@@ -66,7 +66,7 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
 
 def _recorded(
     vehicle: config.Vehicle, log: LogReader
-) -> tuple[Poses, dict[str, Valve], tuple[float, float], list[tuple[float, float]]]:
+) -> tuple[TrackedPoses, dict[str, Valve], tuple[float, float], list[tuple[float, float]]]:
     """Poses, valves by thruster, from when to when these are known, and when they are not in between."""
     name, tracker = tracker_of(vehicle)
     rows = [_usable(log.read(f"{name}_{of}")) for of in ("x", "y", "yaw")]
@@ -84,7 +84,7 @@ def _recorded(
     values[2] = np.unwrap(values[2])
     time_s, measured = 1e-9 * (common - start_ns).astype(np.float64), np.stack(values, axis=1)
     fresh = np.append(True, (np.diff(measured, axis=0) != 0.0).any(axis=1)) | tracker.repeats
-    poses = Poses(time_s[fresh], measured[fresh])
+    poses = TrackedPoses(time_s[fresh], measured[fresh])
     valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, list[tuple[float, float]]()
     for thruster, own in thrusters_of(vehicle).items():
         commands = _usable(log.read(thruster))
@@ -121,7 +121,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
     return Valve(time_s, level)
 
 
-def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[Answer, ...]:
+def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[IdentifiedQuantity, ...]:
     """Body, delay and tilt, with their intervals."""
     found, p = fit.found, fit.found.globals
     P = found.fit.covariance[:p, :p]
@@ -144,7 +144,8 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[A
     bound = scale * np.sqrt(np.diag(P)[at])
     numbers = (of.tolist() for of in (values, scale * sigma, low, high, told, bound))
     return tuple(
-        Answer(*one) for one in zip([model.names[k] for k in at], units[: len(at)], *numbers, leans, strict=True)
+        IdentifiedQuantity(*one)
+        for one in zip([model.names[k] for k in at], units[: len(at)], *numbers, leans, strict=True)
     )
 
 

@@ -28,7 +28,7 @@ from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.likelihood_log import (
     LONGEST_S,
     SHORTEST_S,
-    Fitted,
+    CheckedFit,
     Kept,
     TickRun,
     half_too_short,
@@ -308,7 +308,7 @@ class _Flight:
         return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
 
 
-def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted:
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> CheckedFit:
     """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
 
     Args:
@@ -322,7 +322,7 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted
         held_out = halves(flight, found)
     except EstimationError as error:
         unchecked = half_too_short(error)
-    return Fitted(
+    return CheckedFit(
         found.payload,
         found.chi,
         found.chi_covariance,

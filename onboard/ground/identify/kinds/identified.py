@@ -22,7 +22,7 @@ from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Verdict
 
 
-class Answer(NamedTuple):
+class IdentifiedQuantity(NamedTuple):
     """One quantity; numbers are NaN if the data do not determine it."""
 
     name: str
@@ -46,7 +46,7 @@ class Answer(NamedTuple):
         return outer_of(self.value, self.low, self.high)
 
 
-def standings(answers: Iterable[Answer], useful: Useful) -> dict[str, Standing]:
+def standings(answers: Iterable[IdentifiedQuantity], useful: Useful) -> dict[str, Standing]:
     """What each that the data determine is good for, by its name."""
     told = [
         QuantityEstimate(one.name, one.unit, one.value, *one[3:6], math.nan, one.supported, "", leans=one.leans)
@@ -64,7 +64,7 @@ class RunAnswer(NamedTuple):
     cut: dict[str, Any]  # release, catch, bumps, motions
     state: str  # "identified", "pooled" (it determines too little by itself), "refused"
     reason: str
-    answers: tuple[Answer, ...]
+    answers: tuple[IdentifiedQuantity, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -78,7 +78,7 @@ class Identified:
 
     log: Path
     method: str
-    answers: tuple[Answer, ...]  # base parameters, only a held mass with a unit, then the quantities
+    answers: tuple[IdentifiedQuantity, ...]  # base parameters, only a held mass with a unit, then the quantities
     rows_used: int
     refused: dict[str, int]  # rows by reason
     damage: tuple[object, ...]

@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import HALF
 from onboard.estimation.recursive.rls import Observability
-from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import contradicted
@@ -51,14 +51,14 @@ class Kept(NamedTuple):
     useful: Useful
 
 
-class Judged(NamedTuple):
+class BaseResult(NamedTuple):
     """Result specific to a kind of base, besides the payload."""
 
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[IdentifiedQuantity, ...] = ()
     reason: str = ""  # reason for refusing the fit; empty if none
 
 
-class Fitted(NamedTuple):
+class CheckedFit(NamedTuple):
     """A fit and how it was checked."""
 
     payload: BodyEstimate
@@ -72,13 +72,13 @@ class Fitted(NamedTuple):
     halves: HeldOut | None
     unchecked: str  # why nothing is held out, where it is not
     residuals: Residuals  # by axis of the base IMU
-    judged: Judged = Judged()
+    judged: BaseResult = BaseResult()
     findings: Findings = Findings()
     leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
 
 
 Build = Callable[[Ticks, bool], TableExiddm]  # the estimator of ticks; whether their first is the first of all
-Judge = Callable[[PayloadFit, float], Judged]  # what else a fit says, its variances so much wider
+Judge = Callable[[PayloadFit, float], BaseResult]  # what else a fit says, its variances so much wider
 
 
 def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
@@ -113,7 +113,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
     left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
     findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
-    fit = Fitted(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
+    fit = CheckedFit(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
     return identified_of(kept, fit)
 
 
@@ -130,7 +130,7 @@ def no_answer(kept: Kept, used: int, failure: str = "") -> Identified:
     return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence))
 
 
-def identified_of(kept: Kept, found: Fitted) -> Identified:
+def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     """Estimates and verdict of a fit."""
     log, names, judged = kept.log, _names(kept), found.judged
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
@@ -238,7 +238,7 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
 
 def body_answers(
     names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
-) -> tuple[Answer, ...]:
+) -> tuple[IdentifiedQuantity, ...]:
     """Each is supported if its sigma is at most a fifth of the body's own scale.
 
     Args:
@@ -253,7 +253,7 @@ def body_answers(
     half = HALF * sigma
     fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
     return tuple(
-        Answer(*fields)
+        IdentifiedQuantity(*fields)
         for fields in zip(
             names,
             BODY_UNITS,

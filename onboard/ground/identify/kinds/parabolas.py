@@ -40,7 +40,7 @@ class Stage(StrEnum):
     MOTION = "motion"
 
 
-class Span(NamedTuple):
+class TickSpan(NamedTuple):
     """Time from a tick to another one, s."""
 
     begin_s: float
@@ -56,7 +56,7 @@ class ParabolaRun:
     release_s: float = float("nan")
     catch_s: float = float("nan")
     bumps_s: tuple[float, ...] = ()  # middle of each
-    motions: tuple[Span, ...] = ()
+    motions: tuple[TickSpan, ...] = ()
     reason: str = ""  # why nothing can be fitted; empty if it can
 
     def as_json(self) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _moving(dq: FloatArray) -> BoolArray:
     return np.asarray((np.nan_to_num(np.abs(dq)) > _MOVING_rad_s).any(axis=1), np.bool_)
 
 
-def _motions(moving: BoolArray, time_s: FloatArray, period_s: float) -> tuple[Span, ...]:
+def _motions(moving: BoolArray, time_s: FloatArray, period_s: float) -> tuple[TickSpan, ...]:
     """Motions; a pause between strokes belongs to one."""
     found: list[slice] = []
     for one in _spans(moving):
@@ -175,7 +175,7 @@ def _motions(moving: BoolArray, time_s: FloatArray, period_s: float) -> tuple[Sp
         else:
             found.append(one)
     long = [one for one in found if (one.stop - one.start) * period_s > _PAUSE_S]
-    return tuple(Span(float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
+    return tuple(TickSpan(float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
 
 
 def _within(count: int, parts: Sequence[slice]) -> BoolArray:

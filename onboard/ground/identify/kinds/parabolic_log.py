@@ -20,8 +20,8 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
-from onboard.ground.identify.kinds.identified import Answer, Identified, RunAnswer
-from onboard.ground.identify.kinds.likelihood_log import Fitted, Kept, identified_of, no_answer
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, RunAnswer
+from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -164,13 +164,13 @@ def _pooled(flown: Sequence[_Flown], best: _Flown) -> tuple[Pool, Pooled]:
     return pool, pool.fit(starts, np.array([common[name] for name in pool.names]))
 
 
-def _fitted(found: Pooled, doubts: tuple[str, ...]) -> Fitted:
+def _fitted(found: Pooled, doubts: tuple[str, ...]) -> CheckedFit:
     against = tuple(
         f"residuals of the {name} are {misfit**0.5:.1f} times its noise"
         for name, misfit in found.by_instrument.items()
         if misfit > MISFIT_REFUSED
     )
-    return Fitted(
+    return CheckedFit(
         found.payload,
         found.chi,
         found.chi_covariance,
@@ -192,7 +192,7 @@ def _said(kit: _Kit, run: ParabolaRun, flown: _Flown | None, names: tuple[str, .
     if flown is None or flown.refused:
         reason = run.reason if flown is None else flown.refused
         return RunAnswer(run.parabola, cut_of, "refused", reason, ())
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[IdentifiedQuantity, ...] = ()
     if flown.said is not None and flown.said.verdict.level is not Level.DO_NOT_USE:
         answers = tuple(one for one in flown.said.answers if one.supported)
     if not names:

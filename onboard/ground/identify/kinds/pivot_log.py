@@ -3,7 +3,7 @@
 from onboard import config
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.ground.identify.kinds.identified import Answer, Identified, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.pivot.online import PivotRun
@@ -26,7 +26,7 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
         pass
     told, bounds = run.estimate().quantities, run.bounds()
     answers = tuple(
-        Answer(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
+        IdentifiedQuantity(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
         for one, bound in zip(told, bounds.tolist(), strict=True)
     )
     each = standings(answers, useful_of(vehicle))

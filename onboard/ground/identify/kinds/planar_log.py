@@ -18,8 +18,8 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.identify.kinds.identified import Answer, Identified
-from onboard.ground.identify.kinds.likelihood_log import Judged, Kept, identified, longest_held
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
+from onboard.ground.identify.kinds.likelihood_log import BaseResult, Kept, identified, longest_held
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
@@ -38,7 +38,7 @@ from onboard.regressor.signals import Signals
 _UNDERWAY_m_s = 0.5  # sigma of the velocity at any time but the start
 
 
-class Recorder(TableRun):
+class PlanarTickRecorder(TableRun):
     """The onboard part; also keeps its ticks, without joints outside identification phases."""
 
     def __init__(self, payload: str, joints: int) -> None:
@@ -75,7 +75,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     _, model = build_planar(vehicle)
     at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
-    recorder = Recorder(payload, len(model.joints))
+    recorder = PlanarTickRecorder(payload, len(model.joints))
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     period_s, samples, frame = (
@@ -92,7 +92,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         prior = at_start if first and let_go else underway(at_start)
         return air_bearing_exiddm(model, frame, some.flight(period_s, samples), payload_sigma, links, prior)
 
-    def judge(found: PayloadFit, wider: float) -> Judged:
+    def judge(found: PayloadFit, wider: float) -> BaseResult:
         return _drags(found, at_start.pucks, wider)
 
     return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
@@ -117,7 +117,7 @@ def underway(at_start: AirBearingPrior) -> AirBearingPrior:
     return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
 
 
-def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> Judged:
+def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> BaseResult:
     """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
     drag = drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])
@@ -127,4 +127,4 @@ def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> J
     units = ["N s/m", "N"] * len(pucks)
     values = (drag.drag, sigma, drag.drag - half, drag.drag + half, fine, drag.sigma)
     told = zip(drag.names, units, *(x.tolist() for x in values), strict=True)
-    return Judged(tuple(Answer(*one) for one in told), drag.reason)
+    return BaseResult(tuple(IdentifiedQuantity(*one) for one in told), drag.reason)

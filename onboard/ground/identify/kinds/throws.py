@@ -117,7 +117,7 @@ class LoadSummary(NamedTuple):
         }
 
 
-class Calibration(NamedTuple):
+class ThrowCalibration(NamedTuple):
     """Calibration from throws of the carrier and of the proof body."""
 
     rotor: RotorCalibration
@@ -236,7 +236,7 @@ def summaries(throws: Sequence[Throw], together: Mapping[str, Throw]) -> list[Lo
     return made
 
 
-def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) -> Calibration | None:
+def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) -> ThrowCalibration | None:
     """The rotors and the carrier, from throws of known bodies only.
 
     Args:
@@ -257,4 +257,4 @@ def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) ->
     known = RigidBody(proof.mass_kg, np.zeros(3), np.diag(proof.truth_kg_m2))
     rotor = calibrate_rotor(device.body, both.body, known)
     body = device.body._replace(inertia_kg_m2=rotor.factor * device.body.inertia_kg_m2)
-    return Calibration(rotor, KnownBody(body, device.sigma * np.repeat([1.0, rotor.factor], [3, 6])))
+    return ThrowCalibration(rotor, KnownBody(body, device.sigma * np.repeat([1.0, rotor.factor], [3, 6])))

@@ -23,7 +23,7 @@ _PAUSE = 3.0  # median intervals between rows from which on a pause without a ga
 _MOST_PLACES = 20  # of a channel
 
 
-class Span(NamedTuple):
+class MissionSpan(NamedTuple):
     """Mission time [s] from one row to another."""
 
     from_s: float
@@ -47,7 +47,7 @@ class Account(NamedTuple):
     missing: int
     about: int
     gaps: list[dict[str, Any]]
-    silent: list[Span]
+    silent: list[MissionSpan]
 
     @property
     def left(self) -> int:
@@ -137,14 +137,14 @@ def _gap(row: np.void, start_ns: int) -> dict[str, Any]:
     }
 
 
-def _silent(times_s: NDArray[np.float64], gaps: list[dict[str, Any]]) -> list[Span]:
+def _silent(times_s: NDArray[np.float64], gaps: list[dict[str, Any]]) -> list[MissionSpan]:
     """Pauses between rows (n,) that no gap record overlaps, longest first; the start, if there is no row."""
     if not len(times_s):
-        return [Span(0.0, 0.0)]
+        return [MissionSpan(0.0, 0.0)]
     since = np.diff(times_s)
     usual_s = float(np.median(since[since > 0])) if (since > 0).any() else 0.0
     spans = [
-        Span(round(float(times_s[place]), 4), round(float(times_s[place + 1]), 4))
+        MissionSpan(round(float(times_s[place]), 4), round(float(times_s[place + 1]), 4))
         for place in np.flatnonzero(since > _PAUSE * usual_s)
     ]
     spans = [s for s in spans if not any(g["from_s"] < s.to_s and g["to_s"] > s.from_s for g in gaps)]

@@ -34,14 +34,14 @@ _NEAREST = 10.0  # quanta, of the steps that tell
 _FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
 
 
-class Recorded(NamedTuple):
+class RecordedVehicle(NamedTuple):
     """A vehicle as its recording says."""
 
     vehicle: config.Vehicle
     said: tuple[str, ...]  # what differs from its file
 
 
-def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
+def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
     """The vehicle whose devices are all recorded ones, an arm's or one that floats or turns; any other as it is.
 
     Args:
@@ -53,7 +53,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     turns = vehicle.prediction is config.Prediction.PIVOT
     free = turns or vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
     if not (carried or free) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
-        return Recorded(vehicle, ())
+        return RecordedVehicle(vehicle, ())
     found = dict[str, list[str]]()  # devices, by what the log says of them
     for name, device in devices.items():
         if isinstance(device, RecordedDevice) and name in log.channels:
@@ -80,8 +80,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> Recorded:
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
     found_so_far = vehicle.model_copy(update={"file": file})
     if free or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
-        return Recorded(found_so_far if said else vehicle, tuple(said))
-    return Recorded(choice.vehicle, (*said, choice.said))
+        return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
+    return RecordedVehicle(choice.vehicle, (*said, choice.said))
 
 
 def _ticks(devices: Mapping[str, object], rate_Hz: float, *, whole: bool) -> float:

@@ -27,7 +27,7 @@ from onboard.recording.reader import LogReader
 _ABSENT = "not set"
 
 
-class Difference(NamedTuple):
+class SettingChange(NamedTuple):
     """One setting, by its dotted key."""
 
     key: str
@@ -38,7 +38,7 @@ class Difference(NamedTuple):
 class Reestimate(NamedTuple):
     """Changed settings, onboard estimates, and new estimates."""
 
-    changes: tuple[Difference, ...]
+    changes: tuple[SettingChange, ...]
     flown: LogOverview
     now: LogOverview
     short: str  # inputs missing in the log
@@ -97,11 +97,11 @@ def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
     return config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 
-def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[Difference]:
+def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[SettingChange]:
     old, new = (dict(_leaves(vehicle.file.model_dump())) for vehicle in (flown, now))
     for key in dict.fromkeys([*old, *new]):
         if old.get(key) != new.get(key):
-            yield Difference(key, *(str(tree.get(key, _ABSENT)) for tree in (old, new)))
+            yield SettingChange(key, *(str(tree.get(key, _ABSENT)) for tree in (old, new)))
 
 
 def _leaves(tree: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

@@ -28,7 +28,7 @@ _ROWS, _ROWS_TRIED = 10.0, 5.0  # in a width: as 100 Hz makes in 100 ms; enough 
 _ALIKE = 1.02  # times the least error: as good; the narrowest of those tells most
 
 
-class Choice(NamedTuple):
+class WidthChoice(NamedTuple):
     """A width and why."""
 
     vehicle: config.Vehicle
@@ -61,7 +61,7 @@ def narrowest(errors: Mapping[float, float]) -> tuple[float, str]:
     )
 
 
-def chosen(vehicle: config.Vehicle, log: LogReader) -> Choice | None:
+def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
     """The vehicle with the width that its recording asks for; None where it cannot be told.
 
     Args:
@@ -80,7 +80,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> Choice | None:
         return None
     errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
     best_ms, said = narrowest(errors)
-    return Choice(with_width(vehicle, best_ms), said)
+    return WidthChoice(with_width(vehicle, best_ms), said)
 
 
 def _identified(vehicle: config.Vehicle, log: LogReader) -> Identifier | None:

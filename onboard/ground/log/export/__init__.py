@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from drivers.records import Rows
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.tables.columns import TableColumn
 
 
 class TableWriter(Protocol):
@@ -21,7 +21,7 @@ class TableWriter(Protocol):
 FORMATS = ("csv", "parquet", "npz", "mat")
 
 
-def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], TableWriter]:
+def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[TableColumn]], TableWriter]:
     """Factory of a table of format ``kind`` from a path (or an open file, CSV only) and columns.
 
     Raises:

@@ -20,7 +20,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.export import opener
 from onboard.ground.log.export.dump import DumpResult, begin
-from onboard.ground.log.tables.columns import TIME_FIELD, Column, time_columns
+from onboard.ground.log.tables.columns import TIME_FIELD, TableColumn, time_columns
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.selection import Selection, inside
 from onboard.ground.log.tables.vehicle_time import UNKNOWN, Timed, timed
@@ -35,7 +35,7 @@ _LONGEST_HOLE = 2.5  # longest gap interpolated, sample periods
 class Aligned(NamedTuple):
     """The table's columns and its rows, block by block."""
 
-    columns: list[Column]
+    columns: list[TableColumn]
     dtype: np.dtype[np.void]
     blocks: Iterator[Rows]
 
@@ -69,8 +69,8 @@ def aligned(tables: FlightTables, channels: Sequence[str] | None, rate_hz: float
         for part, unit in track.parts(log, name, frames[name])
     ]
     dtype = np.dtype([(TIME_FIELD, "<i8"), *((f"c{number}", "<f8") for number in range(len(names)))])
-    columns = [*time_columns(tables.times), Column("vehicle_ns", "ns", lambda rows: rows[TIME_FIELD])]
-    columns += [Column(name, unit, _taker(f"c{number}")) for number, (name, unit) in enumerate(names)]
+    columns = [*time_columns(tables.times), TableColumn("vehicle_ns", "ns", lambda rows: rows[TIME_FIELD])]
+    columns += [TableColumn(name, unit, _taker(f"c{number}")) for number, (name, unit) in enumerate(names)]
     return Aligned(columns, dtype, _blocks(log, vehicle, tracks, dtype, round(1e9 / rate_hz)))
 
 

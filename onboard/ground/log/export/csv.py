@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from drivers.records import Rows
 from onboard.ground.log.export.csv_text import CsvEncoder, header
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.tables.columns import TableColumn
 
 
 class CsvTable:
@@ -17,7 +17,7 @@ class CsvTable:
         columns: columns of the table.
     """
 
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
         self._own = isinstance(target, Path)
         self._file: BinaryIO = target.open("wb") if isinstance(target, Path) else target
         self._encoder = CsvEncoder(columns)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
-from onboard.ground.log.tables.columns import Column, Values
+from onboard.ground.log.tables.columns import TableColumn, Values
 
 Cells = NDArray[np.uint8]  # (n, width), NUL-padded; (1, width) if all rows are equal
 
@@ -25,7 +25,7 @@ _NAT = np.iinfo(np.int64).min
 _DAY_NS, _SECOND_NS = 86_400_000_000_000, 1_000_000_000
 
 
-def header(columns: Sequence[Column]) -> bytes:
+def header(columns: Sequence[TableColumn]) -> bytes:
     """The header line."""
     return b",".join(_safe(column.header.encode()) for column in columns) + b"\n"
 
@@ -37,7 +37,7 @@ class CsvEncoder:
         columns: columns of the table.
     """
 
-    def __init__(self, columns: Sequence[Column]) -> None:
+    def __init__(self, columns: Sequence[TableColumn]) -> None:
         self._columns = [(column, _Products(column.digits)) for column in columns]
 
     def block(self, rows: Rows) -> bytes:
@@ -56,7 +56,7 @@ class CsvEncoder:
         return lines.tobytes().translate(None, b"\0")
 
     @staticmethod
-    def _cells(column: Column, products: "_Products", rows: Rows) -> Cells:
+    def _cells(column: TableColumn, products: "_Products", rows: Rows) -> Cells:
         if column.product is not None:
             counts, scale = (take(rows) for take in column.product)
             if counts.dtype == np.int16 and (scale == scale[0]).all():

@@ -15,7 +15,7 @@ from rich.progress import Progress
 
 from drivers.records import Rows
 from onboard.ground.log.export import TableWriter, legend, opener
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.tables.columns import TableColumn
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.selection import Selection
 from onboard.recording.format.scan import Damage
@@ -25,7 +25,7 @@ _BLOCK_ROWS = 16384
 _BLOCK_BYTES = 4 << 20
 
 ValueKind = Literal["both", "raw", "si"]
-Opener = Callable[[Path | BinaryIO, Sequence[Column]], TableWriter]
+Opener = Callable[[Path | BinaryIO, Sequence[TableColumn]], TableWriter]
 
 
 class DumpResult(NamedTuple):
@@ -137,7 +137,7 @@ def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path
     return paths
 
 
-def chosen_columns(every: Sequence[Column], values: ValueKind, scratch: Collection[str] = ()) -> list[Column]:
+def chosen_columns(every: Sequence[TableColumn], values: ValueKind, scratch: Collection[str] = ()) -> list[TableColumn]:
     """Those of ``every`` that ``values`` asks for; ``scratch``: fields that only the raw values have."""
     if values == "raw":
         return [column for column in every if not column.converted]

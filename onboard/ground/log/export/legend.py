@@ -8,7 +8,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.health.status import MEANINGS
 from onboard.ground.log.tables.columns import Times
 from onboard.ground.log.tables.flight_tables import FlightTables
-from onboard.ground.log.tables.meaning import Meaning
+from onboard.ground.log.tables.meaning import ChannelMeaning
 from onboard.timebase.clock import ClockState
 
 FILE = "README.txt"
@@ -48,7 +48,7 @@ def legend(tables: FlightTables, files: Mapping[str, str]) -> str:
         flown = f"no vehicle is known, so no frames, zero counts or clocks ({tables.why_none})"
     lines = [f"{log.path.name}: {flown}", "", *_time_lines(tables.times), "", "Files"]
     for channel, file in files.items():
-        meaning = tables.meanings.get(channel, Meaning(time=""))
+        meaning = tables.meanings.get(channel, ChannelMeaning(time=""))
         about = {"": meaning.measures, "time_s: ": meaning.time, "filter delay, not taken off time_s: ": meaning.delay}
         lines += [f"  {file}", *(f"      {head}{text}" for head, text in about.items() if text)]
     lines += [

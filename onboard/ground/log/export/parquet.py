@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from drivers.records import Rows
 from onboard.ground.log.export.spool import seconds
-from onboard.ground.log.tables.columns import Column, Values
+from onboard.ground.log.tables.columns import TableColumn, Values
 
 
 class ParquetTable:
@@ -21,7 +21,7 @@ class ParquetTable:
         columns: columns of the table.
     """
 
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
         self._columns, self._target = columns, target
         self._writer: pq.ParquetWriter | None = None
         self._schema: pa.Schema | None = None

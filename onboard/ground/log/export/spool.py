@@ -9,7 +9,7 @@ from typing import IO, BinaryIO
 import numpy as np
 
 from drivers.records import Rows
-from onboard.ground.log.tables.columns import Column, Values
+from onboard.ground.log.tables.columns import TableColumn, Values
 
 BLOCK_BYTES = 1 << 20
 
@@ -29,7 +29,7 @@ class Spool:
         columns: columns of the table.
     """
 
-    def __init__(self, directory: Path, columns: Sequence[Column]) -> None:
+    def __init__(self, directory: Path, columns: Sequence[TableColumn]) -> None:
         self.columns, self.rows = columns, 0
         self.dtypes: list[np.dtype[np.generic]] = [np.dtype(np.float64) for _ in columns]
         self._stack = ExitStack()
@@ -71,7 +71,7 @@ class SpooledTable:
         columns: columns of the table.
     """
 
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
         assert isinstance(target, Path)
         self._path, self._spool = target, Spool(target.parent, columns)
         self.write = self._spool.write

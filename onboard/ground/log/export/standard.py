@@ -24,7 +24,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.export.aligned import aligned
 from onboard.ground.log.export.dump import DumpResult, begin
-from onboard.ground.log.tables.columns import TIME_FIELD, Column
+from onboard.ground.log.tables.columns import TIME_FIELD, TableColumn
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import urdf_of
@@ -209,7 +209,7 @@ class _Cdr:
         self.text(frame)
 
 
-def _radians(column: Column, block: Rows) -> FloatArray:
+def _radians(column: TableColumn, block: Rows) -> FloatArray:
     return np.asarray(column.values(block), np.float64) * ANGLE.get(column.unit.encode(), 1.0)
 
 

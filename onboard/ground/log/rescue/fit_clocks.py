@@ -24,7 +24,7 @@ from onboard.estimation.smoothing import smooth
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
 from onboard.identification.exiddm.guesses import GUESSES
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.timebase.resync import ResyncError, Stream, align, candidates
+from onboard.timebase.resync import RecorderStream, ResyncError, align, candidates
 
 PEAK_HZ = 1.0
 PREDICTED_EVERY_S = 0.01
@@ -38,7 +38,7 @@ AS_GOOD = 1.2
 STILL_S = 2e-6  # a clock that moves by less than this, at either end of the flight, stays
 
 
-class Recorded(NamedTuple):
+class RecordedPair(NamedTuple):
     """What the two recorders hold; the IMU's clock is the reference."""
 
     imu_s: FloatArray  # (n,)
@@ -80,7 +80,7 @@ class Rescued(NamedTuple):
 Build = Callable[[FlightSignals, ImuPrior], Exiddm]
 
 
-def coarse_clocks(vehicle: VehicleModel, recorded: Recorded, rate_limit: float) -> list[FittedClock]:
+def coarse_clocks(vehicle: VehicleModel, recorded: RecordedPair, rate_limit: float) -> list[FittedClock]:
     """Clocks by correlation, likeliest first: the gyro is a linear map of base rates predicted from the joints.
 
     One, where it stands out; else the best few, for :func:`rescue` to tell apart.
@@ -93,7 +93,7 @@ def coarse_clocks(vehicle: VehicleModel, recorded: Recorded, rate_limit: float) 
         chi = vehicle.chi.copy()
         chi[vehicle.payload_columns()] = 0.0 if payload is None else standard_of(payload)
         told.append(predict_base(links, PREDICTED_EVERY_S, chi, np.zeros(3), ()).rate)
-    seen, other = Stream(recorded.imu_s, recorded.rate), Stream(at_s, np.hstack(told))
+    seen, other = RecorderStream(recorded.imu_s, recorded.rate), RecorderStream(at_s, np.hstack(told))
     try:
         found = align(seen, other, PEAK_HZ, rate_limit)
     except ResyncError:
@@ -102,7 +102,9 @@ def coarse_clocks(vehicle: VehicleModel, recorded: Recorded, rate_limit: float) 
     return [FittedClock(found.pivot_s, found.offset_s, found.rate, COARSE_SIGMA_S, rate_limit)]
 
 
-def placed_signals(recorded: Recorded, clock: FittedClock, samples: int, width_s: float) -> tuple[FlightSignals, float]:
+def placed_signals(
+    recorded: RecordedPair, clock: FittedClock, samples: int, width_s: float
+) -> tuple[FlightSignals, float]:
     """Ticks of the time that both recorders share, joints placed by ``clock``; and the middle of it.
 
     Args:
@@ -122,7 +124,7 @@ def placed_signals(recorded: Recorded, clock: FittedClock, samples: int, width_s
     return signals, 0.5 * float(grid_s[0] + grid_s[-1])
 
 
-def rescue(recorded: Recorded, clocks: Sequence[FittedClock], build: Build, imu_prior: ImuPrior) -> Rescued:
+def rescue(recorded: RecordedPair, clocks: Sequence[FittedClock], build: Build, imu_prior: ImuPrior) -> Rescued:
     """Clock and payload from clocks that may be nearly right.
 
     Args:
@@ -151,7 +153,7 @@ def rescue(recorded: Recorded, clocks: Sequence[FittedClock], build: Build, imu_
     return found[0]
 
 
-def _settled(recorded: Recorded, clock: FittedClock, build: Build, imu_prior: ImuPrior) -> Rescued:
+def _settled(recorded: RecordedPair, clock: FittedClock, build: Build, imu_prior: ImuPrior) -> Rescued:
     """The fit with the clock's own share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))
     for done in range(1, ROUNDS + 1):

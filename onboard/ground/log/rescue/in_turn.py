@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, SCALAR, Rows
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
-from onboard.ground.log.rescue.merge import Merged, Part
+from onboard.ground.log.rescue.merge import Merged, RecorderLog
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -21,7 +21,7 @@ PAUSE_S = 2.0  # between the recordings: longer than any smoothing
 SAID_ns = 100_000_000  # how often the channel says it: a payload is taken at a phase's second reading
 
 
-def in_turn(parts: Sequence[Part], phase: str, output: Path, *, progress: Progress | None = None) -> Merged:
+def in_turn(parts: Sequence[RecorderLog], phase: str, output: Path, *, progress: Progress | None = None) -> Merged:
     """Write the recordings to a new log, in the order given.
 
     Args:

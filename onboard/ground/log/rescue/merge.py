@@ -25,7 +25,7 @@ from onboard.recording.writer import LogWriter
 NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a channel, as records hold it
 
 
-class Part(NamedTuple):
+class RecorderLog(NamedTuple):
     """One recorder's log, and its mapping to the first one's clock: ``host_ns x rate + shift_ns``.
 
     ``label`` distinguishes its channels from the others'; the name of the log where it is empty. ``whole``: the path by
@@ -56,7 +56,9 @@ class Merged(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress: Progress | None = None) -> Merged:
+def merge(
+    parts: Sequence[RecorderLog], output: Path, *, rename: bool = False, progress: Progress | None = None
+) -> Merged:
     """Write ``parts`` to a new log ``output``, in constant memory.
 
     Args:
@@ -100,7 +102,7 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
     return Merged(rows, damage, (*told, *_strangers(parts, spans)))
 
 
-def _labelled(parts: Sequence[Part], logs: Sequence[LogReader]) -> list[Part]:
+def _labelled(parts: Sequence[RecorderLog], logs: Sequence[LogReader]) -> list[RecorderLog]:
     """``parts`` with the labels log1, log2, ... where their names are alike, or too long before a channel's name."""
     stems = [part.name for part in parts]
     every = [name for log in logs for name in log.channels]
@@ -110,7 +112,7 @@ def _labelled(parts: Sequence[Part], logs: Sequence[LogReader]) -> list[Part]:
     return [part._replace(label=f"log{number}") for number, part in enumerate(parts, 1)]
 
 
-def _names(parts: Sequence[Part], logs: Sequence[LogReader], rename: bool) -> list[dict[str, str]]:
+def _names(parts: Sequence[RecorderLog], logs: Sequence[LogReader], rename: bool) -> list[dict[str, str]]:
     """For each log: its channels and their names in the new one."""
     owners: dict[str, list[str]] = {}
     for part, log in zip(parts, logs, strict=True):
@@ -131,7 +133,7 @@ def _names(parts: Sequence[Part], logs: Sequence[LogReader], rename: bool) -> li
     ]
 
 
-def _stream(number: int, part: Part, log: LogReader, names: dict[str, str]) -> Iterator[tuple[int, int, Batch]]:
+def _stream(number: int, part: RecorderLog, log: LogReader, names: dict[str, str]) -> Iterator[tuple[int, int, Batch]]:
     """First time, number of the log, rows; on the first log's clock and under the new names."""
     encoded = {old.encode(): new.encode() for old, new in names.items() if old != new}
     for channel, rows in log.batches():
@@ -151,7 +153,7 @@ def _rename(rows: Rows, names: dict[bytes, bytes]) -> None:
             field[field == old] = names[bytes(old)]
 
 
-def _describe(writer: LogWriter, parts: Sequence[Part], logs: Sequence[LogReader]) -> None:
+def _describe(writer: LogWriter, parts: Sequence[RecorderLog], logs: Sequence[LogReader]) -> None:
     """Attachments and metadata: the first log's as they are, the others' under the names of their logs."""
     for number, (part, log) in enumerate(zip(parts, logs, strict=True)):
         before = f"{part.name}." if number else ""
@@ -167,7 +169,7 @@ def _describe(writer: LogWriter, parts: Sequence[Part], logs: Sequence[LogReader
     writer.add_metadata("merged", sources)
 
 
-def _strangers(parts: Sequence[Part], spans: Sequence[tuple[int, int] | None]) -> Iterator[str]:
+def _strangers(parts: Sequence[RecorderLog], spans: Sequence[tuple[int, int] | None]) -> Iterator[str]:
     first = spans[0]
     for part, span in zip(parts[1:], spans[1:], strict=True):
         if first is not None and span is not None and (span[0] > first[1] or span[1] < first[0]):

@@ -24,13 +24,13 @@ from onboard.dynamics.model.vehicle import VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.policy import HALF
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.log.rescue.fit_clocks import Recorded, coarse_clocks, rescue
+from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
 from onboard.ground.log.rescue.sampled import sampled
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.recording.reader import LogReader
-from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
+from onboard.timebase.resync import Alignment, RecorderStream, ResyncError, align, shocks
 
 # An IMU without calibration: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
 # its zeros over the warm-up of a flight.
@@ -41,7 +41,7 @@ ANY_PAYLOAD = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 
 
 class _Joint(NamedTuple):
-    recorded: Stream  # (n, 1) rad, or rad/s
+    recorded: RecorderStream  # (n, 1) rad, or rad/s
     is_rate: bool
 
 
@@ -133,7 +133,7 @@ def _place(
     log: LogReader,
     reference: LogReader,
     imu: str | None,
-    seen: tuple[Stream, ...],  # rate and specific force of the reference; specific force alone: compare shocks
+    seen: tuple[RecorderStream, ...],  # rate and specific force of the reference; specific force alone: compare shocks
     vehicle: config.Vehicle | None,
     peak_Hz: float,
     rate_limit: float,
@@ -169,7 +169,7 @@ def _through_the_model(
     log: LogReader,
     reference: LogReader,
     joints: dict[str, _Joint],
-    seen: tuple[Stream, Stream],
+    seen: tuple[RecorderStream, RecorderStream],
     vehicle: config.Vehicle,
     rate_limit: float,
 ) -> AlignedLog:
@@ -184,7 +184,7 @@ def _through_the_model(
     ordered = [by_joint[joint.name].recorded for joint in model.joints]
     own_s = ordered[0].time_s
     angle = np.column_stack([np.interp(own_s, one.time_s, one.values[:, 0]) for one in ordered])
-    recorded = Recorded(seen[0].time_s, seen[0].values, seen[1].values, (noise[0], noise[-1]), own_s, angle)
+    recorded = RecordedPair(seen[0].time_s, seen[0].values, seen[1].values, (noise[0], noise[-1]), own_s, angle)
 
     def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
         return free_exiddm(model, frame, signals, ANY_PAYLOAD, {}, imu_prior)
@@ -215,11 +215,11 @@ def _imu_channel(log: LogReader, vehicle: config.Vehicle | None) -> str | None:
     return next((name for name, dtype in log.channels.items() if dtype == IMU), None)
 
 
-def _imu(log: LogReader, channel: str) -> tuple[Stream, Stream]:
+def _imu(log: LogReader, channel: str) -> tuple[RecorderStream, RecorderStream]:
     """Angular rate and specific force of the usable samples, sensor axes."""
     rows, time_s = sampled(log, channel)
     values = si.imu(rows)
-    return Stream(time_s, values[:, :3]), Stream(time_s, values[:, 3:])
+    return RecorderStream(time_s, values[:, :3]), RecorderStream(time_s, values[:, 3:])
 
 
 def _joints(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, _Joint]:
@@ -235,19 +235,19 @@ def _joints(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, _Joint]
         factor = {**ANGLE, **RATE}.get(unit)
         if factor is not None:
             signal = roles.signals[name] if roles else None
-            stream = Stream(time_s, factor * si.scalar(rows, signal)[:, None])
+            stream = RecorderStream(time_s, factor * si.scalar(rows, signal)[:, None])
             found[name] = _Joint(stream, unit in RATE)
     return found
 
 
-def _rates(joints: dict[str, _Joint]) -> Stream:
+def _rates(joints: dict[str, _Joint]) -> RecorderStream:
     """Rates of all joints at the times of the first; differences are as good as they need be, a filter follows."""
     time_s = next(iter(joints.values())).recorded.time_s
     columns = []
     for (own_s, values), is_rate in joints.values():
         rate = values[:, 0] if is_rate else np.gradient(values[:, 0], own_s)
         columns.append(np.interp(time_s, own_s, rate))
-    return Stream(time_s, np.column_stack(columns))
+    return RecorderStream(time_s, np.column_stack(columns))
 
 
 def render(placed: Sequence[AlignedLog]) -> RenderableType:

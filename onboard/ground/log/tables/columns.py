@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.records import Rows
 from onboard.devices import si
-from onboard.ground.log.tables.meaning import Meaning
+from onboard.ground.log.tables.meaning import ChannelMeaning
 from onboard.ground.log.tables.vehicle_time import UNKNOWN
 from onboard.recording.format.texts import printable
 
@@ -72,7 +72,7 @@ _CARTESIAN = {
 _IMU_COLUMNS = {"gyro": 0, "accel": 3}  # of si.imu, by what the raw field is called
 TIME_FIELD = "time_ns"
 _FAR_NS = 1 << 62  # the sum of two smaller ones is an i8
-_PLAIN = Meaning()
+_PLAIN = ChannelMeaning()
 
 
 class Times(NamedTuple):
@@ -87,7 +87,7 @@ class Times(NamedTuple):
     utc_offset_ns: int | None = None
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """One column of a table.
 
     ``values`` takes rows (n,) to values (n,): numbers, text, timedelta64[ns] for times in s, datetime64[ns] for UTC;
@@ -150,7 +150,7 @@ def with_times(rows: Rows, time_ns: NDArray[np.int64]) -> Rows:
     return made
 
 
-def time_columns(times: Times) -> list[Column]:
+def time_columns(times: Times) -> list[TableColumn]:
     """``time_s`` and, where it is known, ``utc``, of rows with times."""
 
     def since_start(rows: Rows) -> Values:
@@ -160,8 +160,8 @@ def time_columns(times: Times) -> list[Column]:
         assert times.utc_offset_ns is not None
         return _shifted(rows[TIME_FIELD], times.utc_offset_ns).view("M8[ns]")
 
-    known = [Column("utc", "", utc)] if times.utc_offset_ns is not None else []
-    return [Column("time_s", "s", since_start), *known]
+    known = [TableColumn("utc", "", utc)] if times.utc_offset_ns is not None else []
+    return [TableColumn("time_s", "s", since_start), *known]
 
 
 def _shifted(time_ns: NDArray[np.int64], by_ns: int) -> NDArray[np.int64]:
@@ -172,8 +172,8 @@ def _shifted(time_ns: NDArray[np.int64], by_ns: int) -> NDArray[np.int64]:
 
 
 def columns(
-    dtype: np.dtype[np.void], units: Mapping[str, str], sample: Rows, meaning: Meaning = _PLAIN
-) -> list[Column]:
+    dtype: np.dtype[np.void], units: Mapping[str, str], sample: Rows, meaning: ChannelMeaning = _PLAIN
+) -> list[TableColumn]:
     """The columns of a channel, in the order of its fields, each converted one after its raw one.
 
     Args:
@@ -183,11 +183,11 @@ def columns(
             converted column, and rows with another unit are NaN there.
         meaning: of the channel: the frame that stands in the names of converted vectors, and the zero count.
     """
-    result: list[Column] = []
+    result: list[TableColumn] = []
     for name, shape in _fields(dtype).items():
         unit = units.get(name, unit_of(name))
         for suffix, index in _components(name, shape):
-            result.append(Column(name + suffix, unit, _getter(name, index), field=name))
+            result.append(TableColumn(name + suffix, unit, _getter(name, index), field=name))
         if name.endswith("_raw"):
             result += _converted(dtype, name.removesuffix("_raw"), shape, sample, meaning)
     return result
@@ -225,8 +225,8 @@ def _getter(name: str, index: tuple[int, ...]) -> Callable[[Rows], Values]:
 
 
 def _converted(
-    dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], sample: Rows, meaning: Meaning
-) -> list[Column]:
+    dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], sample: Rows, meaning: ChannelMeaning
+) -> list[TableColumn]:
     fields = _fields(dtype)
     own = next((name for name in fields if name.startswith(f"{base}_scale_")), None)
     if own is not None:
@@ -259,12 +259,12 @@ def _converted(
 
         return values
 
-    made: list[Column] = []
+    made: list[TableColumn] = []
     for suffix, index in _components(base, shape):
         whole = not text and not meaning.zero_count and signal is None
         product = (_getter(f"{base}_raw", index), _getter(scale, ())) if whole else None
         sources = (f"{base}_raw{suffix}", scale, *(("unit",) if text else ()))
         of_frame = f"_{meaning.frame}" if meaning.frame and len(shape) == 1 else ""
         values = converter(index) if signal is None else calibrated(index)
-        made.append(Column(base + of_frame + suffix, unit, values, digits, product, sources))
+        made.append(TableColumn(base + of_frame + suffix, unit, values, digits, product, sources))
     return made

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows
 from onboard import config
-from onboard.ground.log.tables.columns import Column, Times, columns, time_columns, timed_dtype, with_times
-from onboard.ground.log.tables.meaning import Meaning, meanings
+from onboard.ground.log.tables.columns import TableColumn, Times, columns, time_columns, timed_dtype, with_times
+from onboard.ground.log.tables.meaning import ChannelMeaning, meanings
 from onboard.ground.log.tables.selection import Selection, inside, span_of
 from onboard.ground.log.tables.vehicle_file import attached_vehicle, require_kinds
 from onboard.ground.log.tables.vehicle_time import UNKNOWN, clocked, timed
@@ -51,11 +51,11 @@ class FlightTables:
                 require_kinds(self.log, self.vehicle)
             except ChannelError as error:
                 self.vehicle, self.why_none = None, str(error)
-        self.meanings: dict[str, Meaning] = meanings(self.log, self.vehicle)
+        self.meanings: dict[str, ChannelMeaning] = meanings(self.log, self.vehicle)
         self.times = Times(start_ns, utc_offset_ns(self.log.metadata))
         self.clocked = clocked(self.log, self.vehicle) if self.vehicle else []
 
-    def columns(self, channel: str, sample: Rows) -> list[Column]:
+    def columns(self, channel: str, sample: Rows) -> list[TableColumn]:
         """Every column of a channel's rows with times; ``sample`` gives the units that rows name themselves."""
         dtype = self.log.channels[channel]
         made = columns(dtype, self.log.units[channel], sample, self.meanings[channel])

@@ -23,7 +23,7 @@ _OF_RECORD = {
 }
 
 
-class Meaning(NamedTuple):
+class ChannelMeaning(NamedTuple):
     """Of one channel.
 
     Attributes:
@@ -48,19 +48,19 @@ class Meaning(NamedTuple):
     scratch: frozenset[str] = frozenset()
 
 
-def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, Meaning]:
+def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, ChannelMeaning]:
     """The meaning of every channel of ``log``, from ``vehicle``; None: from the rows alone."""
     found = {name: _of_rows(dtype) for name, dtype in log.channels.items()}
     if vehicle is None:
-        sampled = Meaning(time=_NO_CLOCK, time_field="")
+        sampled = ChannelMeaning(time=_NO_CLOCK, time_field="")
         if "import" in log.metadata:
-            sampled = Meaning(time="the sample, by the recording's clock")
+            sampled = ChannelMeaning(time="the sample, by the recording's clock")
         return {n: sampled if "tick" in (log.channels[n].names or ()) else one for n, one in found.items()}
     roles = roles_of(vehicle)
     measures, frames = _measures(roles), {one.channels[0]: one.frame for one in roles.imus if len(one.channels) == 1}
     for name in clocked(log, vehicle):
         signal = roles.signals.get(name)
-        found[name] = Meaning(
+        found[name] = ChannelMeaning(
             measures=measures.get(name, ""),
             frame=frames.get(name, ""),
             zero_count=signal.zero_count if signal else 0,
@@ -80,18 +80,20 @@ def _delay(signal: SmoothedChannel | None) -> str:
     return ", ".join(f"{part}{delay_s * 1e3:g} ms" for part, delay_s in named.items())
 
 
-def _of_rows(dtype: np.dtype[np.void]) -> Meaning:
+def _of_rows(dtype: np.dtype[np.void]) -> ChannelMeaning:
     fields = dtype.names or ()
     if dtype == PULSE:
-        return Meaning("edges of the sync line", time="the edge, stamped by the kernel", time_field="edge_ns")
+        return ChannelMeaning("edges of the sync line", time="the edge, stamped by the kernel", time_field="edge_ns")
     if "vehicle_ns" in fields:
         scratch = frozenset({"triangle"} & set(fields))
-        return Meaning(time="the instant it refers to, on vehicle time", time_field="vehicle_ns", scratch=scratch)
+        return ChannelMeaning(
+            time="the instant it refers to, on vehicle time", time_field="vehicle_ns", scratch=scratch
+        )
     if {"first_sequence", "last_sequence", "consumed"} <= set(fields):
-        return Meaning("what each step of the estimator consumed", scratch=frozenset(fields))
+        return ChannelMeaning("what each step of the estimator consumed", scratch=frozenset(fields))
     if "tick" in fields:
-        return Meaning()
-    return Meaning(_OF_RECORD.get(dtype, ""), time="when it was reported")
+        return ChannelMeaning()
+    return ChannelMeaning(_OF_RECORD.get(dtype, ""), time="when it was reported")
 
 
 def _measures(roles: Roles) -> dict[str, str]:

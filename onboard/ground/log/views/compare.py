@@ -65,7 +65,7 @@ class ComparedQuantity:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FlightComparison:
     """All flights, and every quantity that one of them answered."""
 
     flights: tuple[ComparedFlight, ...]
@@ -91,7 +91,7 @@ class Comparison:
         return {"logs": logs, "quantities": [one.as_json() for one in self.quantities]}
 
 
-def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> Comparison:
+def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> FlightComparison:
     """Compare what flights said last; at least two.
 
     Raises:
@@ -107,7 +107,7 @@ def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> Comp
         raise ValueError("none of the logs answers anything; identify from them with heft identify")
     quantities = [compared_quantity(name, answers) for name in names]
     with_unit = tuple(one for one in quantities if one.unit)
-    return Comparison(flights, with_unit or tuple(quantities))
+    return FlightComparison(flights, with_unit or tuple(quantities))
 
 
 def compared_quantity(name: str, answers: Sequence[dict[str, np.void]]) -> ComparedQuantity:
@@ -135,7 +135,7 @@ def compared_quantity(name: str, answers: Sequence[dict[str, np.void]]) -> Compa
     return ComparedQuantity(name, unit, tuple(value.tolist()), tuple(sigma.tolist()), mean, sigma_mean, chance, trend)
 
 
-def render(found: Comparison) -> RenderableType:
+def render(found: FlightComparison) -> RenderableType:
     """``found`` for a terminal."""
     flights = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
     for heading in ("", "log", "length s", "unexplained", "rows used"):

@@ -16,7 +16,7 @@ _DRAWN = 5
 _VIEWS = ((0, 1), (0, 2))  # columns of the two drawings
 
 
-class Motion:
+class PointMotion:
     """The vehicle's points over time.
 
     Attributes:
@@ -40,7 +40,7 @@ class Motion:
         return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def motion(flight: FlightData) -> Motion | None:
+def motion(flight: FlightData) -> PointMotion | None:
     """From the measured joint positions; None without a model, or where no position of a joint is measured."""
     if flight.model is None or flight.roles is None:
         return None
@@ -63,10 +63,10 @@ def motion(flight: FlightData) -> Motion | None:
         if name in whole:
             known = np.isfinite(whole[name].mean[:, 0])
             q[:, column] = np.interp(time_s, whole[name].time_s[known], whole[name].mean[known, 0])
-    return Motion(time_s, skeleton(flight.model, q))
+    return PointMotion(time_s, skeleton(flight.model, q))
 
 
-def draw(found: Motion) -> Figure:
+def draw(found: PointMotion) -> Figure:
     """Two views of the vehicle at times over the flight, the latest in the strongest colour."""
     figure, every = subplots(1, 2, height_in=2.6)
     p_mm = 1e3 * found.points.p_m

@@ -14,7 +14,7 @@ from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, Layout, SpringPrior
+from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, SpringPrior, UnknownLayout
 
 _DAMPING_RATIO = 0.02  # of a joint's swing alone, unladen, where no damping is stated
 _SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer joints gave wrong numbers
@@ -106,7 +106,7 @@ class FlexibleJoints:
             "bends": Block(bends, self._sigma),
         }
 
-    def placed(self, layout: Layout) -> list[int]:
+    def placed(self, layout: UnknownLayout) -> list[int]:
         """Take in where the unknowns stand; the joint of each function of an error that varies in time."""
         self._layout = layout
         self.bends = layout.estimated("bends")

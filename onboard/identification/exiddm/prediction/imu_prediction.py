@@ -14,7 +14,7 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from onboard.dynamics.joint_errors import JointErrors, Readings
+from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.estimation.arrays import FloatArray, IndexArray
@@ -45,15 +45,15 @@ from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
     Block,
     GeometryPrior,
-    Layout,
     Own,
     UncertainLinks,
+    UnknownLayout,
     kept_of,
     named,
     together,
 )
 from onboard.identification.exiddm.prediction.scaled import Scaled
-from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
+from onboard.identification.exiddm.prediction.ticks import TickPrediction, Ticks
 from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
@@ -138,7 +138,7 @@ class ImuPredictor:
         }
         for one in self.further:
             blocks |= blocks_of(one)
-        layout = Layout(blocks)
+        layout = UnknownLayout(blocks)
         self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
         self._in_push = layout.estimated("disturbance")
         self.pushes: list[tuple[int, int]] = list(zip(*self._in_push.reshape(2, -1).tolist(), strict=True))
@@ -259,7 +259,7 @@ class ImuPredictor:
         state: FloatArray,
         cyclic: FloatArray | None = None,
         thrust: FloatArray | None = None,
-    ) -> Prediction:
+    ) -> TickPrediction:
         """From a state at the first of b + 2 ticks, bodies by :mod:`.scaled`, linear in what pushes the base.
 
         What a push does goes with it over all masses, so that twice both move alike. About a push that changes, that
@@ -283,14 +283,14 @@ class ImuPredictor:
             self._scaled.derive(by, state)
         return found._replace(state=found.state + state - linear).plus(push, self.changing)
 
-    def _unpushed(self, joints: tuple[FloatArray, ...], state: FloatArray, *known: FloatArray | None) -> Prediction:
+    def _unpushed(self, joints: tuple[FloatArray, ...], state: FloatArray, *known: FloatArray | None) -> TickPrediction:
         (q, dq, ddq), (cyclic, thrust) = joints, known
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
-        readings = Readings(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
+        readings = EncoderReadings(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
         base, bend = self._base.predict(readings, x, self.period_s, thrust)
         if bend is not None and not np.isfinite(bend.b).all():
-            return Prediction.none(n - 2, m, len(state), len(self.changing))
+            return TickPrediction.none(n - 2, m, len(state), len(self.changing))
         time_s, jacobian = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64), np.zeros((n - 2, m, len(state)))
         values, by_motion = np.empty((n - 2, m)), np.empty((n, m, base.along.shape[2]))
         for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
@@ -335,11 +335,11 @@ class ImuPredictor:
                 transition[rows, here] = shown_pose.carried_by_motion[:, there]
         if bent is not None:
             bent.carry(transition, carried)
-        return Prediction(values, jacobian, carried, transition)
+        return TickPrediction(values, jacobian, carried, transition)
 
     def carried(
         self,
-        predicted: Prediction,
+        predicted: TickPrediction,
         start: FloatArray,
         state: FloatArray,
         covariance: FloatArray,

@@ -7,14 +7,14 @@ import numpy as np
 
 from onboard.dynamics.compliance import Bend, Moved
 from onboard.dynamics.free_flight import BasePrediction, Push, bodies_from_rate, predict_base_from_rate
-from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
+from onboard.dynamics.joint_errors import PER_JOINT, EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import Columns
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import Thruster
-from onboard.identification.exiddm.prediction.parameters import Layout, UncertainLinks
+from onboard.identification.exiddm.prediction.parameters import UncertainLinks, UnknownLayout
 
 
 class MovingBase:
@@ -33,7 +33,7 @@ class MovingBase:
     def __init__(
         self,
         vehicle: VehicleModel,
-        layout: Layout,
+        layout: UnknownLayout,
         links: UncertainLinks,
         columns: Columns,
         joint_errors: JointErrors | None,
@@ -46,7 +46,7 @@ class MovingBase:
         self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
 
     def predict(
-        self, readings: Readings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
+        self, readings: EncoderReadings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
     ) -> tuple[BasePrediction, Bend | None]:
         """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated; and bends of flexible joints.
 

@@ -90,7 +90,7 @@ class GeometryPrior(NamedTuple):
 EXACT_GEOMETRY = GeometryPrior()
 
 
-class Layout:
+class UnknownLayout:
     """Order of all unknowns, and of those that are estimated.
 
     Args:
@@ -195,12 +195,12 @@ class Own(NamedTuple):
     of_place: slice | IndexArray = slice(0)
 
 
-def named(layout: Layout, end: str) -> IndexArray:
+def named(layout: UnknownLayout, end: str) -> IndexArray:
     """Estimated unknowns whose names end so."""
     return np.array([at for at, known in enumerate(layout.names) if known.endswith(end)], np.intp)
 
 
-def kept_of(layout: Layout, block: slice) -> tuple[slice | IndexArray, slice | IndexArray]:
+def kept_of(layout: UnknownLayout, block: slice) -> tuple[slice | IndexArray, slice | IndexArray]:
     """What is estimated of a block: places in the state, and in the block."""
     at = np.flatnonzero((layout.kept >= block.start) & (layout.kept < block.stop))
     return together(at), together(layout.kept[at] - block.start)

@@ -15,7 +15,7 @@ _IMMODERATE = 1e12  # of a prediction in SI units
 _RESTS_rad_s = 0.01  # joint rate below which the motion carries no information on the payload
 
 
-class Prediction(NamedTuple):
+class TickPrediction(NamedTuple):
     """Prediction of the ticks 1 .. b of b + 2, from a state at tick 0."""
 
     values: FloatArray  # (b, m) rate and specific force in the first IMU's axes, then what further instruments show
@@ -24,12 +24,12 @@ class Prediction(NamedTuple):
     transition: FloatArray  # (c, p) derivative of those of its elements that change: ``ImuPredictor.changing``
 
     @staticmethod
-    def none(ticks: int, lines: int, size: int, changing: int) -> "Prediction":
+    def none(ticks: int, lines: int, size: int, changing: int) -> "TickPrediction":
         """No motion follows from the state: NaN."""
         shapes = (ticks, lines), (ticks, lines, size), (size,), (changing, size)
-        return Prediction(*(np.full(shape, np.nan) for shape in shapes))
+        return TickPrediction(*(np.full(shape, np.nan) for shape in shapes))
 
-    def plus(self, more: FloatArray, changing: IndexArray) -> "Prediction":
+    def plus(self, more: FloatArray, changing: IndexArray) -> "TickPrediction":
         """From a state that is so much more, (p,), to first order; ``changing``: elements of the transition, (c,)."""
         state = self.state + more
         state[changing] = _plus(self.state[changing], self.transition, more)

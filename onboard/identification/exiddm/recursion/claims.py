@@ -6,23 +6,23 @@ window and nothing held does not; a capture, if nothing held explains the window
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.recursion.window import Hypothesis
+from onboard.identification.exiddm.recursion.window import HeldPayload
 
 _KINDS = {  # of a detected change, by what was held before and what explains the window after it
-    (True, Hypothesis.NOTHING): "ejection",
-    (True, Hypothesis.SAME): "contact",
-    (True, Hypothesis.NEW): "instrument",
-    (False, Hypothesis.NOTHING): "contact",
-    (False, Hypothesis.NEW): "capture",
+    (True, HeldPayload.NOTHING): "ejection",
+    (True, HeldPayload.SAME): "contact",
+    (True, HeldPayload.NEW): "instrument",
+    (False, HeldPayload.NOTHING): "contact",
+    (False, HeldPayload.NEW): "capture",
 }
 
 _AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by whether a payload was held
-    True: (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW),
-    False: (Hypothesis.NOTHING, Hypothesis.NEW),
+    True: (HeldPayload.NOTHING, HeldPayload.SAME, HeldPayload.NEW),
+    False: (HeldPayload.NOTHING, HeldPayload.NEW),
 }
 
 
-def kind_of(before: bool, hypothesis: Hypothesis, instrument: bool = False) -> str:
+def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False) -> str:
     """What a detected change was.
 
     Args:
@@ -30,19 +30,19 @@ def kind_of(before: bool, hypothesis: Hypothesis, instrument: bool = False) -> s
         hypothesis: explains the window after it.
         instrument: an instrument was found to be wrong, and is left out of that window.
     """
-    return "instrument" if instrument and hypothesis is not Hypothesis.NEW else _KINDS[before, hypothesis]
+    return "instrument" if instrument and hypothesis is not HeldPayload.NEW else _KINDS[before, hypothesis]
 
 
-def after_a_change(held: bool, known: bool = True) -> tuple[Hypothesis, ...]:
+def after_a_change(held: bool, known: bool = True) -> tuple[HeldPayload, ...]:
     """Hypotheses in the order in which they are tried; ``known``: there is an estimate of what was held."""
-    return tuple(one for one in _AFTER_A_CHANGE[held] if known or one is not Hypothesis.SAME)
+    return tuple(one for one in _AFTER_A_CHANGE[held] if known or one is not HeldPayload.SAME)
 
 
-def at_first(held: bool, carried: bool) -> tuple[Hypothesis, ...]:
+def at_first(held: bool, carried: bool) -> tuple[HeldPayload, ...]:
     """Hypotheses of the first window; ``carried``: what was held last is known, and ``held`` does not count."""
     if carried:
-        return Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW
-    return (Hypothesis.NEW if held else Hypothesis.NOTHING,)
+        return HeldPayload.SAME, HeldPayload.NOTHING, HeldPayload.NEW
+    return (HeldPayload.NEW if held else HeldPayload.NOTHING,)
 
 
 class Claim:
@@ -57,16 +57,16 @@ class Claim:
         self.held: bool | None = None
         self.unseen = False
 
-    def make(self, held: bool, known: bool) -> tuple[Hypothesis, ...]:
+    def make(self, held: bool, known: bool) -> tuple[HeldPayload, ...]:
         """The hypotheses to be tried after an announcement; ``known``: there is an estimate of what was held."""
         self.held = held
         if held:
-            return (Hypothesis.NEW,)
-        return (Hypothesis.NOTHING, Hypothesis.SAME) if known else (Hypothesis.NOTHING,)
+            return (HeldPayload.NEW,)
+        return (HeldPayload.NOTHING, HeldPayload.SAME) if known else (HeldPayload.NOTHING,)
 
     def otherwise(
-        self, tried: tuple[Hypothesis, ...], window_s: FloatArray
-    ) -> tuple[tuple[Hypothesis, ...], Change | None]:
+        self, tried: tuple[HeldPayload, ...], window_s: FloatArray
+    ) -> tuple[tuple[HeldPayload, ...], Change | None]:
         """The hypotheses of the window after one that those tried do not explain, and a change that was not seen.
 
         Args:
@@ -75,21 +75,21 @@ class Claim:
         """
         unseen, self.unseen = self.unseen, False
         if self.held:
-            return (Hypothesis.NEW,), None
-        if not unseen or tried not in ((Hypothesis.NOTHING,), (Hypothesis.SAME,)):
+            return (HeldPayload.NEW,), None
+        if not unseen or tried not in ((HeldPayload.NOTHING,), (HeldPayload.SAME,)):
             return tried, None
         change = Change("change", float(window_s[-1]), float(window_s[0]), float("nan"))
-        return after_a_change(tried == (Hypothesis.SAME,)), change
+        return after_a_change(tried == (HeldPayload.SAME,)), change
 
-    def settle(self, hypothesis: Hypothesis, now_s: float) -> list[Change]:
+    def settle(self, hypothesis: HeldPayload, now_s: float) -> list[Change]:
         """What is to be said of the announcement when a hypothesis explains the window after it."""
         self.unseen = False
-        if self.held is None or (self.held and hypothesis is Hypothesis.NEW):
+        if self.held is None or (self.held and hypothesis is HeldPayload.NEW):
             return []  # a capture may still be not determined
         rejected = []
         if self.held:
             rejected.append(Change("capture_contradicted", now_s, now_s, float("nan"), "nothing held moves alike"))
-        elif hypothesis is Hypothesis.SAME:
+        elif hypothesis is HeldPayload.SAME:
             rejected.append(Change("release_contradicted", now_s, now_s, float("nan"), "the payload moves as before"))
         self.held = None
         return rejected

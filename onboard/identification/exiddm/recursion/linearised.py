@@ -21,7 +21,7 @@ import numpy as np
 from onboard.dynamics.model.inertia import elements
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
+from onboard.identification.exiddm.prediction.ticks import TickPrediction, Ticks
 
 _MOVED = 1.0  # rms change of a batch's prediction, sigmas of a tick, beyond which the batch is predicted again
 _LINEAR = 0.02  # unless the non-linear part, extrapolated by the square of the change, is smaller than this
@@ -77,7 +77,7 @@ class Linearised:
         change[PAYLOAD] += np.outer(farther, self._place)
         return np.asarray(change @ covariance @ change.T, np.float64)
 
-    def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, Prediction]:
+    def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, TickPrediction]:
         """Of a batch, from a state at the first of its b + 2 ticks, (p,).
 
         Returns:
@@ -102,7 +102,7 @@ class Linearised:
         self._about, self._bent = state.copy(), np.inf
         return state, self._of(ticks, state)
 
-    def _of(self, ticks: Ticks, state: FloatArray) -> Prediction:
+    def _of(self, ticks: Ticks, state: FloatArray) -> TickPrediction:
         return self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
 
 

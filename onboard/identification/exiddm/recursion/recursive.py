@@ -39,7 +39,7 @@ from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexp
 from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, initially
 from onboard.identification.exiddm.recursion.stepped import Stepped
 from onboard.identification.exiddm.recursion.trials import CellTrials, Exclusion, WindowFits, WindowProblem, trials_of
-from onboard.identification.exiddm.recursion.window import Hypothesis, Solved, WindowSolve
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
 from onboard.identification.exiddm.suspects import Rivals
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
@@ -129,7 +129,7 @@ class RecursiveExiddm(Holding):
 
     # ------------------------------------------------------------------ a window, as a whole
 
-    def _open(self, hypotheses: tuple[Hypothesis, ...], prior: Known, begun: Ticks | None = None) -> None:
+    def _open(self, hypotheses: tuple[HeldPayload, ...], prior: Known, begun: Ticks | None = None) -> None:
         """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
         self._hypotheses, self._prior = hypotheses, prior
         self._solves, self._grown, self._awaits = int(begun is not None), 1.0, False  # what was before a change
@@ -144,7 +144,7 @@ class RecursiveExiddm(Holding):
             one.forget()
         self._snapshots.clear()
 
-    def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int | None) -> None:
+    def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None) -> None:
         """Begin a window with what was known so many batches ago; None: before the first tick."""
         now = self._prior if self.state is None else (self.state, self.covariance)
         if batches_back is None:
@@ -185,7 +185,7 @@ class RecursiveExiddm(Holding):
         found, self._left = solve.found, solve.left
         self._linearised.forget()
         if self._stepped is not None and self._earlier is not None:
-            if found is not None and found.hypothesis is Hypothesis.NOTHING:
+            if found is not None and found.hypothesis is HeldPayload.NOTHING:
                 self._prior = self._earlier.known
             self._earlier, self._asked = None, self._stepped.asked
             return
@@ -232,7 +232,7 @@ class RecursiveExiddm(Holding):
         self._explained(choice.found, instrument=True)
         if anew or (old and (not self.held or self.innovations.misled(choice.found.state))):
             window, self._asked = self._window, None
-            self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
+            self._reopen((HeldPayload.NEW if self.held else HeldPayload.NOTHING,), None)
             self._pending, self._solves = window, length
 
     def _not_explained(self, between: str = "") -> None:
@@ -243,7 +243,7 @@ class RecursiveExiddm(Holding):
         """
         self._hypotheses, unseen = self._claim.otherwise(self._hypotheses, self._window.time_s)
         if unseen is not None:
-            self._before, self._suspected = Hypothesis.SAME in self._hypotheses, unseen
+            self._before, self._suspected = HeldPayload.SAME in self._hypotheses, unseen
             self.changes.append(unseen)
         # a window that has grown contradicts none before it: they determined nothing
         longer = self._solves > 0 and self._grown == 1.0
@@ -259,17 +259,17 @@ class RecursiveExiddm(Holding):
             self._suspected = None
         self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
         if len(self._hypotheses) > 1:
-            self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
-        self.held = hypothesis is not Hypothesis.NOTHING
+            self.exchanged = hypothesis is HeldPayload.NEW and self._before is True
+        self.held = hypothesis is not HeldPayload.NOTHING
         self._go_on_from(solved)
         self._hypotheses, self.unexplained.wait, self._pending = (hypothesis,), 0, ticks
-        if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
+        if hypothesis is HeldPayload.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
-        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= DETERMINED:
+        elif hypothesis is HeldPayload.NEW and solved.mass_sigma >= DETERMINED:
             told, grown = solved.growth(self._grown, float(self.payload_sigma[0]))
             whole, self._grown, self._start = grown > self._grown, grown, solved.start if told else None
             if self._claim.held and not solved.tells_mass:  # is anything held at all?
-                self._hypotheses = (Hypothesis.NOTHING,)
+                self._hypotheses = (HeldPayload.NOTHING,)
                 self._begin_window()
             elif not whole:
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
@@ -305,7 +305,7 @@ class RecursiveExiddm(Holding):
             innovation = self.innovations.of_batch(batch, there, covariance)
         except SingularError:
             self.glitches += BATCH_TICKS
-            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
+            self._reopen((HeldPayload.SAME if self.held else HeldPayload.NOTHING,), 1)
             return
         own = self.predictor.lines[self.fusion.reference]
         base = np.flatnonzero(there[:, own.start])  # ticks with the reference
@@ -332,7 +332,7 @@ class RecursiveExiddm(Holding):
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
             if begun is not None:
-                self._open((Hypothesis.NOTHING,), self._prior, begun)
+                self._open((HeldPayload.NOTHING,), self._prior, begun)
                 return
             if self._stepped.due(apart=self._linearised.apart):
                 self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
@@ -364,8 +364,8 @@ class RecursiveExiddm(Holding):
         accused = self.fusion.standing(self.innovations.contradicting(self.state, self.covariance))
         if accused is not None:
             self._before = bool(self.held)
-            kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
-            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.back)
+            kept = HeldPayload.SAME if accused.batches else HeldPayload.NEW
+            self._reopen((kept if self.held else HeldPayload.NOTHING,), accused.back)
             self._accused = accused
 
     def _acquit(self, accused: Accusation) -> None:
@@ -394,4 +394,4 @@ class RecursiveExiddm(Holding):
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
         else:
-            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
+            self._reopen((HeldPayload.SAME if self.held else HeldPayload.NOTHING,), 0)

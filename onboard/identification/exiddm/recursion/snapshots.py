@@ -19,7 +19,7 @@ from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.trials import WindowProblem
-from onboard.identification.exiddm.recursion.window import Hypothesis
+from onboard.identification.exiddm.recursion.window import HeldPayload
 from onboard.identification.exiddm.steps import Adds
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
@@ -50,7 +50,7 @@ class Before(NamedTuple):
     @property
     def asked(self) -> tuple[Ticks, WindowProblem]:
         """How they are to be solved: whether what was found later was held already is not known."""
-        return self.ticks, WindowProblem((Hypothesis.SAME, Hypothesis.NOTHING))
+        return self.ticks, WindowProblem((HeldPayload.SAME, HeldPayload.NOTHING))
 
     def if_held(
         self, known: Known, now: Known, predictor: ImuPredictor, seen: Ticks, imu: int

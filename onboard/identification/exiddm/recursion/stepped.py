@@ -22,7 +22,7 @@ from onboard.identification.exiddm.prediction.further import fade
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.trials import WindowProblem
-from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
 _APART = 1.25  # growth of a window at which steps linearised about different states are solved again
@@ -59,8 +59,11 @@ class Stepped:
             known: before the window.
             grown: it has.
         """
-        length_s, held = 2.0 * float(ticks.time_s[-1] - ticks.time_s[0]), solved.hypothesis is not Hypothesis.NOTHING
-        well = solved.hypothesis is Hypothesis.SAME or (not held and _knows_zeros(predictor, known))
+        length_s, held = (
+            2.0 * float(ticks.time_s[-1] - ticks.time_s[0]),
+            solved.hypothesis is not HeldPayload.NOTHING,
+        )
+        well = solved.hypothesis is HeldPayload.SAME or (not held and _knows_zeros(predictor, known))
         # noise drives the bends of flexible joints: steps count that, a window does not
         if well or length_s > 1.01 * _LONGEST_s or predictor.bends.size:
             return None
@@ -110,7 +113,7 @@ class Stepped:
     @property
     def asked(self) -> tuple[Ticks, WindowProblem]:
         """How they are to be solved again."""
-        return self.ticks, WindowProblem((Hypothesis.NEW if self.held else Hypothesis.NOTHING,))
+        return self.ticks, WindowProblem((HeldPayload.NEW if self.held else HeldPayload.NOTHING,))
 
     def after(self, solved: Solved) -> "Stepped | None":
         """What is to be solved after the window of all is; None if nothing is, or it was long."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from onboard.estimation.policy import REFUSE
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
 _CLEARLY = -2.0 * math.log(REFUSE)  # squares by which a fit must be less strained than any other
 _DECIDES = 2  # windows before this one are too short to tell a payload from errors of a cell
@@ -29,7 +29,7 @@ _DECIDES = 2  # windows before this one are too short to tell a payload from err
 class WindowProblem(NamedTuple):
     """How a window is to be solved."""
 
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[HeldPayload, ...]
     without: tuple[int, ...] = ()  # instruments
     freed: int | None = None  # an instrument whose errors may be of any size
     anew: bool = False  # with nothing known of before: it may come from what is left out
@@ -49,14 +49,14 @@ class Exclusion(NamedTuple):
         return "" if self.clear else f"{both} contradict each other, and nothing tells which is wrong"
 
 
-def unchanged(hypotheses: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
+def unchanged(hypotheses: tuple[HeldPayload, ...]) -> tuple[HeldPayload, ...]:
     """Those of a payload as before, if there are any: an instrument that is wrong does not change it."""
-    return tuple(one for one in hypotheses if one is not Hypothesis.NEW) or hypotheses
+    return tuple(one for one in hypotheses if one is not HeldPayload.NEW) or hypotheses
 
 
-def without_memory(hypotheses: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
+def without_memory(hypotheses: tuple[HeldPayload, ...]) -> tuple[HeldPayload, ...]:
     """The same where nothing is known of a payload that was held before."""
-    return tuple(dict.fromkeys(Hypothesis.NEW if one is Hypothesis.SAME else one for one in hypotheses))
+    return tuple(dict.fromkeys(HeldPayload.NEW if one is HeldPayload.SAME else one for one in hypotheses))
 
 
 class WindowFits:
@@ -71,7 +71,7 @@ class WindowFits:
     changed: Solved | None = None  # no other payload is tried
 
     def __init__(
-        self, doubted: Sequence[int], hypotheses: tuple[Hypothesis, ...], trackers: Sequence[int] = ()
+        self, doubted: Sequence[int], hypotheses: tuple[HeldPayload, ...], trackers: Sequence[int] = ()
     ) -> None:
         self._left, self._hypotheses, self._trackers = list(doubted), hypotheses, trackers
         self._found: list[tuple[int, Solved]] = []
@@ -109,7 +109,7 @@ class _Outcome(Enum):
     NEITHER = "the window is not explained without the cell either"
 
 
-_CHANGED = {Hypothesis.NOTHING: Hypothesis.NEW, Hypothesis.SAME: Hypothesis.NOTHING}
+_CHANGED = {HeldPayload.NOTHING: HeldPayload.NEW, HeldPayload.SAME: HeldPayload.NOTHING}
 
 
 class CellTrials:
@@ -122,7 +122,7 @@ class CellTrials:
         last: whether there is no longer one.
     """
 
-    def __init__(self, cell: int, hypotheses: tuple[Hypothesis, ...], window: int, *, last: bool) -> None:
+    def __init__(self, cell: int, hypotheses: tuple[HeldPayload, ...], window: int, *, last: bool) -> None:
         self._cell, self._hypotheses = cell, hypotheses
         self._decides, self._last = window >= _DECIDES, last
         self._without: Solved | None = None
@@ -148,7 +148,7 @@ class CellTrials:
                 self._outcome = _Outcome.CHANGED
             else:
                 self._outcome = _Outcome.WRONG if self._last else _Outcome.LONGER
-        elif found is not None and (found.hypothesis is Hypothesis.NOTHING or found.state[PAYLOAD][0] > 0.0):
+        elif found is not None and (found.hypothesis is HeldPayload.NOTHING or found.state[PAYLOAD][0] > 0.0):
             self._changed, self._outcome = found, _Outcome.LONGER
             if self._decides:
                 self._left.append(WindowProblem(self._hypotheses, freed=self._cell))
@@ -167,7 +167,7 @@ class CellTrials:
 
 
 def trials_of(
-    fusion: Fusion, hypotheses: tuple[Hypothesis, ...], accused: int | None, window: int, windows: int
+    fusion: Fusion, hypotheses: tuple[HeldPayload, ...], accused: int | None, window: int, windows: int
 ) -> WindowFits | CellTrials:
     """The trials of a window.
 

@@ -50,7 +50,7 @@ _TOLD = 0.5  # relative sigma of the payload's mass below which ticks tell a pay
 _DRIVEN = 100.0  # by how much a window of flexible joints overstates its information: noise drives their bends
 
 
-class Hypothesis(Enum):
+class HeldPayload(Enum):
     """Hypothesis on the payload during a window."""
 
     NOTHING = "nothing held"
@@ -69,7 +69,7 @@ class _Stage(Enum):
 class Solved(NamedTuple):
     """Solution of a window under one hypothesis."""
 
-    hypothesis: Hypothesis
+    hypothesis: HeldPayload
     start: FloatArray  # (p,) at its first tick
     state: FloatArray  # (p,) at its last tick but one
     covariance: FloatArray  # (p, p) of that
@@ -133,7 +133,7 @@ class WindowSolve:
         payload_sigma: FloatArray,
         ticks: Ticks,
         prior: tuple[FloatArray, FloatArray],
-        hypotheses: tuple[Hypothesis, ...],
+        hypotheses: tuple[HeldPayload, ...],
         start: FloatArray | None,
         imu: int = 0,
         steps: Inside = NO_STEPS,
@@ -221,18 +221,18 @@ class WindowSolve:
         else:
             self._settle(self._given)
 
-    def _problem_of(self, hypothesis: Hypothesis) -> "Problem":
+    def _problem_of(self, hypothesis: HeldPayload) -> "Problem":
         (mean, covariance), p = self._predictor.anew(*self._prior), len(self._prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
-        if hypothesis is Hypothesis.SAME:
+        if hypothesis is HeldPayload.SAME:
             information[rest, rest] = np.linalg.inv(covariance[rest, rest])
         else:
             apart = slice(PAYLOAD.stop, p)
             information[apart, apart] = np.linalg.inv(covariance[apart, apart])
             information[own, own] = 1.0 / self._payload_sigma**2
             mean[PAYLOAD] = 0.0
-        if hypothesis is Hypothesis.NOTHING:
+        if hypothesis is HeldPayload.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
         return Problem(mean, information, active)
 
@@ -326,7 +326,7 @@ class WindowSolve:
     def _taken_back(self, fitted: Fit, whole: Pieces) -> FloatArray | None:
         """Where to go on from, once, if the ticks tell a payload and the iteration moved what they do not tell."""
         mass, variance = fitted.x[PAYLOAD.start], fitted.covariance[PAYLOAD.start, PAYLOAD.start]
-        if self._checked or self._hypothesis is not Hypothesis.NEW or not np.sqrt(variance) < _TOLD * mass:
+        if self._checked or self._hypothesis is not HeldPayload.NEW or not np.sqrt(variance) < _TOLD * mass:
             return None
         self._checked = True
         return self._problem.as_stated(fitted.x, whole.normal.information)
@@ -373,8 +373,8 @@ class WindowSolve:
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""
-        if self._hypothesis is not Hypothesis.NEW:
-            yield self._prior[0][PAYLOAD] if self._hypothesis is Hypothesis.SAME else np.zeros(10)
+        if self._hypothesis is not HeldPayload.NEW:
+            yield self._prior[0][PAYLOAD] if self._hypothesis is HeldPayload.SAME else np.zeros(10)
             return
         vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1, self._own)
         frame = self._predictor.imu_frames[self._imu]

@@ -11,7 +11,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 MOST = 400  # of signals smoothed over 0.2 s, what is independent in 80 s
 
 
-class Ticks(NamedTuple):
+class SmoothedTicks(NamedTuple):
     """Smoothed signals at t ticks of an arm on a fixed base with j joints, and m rows of each."""
 
     time_s: FloatArray  # (t,)
@@ -25,13 +25,13 @@ class Ticks(NamedTuple):
     rate: FloatArray  # (t, m) of what is measured
     weight: FloatArray  # (t, m) one over the variance of each row; 0 where it was not used
 
-    def at(self, which: slice | BoolArray) -> "Ticks":
+    def at(self, which: slice | BoolArray) -> "SmoothedTicks":
         """Some of them."""
         return _of(part[which] for part in self)
 
 
-def _of(parts: Iterable[NDArray[Any]]) -> Ticks:
-    return Ticks(*parts)
+def _of(parts: Iterable[NDArray[Any]]) -> SmoothedTicks:
+    return SmoothedTicks(*parts)
 
 
 class KeptTicks:
@@ -44,9 +44,9 @@ class KeptTicks:
 
     def __init__(self) -> None:
         self.every, self._given = 1, 0
-        self.ticks: Ticks | None = None
+        self.ticks: SmoothedTicks | None = None
 
-    def add(self, ticks: Ticks) -> None:
+    def add(self, ticks: SmoothedTicks) -> None:
         """Takes further ticks in, later than all before."""
         given = self._given + np.arange(len(ticks.time_s))
         self._given += len(given)

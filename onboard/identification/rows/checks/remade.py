@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.rows.checks.kept_ticks import Ticks
+from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel
@@ -27,7 +27,7 @@ OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "level")
 OF_READING = ("delay", "drift", "step", "turned")
 
 
-class Made(NamedTuple):
+class RemadeRows(NamedTuple):
     """Rows of all ticks about an estimate."""
 
     reading: FloatArray  # (t, m) as predicted
@@ -53,7 +53,7 @@ class RowsRemade:
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], self._known]))
         self._turned = {k: turned(model, one) for k, one in enumerate(errors) if one.effect == "turned"}
 
-    def at(self, ticks: Ticks, beta: FloatArray, errors: FloatArray) -> Made:
+    def at(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray) -> RemadeRows:
         """Readings and their derivatives about base parameters (p,) and errors (k,)."""
         moving = [k for k, one in enumerate(self._errors) if one.effect in OF_MOTION]
         Y = self._rows(ticks, errors)
@@ -84,7 +84,7 @@ class RowsRemade:
                 row = self._row[k]
                 slope[:, row, self._p + k] = ticks.time_s if one.effect == "drift" else -ticks.rate[:, row]
                 reading[:, row] += errors[k] * slope[:, row, self._p + k]
-        return Made(reading, slope)
+        return RemadeRows(reading, slope)
 
     def _later(self, ticks: int) -> Iterator[tuple[int, FloatArray]]:
         """Each error that is a step, and whether a tick comes after it, (t,)."""
@@ -92,14 +92,14 @@ class RowsRemade:
             if one.effect == "step":
                 yield k, (np.arange(ticks) * (STEPS + 1) >= ticks * (1 + (one.axis or 0))).astype(np.float64)
 
-    def _rows(self, ticks: Ticks, errors: FloatArray) -> FloatArray:
+    def _rows(self, ticks: SmoothedTicks, errors: FloatArray) -> FloatArray:
         """Rows of the corrected motion, (t, m, p + 1); what is known last."""
         q, dq, ddq, force = self._corrected(ticks, errors)
         still, none = np.zeros_like(force), np.zeros_like(ticks.measured)
         motion = BaseMotion(still, still, force)
         return self._model.regressor(q, dq, ddq, motion, ticks.attached, predicted=none, fold=self._fold)
 
-    def _changes(self, ticks: Ticks, beta: FloatArray, errors: FloatArray, moving: Sequence[int]) -> FloatArray:
+    def _changes(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray, moving: Sequence[int]) -> FloatArray:
         """Derivatives of the wrenches before gains by errors of the motion, (s, t, m)."""
         chi = self._known.copy()
         chi[self._independent] += beta
@@ -111,7 +111,9 @@ class RowsRemade:
         about, steps = readings(errors), _STEP * np.eye(len(errors))[moving]
         return np.array([(readings(errors + step) - about) / _STEP for step in steps])
 
-    def _corrected(self, ticks: Ticks, errors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _corrected(
+        self, ticks: SmoothedTicks, errors: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Motion without the errors of its sensors: angles, rates, accelerations, specific force."""
         zero, scale, delay = np.zeros((3, len(self._joints)))
         tilt = np.zeros(3)

@@ -37,7 +37,7 @@ from onboard.estimation.policy import (
 from onboard.identification.evidence.bank import Bank, Known, Mixture, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.rows.checks.agreement import DOUBTFUL_UNEXPLAINED, MOST_UNEXPLAINED, NOISE
-from onboard.identification.rows.checks.kept_ticks import KeptTicks, Ticks
+from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS, RowsRemade
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered, Effect, rate_of
@@ -145,7 +145,7 @@ class RowSuspects:
         rate = np.zeros_like(measured) if signals.measured_rate is None else signals.measured_rate[at]
         jerk = rate_of(signals, signals.ddq)[at]
         motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, signals.motion.specific_force_m_s2[at]
-        self._kept.add(Ticks(signals.time_s[at], *motion, attached, measured, np.where(use, rate, 0.0), weight))
+        self._kept.add(SmoothedTicks(signals.time_s[at], *motion, attached, measured, np.where(use, rate, 0.0), weight))
         held = use[attached].sum()
         self._rows += held, use.sum() - held
 
@@ -235,7 +235,9 @@ class RowSuspects:
             M[:, at] = body
         return M @ self._half, scale * body - (1.0 + scale) * drawn
 
-    def _equations(self, ticks: Ticks, z: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, "_Left"]:
+    def _equations(
+        self, ticks: SmoothedTicks, z: FloatArray, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray, "_Left"]:
         """Information and right-hand side of z about a value of it, and what another leaves over.
 
         Args:
@@ -325,7 +327,7 @@ class _Left(NamedTuple):
 
     slope: FloatArray  # (t, m, n)
     target: FloatArray  # (t, m)
-    ticks: Ticks
+    ticks: SmoothedTicks
 
     def noise(self, z: FloatArray, before: FloatArray, lag: int) -> FloatArray:
         """Mean square of what is left over of each row, over its variance, (m,); none below one.

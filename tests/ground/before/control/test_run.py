@@ -13,7 +13,7 @@ from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody, symmetric
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.ground.before.control import run, view
-from onboard.ground.before.control.run import Asked, Stage
+from onboard.ground.before.control.run import TrialRequest, TrialSetup
 from onboard.ground.before.control.trials_log import TrialsLog
 from onboard.recording.reader import LogReader
 
@@ -138,15 +138,15 @@ def identified(directory):
 
 @pytest.fixture(scope="module")
 def learned(directory, identified):
-    return fly(directory, Asked("learning_pi", 3, identified, **SHORT), log="learned.mcap")
+    return fly(directory, TrialRequest("learning_pi", 3, identified, **SHORT), log="learned.mcap")
 
 
 def test_identification_pays_and_learning_gets_there_trial_by_trial(learned):
     made, _, _ = learned
     assert not made.stopped
-    assert [len(made.of(stage)) for stage in Stage] == [2, 1, 1, 3]
+    assert [len(made.of(stage)) for stage in TrialSetup] == [2, 1, 1, 3]
     assert made.gain > 5.0
-    tips = [trial.tip_rms_m for trial in made.of(Stage.LEARNING)]
+    tips = [trial.tip_rms_m for trial in made.of(TrialSetup.LEARNING)]
     assert tips[2] < 0.5 * tips[0]
     assert made.rate < 0.8
     assert all(trial.flown.missed == 0 for trial in made.trials)
@@ -197,16 +197,16 @@ def test_the_log_has_every_trial_and_what_the_drives_measured(directory, learned
 
 
 def test_gains_that_are_too_large_are_stopped_with_the_reason(directory):
-    made, world, _ = fly(directory, Asked("learning_pd", 8, factor=8.0, **SHORT))
+    made, world, _ = fly(directory, TrialRequest("learning_pd", 8, factor=8.0, **SHORT))
     assert any(why in made.stopped for why in ("where it should be", "grows", "faster than its limit"))
     assert made.predicted[:, 1].max() > 1.0
-    assert len(made.of(Stage.LEARNING)) < 8
+    assert len(made.of(TrialSetup.LEARNING)) < 8
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
     assert "error would grow" in " ".join(view.findings_of(made))
 
 
 def test_a_drive_that_faults_ends_the_trials(directory):
-    made, world, _ = fly(directory, Asked("learning_pi", 3, **SHORT), faults=[Fault("trip", "drive_2", 5.0)])
+    made, world, _ = fly(directory, TrialRequest("learning_pi", 3, **SHORT), faults=[Fault("trip", "drive_2", 5.0)])
     assert "drive_2 reports 2310h" in made.stopped
     assert len(made.trials) < 5
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
@@ -214,12 +214,12 @@ def test_a_drive_that_faults_ends_the_trials(directory):
 
 def test_a_drive_in_fault_before_the_start_is_named(directory):
     with pytest.raises(RuntimeError, match="cannot be enabled: drive_1 is in fault"):
-        fly(directory, Asked("learning_pi", 1, **SHORT), faults=[Fault("trip", "drive_1", 0.02)])
+        fly(directory, TrialRequest("learning_pi", 1, **SHORT), faults=[Fault("trip", "drive_1", 0.02)])
 
 
 def test_a_vehicle_whose_base_is_moved_is_refused(directory):
     with pytest.raises(ValueError, match="prescribed"):
-        fly(directory, Asked("learning_pi", 1), base="prescribed")
+        fly(directory, TrialRequest("learning_pi", 1), base="prescribed")
 
 
 @pytest.mark.parametrize(

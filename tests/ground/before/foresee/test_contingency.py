@@ -16,7 +16,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.before.foresee.contingency import foresee_without
 from onboard.ground.before.foresee.foresee import foresee
-from onboard.ground.before.foresee.plan import JointNoise, plan_of
+from onboard.ground.before.foresee.plan import MotionNoise, plan_of
 from onboard.identification.standing import Level
 from tests.ground.before.foresee.test_foresee import EXACT, by_batch, made
 
@@ -112,6 +112,6 @@ def test_cyclic_errors_of_a_plan_are_smoothed_as_in_flight():
     q, dq = np.zeros((2, 1, len(model.joints)))
     q[0, at], dq[0, at] = 0.4, rate_rad_s
     width = wanted.shape[1]
-    found = JointNoise(vehicle, model).cyclic(q, dq)[0, :, width * at : width * at + width]
+    found = MotionNoise(vehicle, model).cyclic(q, dq)[0, :, width * at : width * at + width]
     assert np.abs(wanted).max(axis=1).min() > 0.05
     assert (np.abs(found - wanted).max(axis=1) < 0.01 * np.abs(wanted).max(axis=1)).all()

@@ -14,7 +14,7 @@ from onboard.ground.before.foresee import rows
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
-from onboard.ground.before.init.vehicle import Wanted, make
+from onboard.ground.before.init.vehicle import NewVehicle, make
 
 HZ = 20.0
 STILL = "[base_motion]\nrate_rad_s = 0.0\nacceleration_m_s2 = 0.0\n"
@@ -22,7 +22,7 @@ STILL = "[base_motion]\nrate_rad_s = 0.0\nacceleration_m_s2 = 0.0\n"
 
 def plan(directory: Path, base: str, over: str = "") -> tuple[config.Vehicle, MotionPlan]:
     directory.mkdir(exist_ok=True)
-    make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), directory / "it")  # type: ignore[arg-type]
+    make(NewVehicle("it", base, ("shoulder", "elbow"), load_cell="cia404"), directory / "it")  # type: ignore[arg-type]
     (directory / "over.toml").write_text(over)
     scenario: Scenario = scenario_of(str(directory / "it" / "vehicle.toml"), directory / "over.toml")
     vehicle = config.load(directory / "it" / "vehicle.toml").with_row_rate(HZ)

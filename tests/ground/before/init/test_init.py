@@ -19,7 +19,7 @@ from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.flight.check import scan
 from onboard.flight.estimate.problem.identification import build_identifier, build_online
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
+from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, NewVehicle, make
 from onboard.identification.rows.row_blocks import instrument_of
 
 
@@ -30,7 +30,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         (imu, encoder, cell), number = (one for _, one in choice), sum(at for at, _ in choice)
         where = tmp_path / f"{imu}-{encoder}-{cell}"
         pulse = number % 2 == 0  # each device with and without
-        wanted = Wanted("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
+        wanted = NewVehicle("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
         needs_cell, needs_imu = base in ("prescribed", "fixed"), base != "fixed"
         wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
         alone = encoder == "recorded" and cell == "none" and needs_cell
@@ -178,14 +178,14 @@ def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) ->
 
 
 def test_the_sigma_of_a_torque_of_which_a_free_base_takes_means_over_ticks_is_that_of_a_sample(tmp_path: Path) -> None:
-    make(Wanted("it", "free", ("shoulder", "elbow"), encoder="cia402"), tmp_path)
+    make(NewVehicle("it", "free", ("shoulder", "elbow"), encoder="cia402"), tmp_path)
     torques = [one.keys.sigma_N_m for one in roles_of(config.load(tmp_path / "vehicle.toml")).cells]  # type: ignore[union-attr]
     assert torques == [0.02, 0.02]
 
 
 @pytest.mark.parametrize("base", ["fixed", "prescribed"])
 def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_path: Path) -> None:
-    make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), tmp_path)  # type: ignore[arg-type]
+    make(NewVehicle("it", base, ("shoulder", "elbow"), load_cell="cia404"), tmp_path)  # type: ignore[arg-type]
     identifier, model = build_identifier(config.load(tmp_path / "vehicle.toml"))
     scenario = scenario_of(str(tmp_path / "vehicle.toml"))
     bodies = {

@@ -134,7 +134,7 @@ def test_criteria_of_a_known_ellipsoid():
 def test_spheres_keep_links_apart(flyer):
     model = build_model(config.load(flyer / "mine" / "vehicle.toml"))
     at = [limits.Sphere(frame=name, radius_m=0.2) for name in ("base", model.links[-1])]
-    kept = limits.Limits(model, limits.LimitsFile(sphere=at), None)
+    kept = limits.MotionLimits(model, limits.LimitsFile(sphere=at), None)
     q = np.zeros((2, len(model.joints)))
     still = np.zeros((2, 3))
     moved = np.stack([q, q, q])
@@ -191,7 +191,7 @@ def test_an_arm_that_stands_is_planned_by_its_rows(tmp_path):
     said = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert all(np.isfinite(one["sigma"]) for one in said["expected"])
     with pytest.raises(ConfigError, match="joint_9"):
-        limits.Limits(
+        limits.MotionLimits(
             build_model(config.load(tmp_path / "arm" / "vehicle.toml")),
             limits.LimitsFile(joint={"joint_9": limits.JointLimit()}),
             None,

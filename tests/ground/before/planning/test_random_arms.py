@@ -30,9 +30,9 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import segments
-from onboard.ground.before.planning.limits import JointLimit, Limits, LimitsFile
+from onboard.ground.before.planning.limits import JointLimit, LimitsFile, MotionLimits
 from onboard.ground.before.planning.planning import Wanted
-from onboard.ground.before.planning.search import Found, Problem, Search, search
+from onboard.ground.before.planning.search import PlanningProblem, Search, SearchResult, search
 from onboard.ground.before.planning.segments import plan_segments, scaled
 from tests.ground.before.planning.test_planning import SCENARIO
 
@@ -143,7 +143,7 @@ def test_no_segment_leaves_a_limit_with_a_payload_that_it_is_safe_with(
     vehicle, drawing, body, library = planned(arm)
     assert len(looked_at) == len(MASSES_kg)
     for over in looked_at:
-        problem, basis = Problem(over), over.splines.basis(np.arange(0.0, over.splines.duration_s, 0.01))
+        problem, basis = PlanningProblem(over), over.splines.basis(np.arange(0.0, over.splines.duration_s, 0.01))
         for corner in (problem.low, problem.high):  # a spline lies in the hull of its coefficients
             q = over.splines.move(basis, problem.coefficients(corner))[0]
             assert np.abs(q).max() <= SHARE * arm.half + 1e-9
@@ -181,7 +181,7 @@ def test_a_motion_of_the_heaviest_that_breaks_a_limit_is_shrunk_until_it_keeps_a
 ) -> None:
     """Before anything is known these are flown: also where the search went on to motions that are too large."""
 
-    def too_far(over: Search, *how: Any) -> Found:
+    def too_far(over: Search, *how: Any) -> SearchResult:
         found = search(over, *how)
         return found._replace(coefficients=4.0 * found.coefficients)
 
@@ -216,7 +216,7 @@ def test_an_arm_that_stands_outside_its_limits_has_no_room_and_inside_none_beyon
     names = [joint.name for joint in model.joints]
     said = {name: JointLimit(low=float(a), high=float(b)) for name, a, b in zip(names, low, high, strict=True)}
     outside = [name for name, q, a, b in zip(names, stands, low, high, strict=True) if not a < q < b]
-    its = Limits(model, LimitsFile(joint=said), None)
+    its = MotionLimits(model, LimitsFile(joint=said), None)
     if outside:
         with pytest.raises(config.ConfigError, match=f"^({'|'.join(outside)}) starts at "):
             its.room(stands)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.records import IMU, SCALAR, SampleStatus
-from hil_sim.bench import Bench
+from hil_sim.bench import BenchMission
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.cli.common import load_vehicle
@@ -262,7 +262,7 @@ def test_the_simulated_workshop(tmp_path, monkeypatch, capsys):
     command = "weigh --device lab/vehicle.toml --hil workshop --seed 88 --vehicle lab/vehicle.toml --json one.json"
     assert main(command.split()) == OK
     found = json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))
-    truth = Bench("weigh", scenario_of("workshop"), 88, {}).truth()
+    truth = BenchMission("weigh", scenario_of("workshop"), 88, {}).truth()
     mass = truth["links"]["gripper"]["mass_kg"] + truth["quantities"]["m_tool"]
     told = next(one for one in found["quantities"] if one["name"] == "m")
     assert told["low"] <= mass <= told["high"]

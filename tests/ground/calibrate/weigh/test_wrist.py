@@ -8,7 +8,7 @@ from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.weigh.weigh import body_gradient
 from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, anyhow, record
 
-PRIOR = wrist.Prior(np.array([0.0, 0.0, -GRAVITY]), 0.01, np.deg2rad(5.0), np.pi / 2.0)
+PRIOR = wrist.Priors(np.array([0.0, 0.0, -GRAVITY]), 0.01, np.deg2rad(5.0), np.pi / 2.0)
 
 
 def state(rng, tilt=(0.0, 0.0)):

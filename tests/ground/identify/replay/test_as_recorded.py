@@ -10,7 +10,7 @@ from onboard import config
 from onboard.devices.recorded import RecordedAngle, RecordedDevice
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckWatch
-from onboard.ground.before.init.vehicle import Wanted, make
+from onboard.ground.before.init.vehicle import NewVehicle, make
 from onboard.ground.identify.replay.as_recorded import as_recorded, quantum_of
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -20,7 +20,7 @@ SCALE_rad = 1e-8
 
 @pytest.fixture
 def vehicle(tmp_path: Path) -> config.Vehicle:
-    make(Wanted("arm", "fixed", ("joint_1",), "none", "recorded"), tmp_path / "v")
+    make(NewVehicle("arm", "fixed", ("joint_1",), "none", "recorded"), tmp_path / "v")
     path = tmp_path / "v" / "vehicle.toml"
     path.write_text(path.read_text().replace("# smoothing_ms = 100 ", "smoothing_ms = 100 "))
     return config.load(path)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from onboard.ground.log.export.csv_text import CsvEncoder, cells, header
-from onboard.ground.log.tables.columns import Column
+from onboard.ground.log.tables.columns import TableColumn
 
 integers = st.sampled_from(["|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8"])
 
@@ -81,10 +81,10 @@ def test_booleans_are_numbers():
 
 @given(st.lists(st.binary(max_size=12), min_size=1, max_size=8))
 def test_text_is_read_back_by_the_csv_module(values):
-    column = Column("text, with comma", "", lambda rows: rows["text"])
+    column = TableColumn("text, with comma", "", lambda rows: rows["text"])
     rows = np.zeros(len(values), [("text", "S12")])
     rows["text"] = values
-    number = Column("n", "count", lambda rows: np.arange(len(rows)))
+    number = TableColumn("n", "count", lambda rows: np.arange(len(rows)))
     data = header([number, column]) + CsvEncoder([number, column]).block(rows)
     lines = list(csv.reader(io.StringIO(data.decode(), newline=""), strict=True))
     assert lines[0] == ["n [count]", "text, with comma"]
@@ -95,7 +95,7 @@ def test_text_is_read_back_by_the_csv_module(values):
 
 
 def test_no_rows_no_lines():
-    assert CsvEncoder([Column("a", "", lambda rows: rows["a"])]).block(np.zeros(0, [("a", "<i4")])) == b""
+    assert CsvEncoder([TableColumn("a", "", lambda rows: rows["a"])]).block(np.zeros(0, [("a", "<i4")])) == b""
 
 
 def product(scale_kind):
@@ -105,7 +105,7 @@ def product(scale_kind):
     def values(rows):
         return rows["counts"].astype(np.float64) * rows["scale"].astype(np.float64)
 
-    return dtype, Column("v", "m", values, 9, (lambda rows: rows["counts"], lambda rows: rows["scale"]))
+    return dtype, TableColumn("v", "m", values, 9, (lambda rows: rows["counts"], lambda rows: rows["scale"]))
 
 
 @given(

@@ -8,10 +8,10 @@ import pytest
 from drivers import records
 from drivers.records import Severity
 from onboard import cli
-from onboard.ground.log.rescue.merge import Part, merge
+from onboard.ground.log.rescue.merge import RecorderLog, merge
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.writer import LogWriter
 
 MS = 1_000_000
@@ -61,7 +61,7 @@ def two(tmp_path):
 
 
 def test_every_row_of_each_in_the_order_of_time(tmp_path, two):
-    made = merge([Part((path,)) for path in two], tmp_path / "both.mcap")
+    made = merge([RecorderLog((path,)) for path in two], tmp_path / "both.mcap")
     log = LogReader(tmp_path / "both.mcap")
     assert set(log.channels) == {"force", "angle", "a_event", "b_event", "gap"}
     for name, path in (("force", two[0]), ("angle", two[1])):
@@ -83,7 +83,7 @@ def test_samples_of_one_name_are_refused_or_renamed_and_gaps_follow(tmp_path):
     gap = records.gap(7 * MS, "force", 3, 4, MS, "test").rows
     for name in "ab":
         write(tmp_path / f"{name}.mcap", {"force": scalar_rows(10, 0), "gap": gap})
-    parts = [Part((tmp_path / f"{name}.mcap",)) for name in "ab"]
+    parts = [RecorderLog((tmp_path / f"{name}.mcap",)) for name in "ab"]
     with pytest.raises(ChannelError, match=r"force \(a and b\).*--rename"):
         merge(parts, tmp_path / "both.mcap")
     assert not (tmp_path / "both.mcap").exists()
@@ -95,7 +95,7 @@ def test_samples_of_one_name_are_refused_or_renamed_and_gaps_follow(tmp_path):
 
 
 def test_a_clock_put_on_that_of_the_first(tmp_path, two):
-    merge([Part((two[0],)), Part((two[1],), 1_000, 1.5)], tmp_path / "both.mcap")
+    merge([RecorderLog((two[0],)), RecorderLog((two[1],), 1_000, 1.5)], tmp_path / "both.mcap")
     before, after = LogReader(two[1]).read("angle"), LogReader(tmp_path / "both.mcap").read("angle")
     assert np.array_equal(after["host_ns"], before["host_ns"] * 3 // 2 + 1_000)
     assert np.array_equal(after["value_raw"], before["value_raw"])
@@ -143,7 +143,7 @@ def test_logs_under_the_names_that_flights_give_them_are_told_apart(tmp_path):
     gap = records.gap(7 * MS, "imu_base_temperature", 3, 4, MS, "test").rows
     for path in (long, twin):
         write(path, {"imu_base_temperature": scalar_rows(10, 0), "gap": gap})
-    made = merge([Part([long]), Part([twin])], tmp_path / "both.mcap", rename=True)
+    made = merge([RecorderLog([long]), RecorderLog([twin])], tmp_path / "both.mcap", rename=True)
     assert set(made.rows) == {f"log{n}_{name}" for n in (1, 2) for name in ("imu_base_temperature", "gap")}
     assert f"log2 is {twin}" in made.warnings[0]
     rows = LogReader(tmp_path / "both.mcap").read("log2_gap")
@@ -169,7 +169,9 @@ def test_recover_says_what_is_lost_by_its_exit_code(two, tmp_path, capsys):
 
 
 def test_a_segment_that_is_missing_at_the_end_of_a_flight_is_told(two, tmp_path, capsys):
-    log = SegmentedLog(tmp_path / "x.mcap", Preamble("f", (), {}), limits=Limits(span_ns=50 * MS), sync_interval_ns=0)
+    log = SegmentedLog(
+        tmp_path / "x.mcap", Preamble("f", (), {}), limits=SegmentLimits(span_ns=50 * MS), sync_interval_ns=0
+    )
     rows = scalar_rows(200, 0)
     log.register("own", rows.dtype)
     for part in np.split(rows, 20):

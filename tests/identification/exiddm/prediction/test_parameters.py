@@ -12,11 +12,11 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     imu_reading,
     tick_mean,
 )
-from onboard.identification.exiddm.prediction.parameters import Block, Layout
+from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
 
 
 def test_what_is_certain_is_left_out_and_stays_zero():
-    layout = Layout(
+    layout = UnknownLayout(
         {
             "start": Block(("a", "b"), np.array([np.nan, 0.0])),
             **imu_blocks(CERTAIN._replace(gyro_scale=0.1, delay_s=1e-3)),

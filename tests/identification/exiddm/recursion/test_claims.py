@@ -3,9 +3,9 @@
 import pytest
 
 from onboard.identification.exiddm.recursion.claims import after_a_change, kind_of
-from onboard.identification.exiddm.recursion.window import Hypothesis
+from onboard.identification.exiddm.recursion.window import HeldPayload
 
-NOTHING, SAME, NEW = Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW
+NOTHING, SAME, NEW = HeldPayload.NOTHING, HeldPayload.SAME, HeldPayload.NEW
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ NOTHING, SAME, NEW = Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW
         (False, NOTHING, True, "instrument"),
     ],
 )
-def test_a_wrong_instrument_is_no_contact(before: bool, hypothesis: Hypothesis, instrument: bool, kind: str) -> None:
+def test_a_wrong_instrument_is_no_contact(before: bool, hypothesis: HeldPayload, instrument: bool, kind: str) -> None:
     assert kind_of(before, hypothesis, instrument) == kind
 
 

@@ -11,7 +11,7 @@ from onboard.dynamics.model.payload import standard_covariance
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
-from onboard.identification.exiddm.recursion.window import Hypothesis, WindowSolve
+from onboard.identification.exiddm.recursion.window import HeldPayload, WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import BIASES, PRIOR, WIDE, online, recorded, same_bits, ticks_of
 
@@ -194,7 +194,7 @@ def test_steps_about_a_payload_that_is_hardly_known_are_replaced_by_a_window_of_
     ticks = ticks_of(signals)
     recursive.update(ticks)
     recursive.finish()
-    whole = WindowSolve(recursive.predictor, WIDE, ticks, recursive._initial, (Hypothesis.NEW,), recursive._start)
+    whole = WindowSolve(recursive.predictor, WIDE, ticks, recursive._initial, (HeldPayload.NEW,), recursive._start)
     while not whole.over:
         whole.advance()
     assert whole.found is not None

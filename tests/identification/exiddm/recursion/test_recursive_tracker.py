@@ -15,7 +15,7 @@ from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.exiddm.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
-from onboard.identification.exiddm.recursion.window import Hypothesis
+from onboard.identification.exiddm.recursion.window import HeldPayload
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import BIASES, WIDE, online, recorded, ticks_of
 
@@ -113,8 +113,8 @@ def test_one_that_shows_in_the_second_window_of_a_payload_is_left_out_with_that_
 
 def test_the_window_without_it_is_solved_with_nothing_known_of_before():
     fusion = Fusion(("imu", "cell", "tracker"), (slice(0, 6), slice(6, 7), slice(7, 14)))
-    known = Hypothesis.SAME, Hypothesis.NOTHING
-    anew = WindowProblem((Hypothesis.NEW, Hypothesis.NOTHING), without=(2,), anew=True)
+    known = HeldPayload.SAME, HeldPayload.NOTHING
+    anew = WindowProblem((HeldPayload.NEW, HeldPayload.NOTHING), without=(2,), anew=True)
     accused = trials_of(fusion, known, 2, 1, 4)  # at once, whatever the payload does
     assert isinstance(accused, WindowFits)
     assert accused.next() == anew

@@ -6,14 +6,24 @@ import pytest
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.trials import CellTrials, WindowFits, WindowProblem
-from onboard.identification.exiddm.recursion.window import Hypothesis, Solved
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
-HYPOTHESES, NONE = (Hypothesis.SAME,), Changed.none(0)
+HYPOTHESES, NONE = (HeldPayload.SAME,), Changed.none(0)
 
 
 def solved(strained: float) -> Solved:
     return Solved(
-        Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0, np.zeros((98, 6)), np.eye(3), NONE
+        HeldPayload.SAME,
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(3),
+        100,
+        0,
+        strained,
+        0.0,
+        np.zeros((98, 6)),
+        np.eye(3),
+        NONE,
     )
 
 
@@ -51,7 +61,7 @@ def test_none_is_chosen_where_none_explains_the_window() -> None:
     assert trials.choice is None
 
 
-def of_payload(hypothesis: Hypothesis, cost: float, mass_kg: float = 0.5) -> Solved:
+def of_payload(hypothesis: HeldPayload, cost: float, mass_kg: float = 0.5) -> Solved:
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
     return Solved(
@@ -75,29 +85,29 @@ def of_payload(hypothesis: Hypothesis, cost: float, mass_kg: float = 0.5) -> Sol
 def test_an_accused_cell_is_wrong_unless_a_changed_payload_is_far_more_likely(
     window: int, mass_kg: float, freed: float | None, clear: bool | None
 ) -> None:
-    nothing = (Hypothesis.NOTHING,)
+    nothing = (HeldPayload.NOTHING,)
     trials = CellTrials(2, nothing, window, last=window == 3)
     assert trials.next() == WindowProblem(nothing, without=(2,))
-    trials.take(of_payload(Hypothesis.NOTHING, 200.0, 0.0))
-    assert trials.next() == WindowProblem((Hypothesis.NEW,))
-    trials.take(of_payload(Hypothesis.NEW, 300.0, mass_kg))
+    trials.take(of_payload(HeldPayload.NOTHING, 200.0, 0.0))
+    assert trials.next() == WindowProblem((HeldPayload.NEW,))
+    trials.take(of_payload(HeldPayload.NEW, 300.0, mass_kg))
     if freed is not None:
         assert trials.next() == WindowProblem(nothing, freed=2)
-        trials.take(None if np.isnan(freed) else of_payload(Hypothesis.NOTHING, freed, 0.0))
+        trials.take(None if np.isnan(freed) else of_payload(HeldPayload.NOTHING, freed, 0.0))
     assert trials.next() is None
     choice, changed = trials.choice, trials.changed
     assert (None if choice is None else choice.clear) == clear
-    assert (None if changed is None else changed.hypothesis) == (Hypothesis.NEW if clear is None else None)
+    assert (None if changed is None else changed.hypothesis) == (HeldPayload.NEW if clear is None else None)
 
 
 def test_of_a_held_payload_the_change_is_a_release_and_of_a_new_one_there_is_none() -> None:
     trials = CellTrials(2, HYPOTHESES, 0, last=False)
     trials.take(solved(0.0))
-    assert trials.next() == WindowProblem((Hypothesis.NOTHING,))
+    assert trials.next() == WindowProblem((HeldPayload.NOTHING,))
     trials.take(None)
     assert trials.choice is not None
     assert (trials.choice.instrument, trials.choice.clear) == (2, True)
-    anew = CellTrials(2, (Hypothesis.NEW,), 0, last=False)
+    anew = CellTrials(2, (HeldPayload.NEW,), 0, last=False)
     anew.take(solved(0.0))
     assert anew.next() is None
     assert anew.choice is not None

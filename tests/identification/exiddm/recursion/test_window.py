@@ -10,7 +10,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RAT
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
 from onboard.identification.exiddm.recursion.pieces import Pieces
-from onboard.identification.exiddm.recursion.window import Hypothesis, Problem, Solved, WindowSolve
+from onboard.identification.exiddm.recursion.window import HeldPayload, Problem, Solved, WindowSolve
 from onboard.identification.exiddm.steps import Steps
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
@@ -57,7 +57,7 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
 def test_a_hypothesis_that_comes_nowhere_near_is_given_up_after_a_few_iterations(held):
     window = ticks_of(held).part(slice(0, 100))
     uncertain = online(held, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"]).predictor
-    nothing, predicted = solved(uncertain, window, Hypothesis.NOTHING)
+    nothing, predicted = solved(uncertain, window, HeldPayload.NOTHING)
     assert nothing.found is None
     assert predicted < 60 * 98  # of 40 iterations with a refused step in each
 
@@ -66,7 +66,7 @@ def test_a_hypothesis_that_comes_nowhere_near_is_given_up_after_a_few_iterations
 def test_outliers_do_not_make_a_window_hopeless(held, at):
     window = ticks_of(held).part(slice(0, 100))
     window.measured[at] += 1000.0 * window.sigma[0]
-    solve, _ = solved(online(held).predictor, window, Hypothesis.NEW)
+    solve, _ = solved(online(held).predictor, window, HeldPayload.NEW)
     assert solve.found is not None
     assert solve.found.glitches == len(at)
     assert solve.found.state[PAYLOAD][0] == pytest.approx(5.0, abs=4.0 * np.sqrt(solve.found.covariance[3, 3]))
@@ -75,7 +75,7 @@ def test_outliers_do_not_make_a_window_hopeless(held, at):
 def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a_result(held, monkeypatch):
     """Where a motion tells little, the minimum lies in a flat valley; stopping short of it is no misfit."""
     predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 100))
-    best = solved(predictor, window, Hypothesis.NEW)[0].found
+    best = solved(predictor, window, HeldPayload.NEW)[0].found
 
     def cut(at_most):
         def descent(start, mean, prior, iterations, tolerance, damping, beyond):
@@ -85,13 +85,13 @@ def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a
 
     for at_most, start in ((3, None), (0, best.start)):
         monkeypatch.setattr(windows, "Descent", cut(at_most))
-        short = solved(predictor, window, Hypothesis.NEW, start)[0].found
+        short = solved(predictor, window, HeldPayload.NEW, start)[0].found
         assert short is not None
         off = short.state[PAYLOAD] - best.state[PAYLOAD]
         assert (np.abs(off) < 2.0 * np.sqrt(np.diag(short.covariance)[PAYLOAD])).all()
     far = best.start.copy()
     far[PAYLOAD] = 3.0 * far[PAYLOAD] + 1.0
-    assert solved(predictor, window, Hypothesis.NEW, far)[0].found is None
+    assert solved(predictor, window, HeldPayload.NEW, far)[0].found is None
 
 
 def test_what_the_ticks_do_not_tell_goes_back_to_its_prior_mean():
@@ -117,17 +117,17 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     for sigma_kg, kept in ((0.13, True), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
         rest = 2000.0, none, covariance, Changed.none(13)
-        found = Solved(Hypothesis.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
+        found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
 
 
 def test_a_start_that_later_ticks_contradict_is_replaced_by_guesses(held):
     predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 300))
-    best = solved(predictor, window, Hypothesis.NEW)[0].found
+    best = solved(predictor, window, HeldPayload.NEW)[0].found
     far = best.start.copy()
     far[PAYLOAD] = -3.0 * far[PAYLOAD]
-    again = solved(predictor, window, Hypothesis.NEW, far)[0].found
+    again = solved(predictor, window, HeldPayload.NEW, far)[0].found
     assert again is not None
     assert again.cost == pytest.approx(best.cost, abs=1.0)
 
@@ -151,7 +151,7 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
     def ended(readings):
         window = ticks._replace(measured=readings, sigma=noise)
         known = start, np.diag(sigma**2)
-        solve = WindowSolve(predictor, WIDE, window, known, (Hypothesis.SAME,), start, 0, inside)
+        solve = WindowSolve(predictor, WIDE, window, known, (HeldPayload.SAME,), start, 0, inside)
         while not solve.over:
             solve.advance()
         return solve.found

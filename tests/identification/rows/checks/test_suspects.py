@@ -14,7 +14,7 @@ from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.checks import kept_ticks, suspects
-from onboard.identification.rows.checks.kept_ticks import KeptTicks, Ticks
+from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import RowsRemade, turned
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.identifier import Identifier
@@ -238,7 +238,7 @@ def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
         kept, first = KeptTicks(), 0
         for count in parts:
             t = np.arange(first, first + count, dtype=float)
-            kept.add(Ticks(t, *(t[:, None] for _ in range(5)), t > 0, *(t[:, None] for _ in range(3))))
+            kept.add(SmoothedTicks(t, *(t[:, None] for _ in range(5)), t > 0, *(t[:, None] for _ in range(3))))
             first += count
         assert kept.every == 16
         np.testing.assert_array_equal(kept.ticks.time_s, np.arange(0.0, 97.0, 16.0))
@@ -253,7 +253,9 @@ def test_derivatives_of_remade_rows_are_differences(rng):
     t = np.linspace(0.0, 5.0, 12)
     motion = [rng.uniform(-1.0, 1.0, (12, 5)) for _ in range(4)]
     force = np.tile([0.1, -0.2, 9.8], (12, 1))
-    ticks = Ticks(t, *motion, force, t > 2.0, *(rng.standard_normal((12, 6)) for _ in range(2)), np.ones((12, 6)))
+    ticks = SmoothedTicks(
+        t, *motion, force, t > 2.0, *(rng.standard_normal((12, 6)) for _ in range(2)), np.ones((12, 6))
+    )
     beta, size = rng.standard_normal(p), 0.01
     at = size * rng.standard_normal(len(errors))
     made = remade.at(ticks, beta, at)
@@ -274,7 +276,7 @@ def test_a_late_encoder_is_corrected_to_second_order(rng):
     def ticks(at):
         angle, still = np.outer(at, speed) + 0.5 * np.outer(at**2, up), np.zeros((9, 6))
         motion = angle, speed + np.outer(at, up), np.tile(up, (9, 1)), np.zeros((9, 5))
-        return Ticks(t, *motion, np.tile([0.0, 0.0, 9.8], (9, 1)), t > 0.5, still, still, still)
+        return SmoothedTicks(t, *motion, np.tile([0.0, 0.0, 9.8], (9, 1)), t > 0.5, still, still, still)
 
     late = np.array([late_s * (one.effect == "joint_delay") for one in errors])
     corrected = remade.at(ticks(t - late_s), beta, late).reading
@@ -286,7 +288,7 @@ def test_what_is_left_over_and_alike_for_long_counts_as_more_noise(rng):
     for k in range(1, 400):
         left[k] = [0.7, 0.0] * left[k - 1] + np.sqrt([0.51, 1.0]) * again[k]
     own = np.zeros((400, 1))
-    ticks = Ticks(own[:, 0], *(own for _ in range(5)), own[:, 0] > 0, left, own, np.ones((400, 2)))
+    ticks = SmoothedTicks(own[:, 0], *(own for _ in range(5)), own[:, 0] > 0, left, own, np.ones((400, 2)))
     alike, white = suspects._Left(np.zeros((400, 2, 1)), left, ticks).noise(np.zeros(1), np.ones(2), 1)
     assert 3.0 < alike < 8.0  # (1 + r) / (1 - r) is 5.7
     assert white < 1.4

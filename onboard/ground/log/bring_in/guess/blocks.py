@@ -7,13 +7,13 @@ the temperature between them, are an IMU's where three of them have the size of 
 import numpy as np
 
 from onboard.ground.log.bring_in.guess import magnitudes
-from onboard.ground.log.bring_in.guess.groups import Column, Group, Table
+from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, NumberColumn
 from onboard.ground.log.bring_in.guess.magnitudes import FloatArray
 
 _MOST_JOINTS = 8
 
 
-def recognised(table: Table, vehicle_joints: int = 0) -> Table:
+def recognised(table: ColumnGroup, vehicle_joints: int = 0) -> ColumnGroup:
     """A table whose columns are numbered, with the groups that its numbers show.
 
     Args:
@@ -42,7 +42,7 @@ def recognised(table: Table, vehicle_joints: int = 0) -> Table:
     return _imu(table, columns, values)
 
 
-def _imu(table: Table, columns: list[Column], values: FloatArray) -> Table:
+def _imu(table: ColumnGroup, columns: list[NumberColumn], values: FloatArray) -> ColumnGroup:
     """With gyro and accelerometer, where three columns of six, or of seven, are as large as gravity at rest."""
     if len(columns) not in (6, 7):
         return table
@@ -56,8 +56,8 @@ def _imu(table: Table, columns: list[Column], values: FloatArray) -> Table:
 
 
 def _named(
-    table: Table, blocks: list[list[Column]], kinds: list[str], why: list[str], labels: str = "12345678"
-) -> Table:
+    table: ColumnGroup, blocks: list[list[NumberColumn]], kinds: list[str], why: list[str], labels: str = "12345678"
+) -> ColumnGroup:
     more = ", ".join(f"{block[0].name} to {block[-1].name}" for block in blocks[len(kinds) :])
     unit = ": N m, or A of the motors' currents" + (f"; or columns {more}" if more else "")
     groups = [

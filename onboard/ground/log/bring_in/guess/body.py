@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.ground.log.bring_in.guess import magnitudes, text
-from onboard.ground.log.bring_in.guess.groups import Column, Group, Table, best
+from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, NumberColumn, best
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 
 _YAWS = ("yaw", "theta", "psi", "heading", "th", "phi")
@@ -21,7 +21,7 @@ class BodyChannels(NamedTuple):
     pose: str = ""
 
 
-def of_a_body(table: Table, wanted: BodyChannels, time: str) -> Iterator[tuple[str, Column, str]]:
+def of_a_body(table: ColumnGroup, wanted: BodyChannels, time: str) -> Iterator[tuple[str, NumberColumn, str]]:
     """Channel, column and table of the mapping of each that is found.
 
     Thrusters are columns that are called like them, or as many columns as there are, numbered, of which none is
@@ -67,7 +67,7 @@ def _w_first(attitude: Group) -> list[int]:
     return [0, 1, 2, 3] if "w" in attitude.columns or 0 in large else [3, 0, 1, 2]
 
 
-def _thrusters(columns: Sequence[Column], wanted: BodyChannels) -> dict[str, Column]:
+def _thrusters(columns: Sequence[NumberColumn], wanted: BodyChannels) -> dict[str, NumberColumn]:
     by_name = {_called(one): one for one in reversed(columns)}
     own = {name: by_name[_plain(name)] for name in wanted.thrusters if _plain(name) in by_name}
     if wanted.thrusters and len(own) == len(wanted.thrusters):
@@ -82,11 +82,11 @@ def _thrusters(columns: Sequence[Column], wanted: BodyChannels) -> dict[str, Col
     return {}
 
 
-def _values(one: Column) -> magnitudes.FloatArray:
+def _values(one: NumberColumn) -> magnitudes.FloatArray:
     return np.asarray(one.values, np.float64)[:, None]
 
 
-def _called(one: Column) -> str:
+def _called(one: NumberColumn) -> str:
     return "".join((*one.of.stem, one.of.label))
 
 

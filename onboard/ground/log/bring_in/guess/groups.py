@@ -19,7 +19,7 @@ _OF_ONE = 0.02  # of a quaternion's length
 _BESIDE = {"frame", "seq", "sequence", "index", "count", "counter", "iteration", "n", "k", "unnamed", "id", "row"}
 
 
-class Column(NamedTuple):
+class NumberColumn(NamedTuple):
     """A column of numbers."""
 
     name: str  # as a mapping calls it
@@ -33,7 +33,7 @@ class Group(NamedTuple):
     kind: str
     stem: tuple[str, ...]
     unit: str  # that is named
-    columns: Mapping[str, Column]  # by label: x, y, z, w, a number, a joint's name, or ""
+    columns: Mapping[str, NumberColumn]  # by label: x, y, z, w, a number, a joint's name, or ""
     commanded: bool
     doubt: str = ""  # of what it is
 
@@ -54,30 +54,32 @@ class Group(NamedTuple):
         return [self.columns[label].name for label in self.labels]
 
 
-class Table(NamedTuple):
+class ColumnGroup(NamedTuple):
     """Columns with one clock: a file of text, a topic, arrays of a length."""
 
     name: str
     groups: tuple[Group, ...]
     clock: Clock | None
-    rest: tuple[Column, ...]  # of no kind that is known
+    rest: tuple[NumberColumn, ...]  # of no kind that is known
     taken_for_time: str = ""  # why, where no name says it
     no_clock: str = ""  # why a column that is a time by its name is none, where there is no other
 
     @property
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[NumberColumn]:
         """All but the clock."""
         return [*self.rest, *(column for group in self.groups for column in group.columns.values())]
 
-    def without(self, name: str) -> "Table":
+    def without(self, name: str) -> "ColumnGroup":
         """Without a column, and the group that it is of."""
         groups = tuple(group for group in self.groups if name not in group.called)
         return self._replace(groups=groups, rest=tuple(column for column in self.rest if column.name != name))
 
 
-def tables(kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]) -> list[Table]:
+def tables(
+    kind: str, columns: Mapping[str, Values], units: Mapping[str, str], joints: Sequence[str]
+) -> list[ColumnGroup]:
     """Tables of a recording; ``units``: by column, of a line of units; ``joints``: of the vehicle, by their angles."""
-    apart: dict[str, list[Column]] = {}
+    apart: dict[str, list[NumberColumn]] = {}
     for name, values in columns.items():
         if not values.ndim:
             continue
@@ -86,7 +88,7 @@ def tables(kind: str, columns: Mapping[str, Values], units: Mapping[str, str], j
         )
         for own, one in _flat(name, values):
             plain = _undoubled(own, columns)
-            apart.setdefault(table, []).append(Column(own, one, names.parsed(plain or own, units.get(own, ""))))
+            apart.setdefault(table, []).append(NumberColumn(own, one, names.parsed(plain or own, units.get(own, ""))))
     return [_table(name, kind, some, joints) for name, some in apart.items() if len(some[0].values) > 1]
 
 
@@ -104,7 +106,7 @@ def _flat(name: str, values: Values) -> list[tuple[str, Values]]:
     return [(f"{name}[{k}]", values[:, k]) for k in range(values.shape[1])] if values.shape[1] <= _WIDEST else []
 
 
-def _table(name: str, kind: str, columns: list[Column], joints: Sequence[str]) -> Table:
+def _table(name: str, kind: str, columns: list[NumberColumn], joints: Sequence[str]) -> ColumnGroup:
     usable = [one for one in columns if np.isfinite(one.values).any()]
     clocks = [one for one in usable if names.is_time(one.of)]
     if kind in ("bag", "mcap", "ulog"):
@@ -127,7 +129,7 @@ def _table(name: str, kind: str, columns: list[Column], joints: Sequence[str]) -
     used = {one.name for one in clocks} | ({found.column} if found else set())
     groups, rest = _groups([one for one in usable if one.name not in used], joints)
     rest += [one for one in columns if not np.isfinite(one.values).any()]
-    return Table(name, tuple(groups), found, tuple(rest), taken, lost)
+    return ColumnGroup(name, tuple(groups), found, tuple(rest), taken, lost)
 
 
 def _goes_on(values: Values) -> bool:
@@ -144,10 +146,10 @@ def _of_motion_capture(columns: Mapping[tuple[tuple[str, ...], str], object]) ->
     return ("t",) in stems and ("r",) in stems
 
 
-def _groups(columns: list[Column], joints: Sequence[str]) -> tuple[list[Group], list[Column]]:
-    together: dict[tuple[tuple[str, ...], str], dict[str, Column]] = {}
+def _groups(columns: list[NumberColumn], joints: Sequence[str]) -> tuple[list[Group], list[NumberColumn]]:
+    together: dict[tuple[tuple[str, ...], str], dict[str, NumberColumn]] = {}
     doubts: dict[tuple[tuple[str, ...], str], str] = {}
-    rest: list[Column] = []
+    rest: list[NumberColumn] = []
     labelled = joint_names.labelled([one.of for one in columns], joints)
     for one in [one._replace(of=of) for one, of in zip(columns, labelled, strict=True)]:
         place = one.of.stem, one.of.unit
@@ -184,6 +186,6 @@ def _undoubled(name: str, known: Mapping[str, Values]) -> str:
     return numbered[1] if twice and numbered is not None else ""
 
 
-def _is_attitude(found: Mapping[str, Column]) -> bool:
+def _is_attitude(found: Mapping[str, NumberColumn]) -> bool:
     values = np.column_stack([found[label].values for label in "0123"]).astype(np.float64)
     return bool(np.nanmax(np.abs(np.linalg.norm(values, axis=1) - 1.0), initial=0.0) < _OF_ONE)

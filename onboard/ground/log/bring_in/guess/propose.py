@@ -12,7 +12,7 @@ from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
 from onboard.ground.log.bring_in.guess.clock import Clock, said
-from onboard.ground.log.bring_in.guess.groups import Group, Table, best, tables
+from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, best, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 from onboard.ground.log.bring_in.guess.wheels import WheelChannels, of_wheels
 from onboard.ground.log.bring_in.mapping import Csv
@@ -95,7 +95,7 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     return Proposal(whole, tuple(re.findall(r"^# doubtful: (.*)$", whole, re.MULTILINE)), tuple(made.names))
 
 
-def _unknown(one: Table, vehicle_joints: int, *, numbered: bool) -> str:
+def _unknown(one: ColumnGroup, vehicle_joints: int, *, numbered: bool) -> str:
     """That no column is known, what is seen of each, and what would help."""
     told = [column for column in one.rest if np.isfinite(column.values).any()]
     seen = [f"{each.name!r:.40} {np.nanmin(each.values):.4g} to {np.nanmax(each.values):.4g}" for each in told]
@@ -108,7 +108,7 @@ def _unknown(one: Table, vehicle_joints: int, *, numbered: bool) -> str:
     return f"no name or number says what its columns are ({seen_text}){helps if numbered else ''}"
 
 
-def _of(one: Table) -> str:
+def _of(one: ColumnGroup) -> str:
     return f"{one.name}: " if one.name and not one.name.isdigit() else ""
 
 
@@ -120,7 +120,7 @@ def _read(path: Path, kind: sniff.Kind, layout: sniff.Layout | None) -> Recordin
     return foreign.read(path, Csv(), kind)
 
 
-def _bad(some: Sequence[Table], ragged: int) -> str:
+def _bad(some: Sequence[ColumnGroup], ragged: int) -> str:
     """What has to be skipped, in words; "" of nothing."""
     said_of = [f"{ragged} rows have another number of cells"] if ragged else []
     for one in some:
@@ -133,7 +133,7 @@ def _bad(some: Sequence[Table], ragged: int) -> str:
     return "; ".join(said_of)
 
 
-def _time(main: Table, made: "_Maker") -> str:
+def _time(main: ColumnGroup, made: "_Maker") -> str:
     if main.clock is None:
         key = text.Key(
             f"rate_Hz = {_RATE_Hz:g}", "there is no column of times: write the rate of the samples, or column and unit"
@@ -166,7 +166,7 @@ class _Maker:
         self._taken: set[str] = set()  # kinds of which there is one
         self._imus = 0
 
-    def add(self, one: Table, main: Table) -> None:
+    def add(self, one: ColumnGroup, main: ColumnGroup) -> None:
         """What a table holds."""
         groups = [group for group in one.groups if not group.commanded]
         angles = best(groups, "angle")
@@ -204,7 +204,7 @@ class _Maker:
             self._scalars(kind, group, units.get(kind), time)
         self._rest(one, done)
 
-    def _rest(self, one: Table, done: Sequence[Group]) -> None:
+    def _rest(self, one: ColumnGroup, done: Sequence[Group]) -> None:
         for group in one.groups:
             if any(group is other for other in done):
                 continue
@@ -221,7 +221,7 @@ class _Maker:
     def _leave(self, names: Sequence[str], why: str) -> None:
         self.others += [(name, why) for name in names]
 
-    def _agreed(self, one: Table, angles: Group | None, rates: Group | None) -> dict[str, Unit]:
+    def _agreed(self, one: ColumnGroup, angles: Group | None, rates: Group | None) -> dict[str, Unit]:
         """Units of the angles, by their rates where there are any; the clock's unit with them."""
         if one.clock is None:
             return {} if angles is None else {"angle": magnitudes.of_angles(angles.values, angles.unit)}
@@ -245,7 +245,7 @@ class _Maker:
         self.clocks[one.name] = own.in_unit(best[2], own.why if "name" in own.why else _AGREED)
         return {"angle": Unit(best[0], "as the rates agree" if "name" not in unit.why else unit.why)}
 
-    def _imu(self, one: Table, groups: Sequence[Group], quaternion: Group | None, time: str) -> Iterator[Group]:
+    def _imu(self, one: ColumnGroup, groups: Sequence[Group], quaternion: Group | None, time: str) -> Iterator[Group]:
         """Gyros with the accelerometers beside them."""
         gyros = [group for group in groups if group.kind == "gyro"]
         accels = [group for group in groups if group.kind == "accel"]

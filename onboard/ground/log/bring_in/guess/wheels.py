@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.ground.log.bring_in.guess import magnitudes, text
-from onboard.ground.log.bring_in.guess.groups import Column
+from onboard.ground.log.bring_in.guess.groups import NumberColumn
 from onboard.ground.log.bring_in.text_rows import Values
 
 _WHEELS = {"wheel", "wheels", "rw", "flywheel", "rotor", "rotors"}
@@ -29,7 +29,9 @@ class WheelChannels(NamedTuple):
     held: str = ""
 
 
-def of_wheels(columns: Sequence[Column], wanted: WheelChannels, time: str) -> Iterator[tuple[str, Column, str]]:
+def of_wheels(
+    columns: Sequence[NumberColumn], wanted: WheelChannels, time: str
+) -> Iterator[tuple[str, NumberColumn, str]]:
     """Channel, column and table of the mapping of each that is found.
 
     Wheels are columns that are called like them, but for words such as speed; or as many columns as there are, x, y, z
@@ -60,7 +62,7 @@ def _taken(values: Values) -> float | None:
     return float(good[0]) if np.count_nonzero(steps) == 1 and steps.max() == 1.0 else None
 
 
-def _wheels(columns: Sequence[Column], wheels: Sequence[str]) -> dict[str, Column]:
+def _wheels(columns: Sequence[NumberColumn], wheels: Sequence[str]) -> dict[str, NumberColumn]:
     by_name = {_called(one): one for one in reversed(columns)}
     own = {name: by_name[_plain(name)] for name in wheels if _plain(name) in by_name}
     if len(own) == len(wheels):
@@ -72,7 +74,7 @@ def _wheels(columns: Sequence[Column], wheels: Sequence[str]) -> dict[str, Colum
     return {}
 
 
-def _called(one: Column) -> str:
+def _called(one: NumberColumn) -> str:
     return "".join((*(word for word in one.of.stem if word not in _SPEEDS), one.of.label))
 
 
