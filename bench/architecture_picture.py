@@ -25,7 +25,7 @@ STEPS: Final = (  # of one sample: module, what it hands on
     ("drivers.device", "a record: counts, tick, arrival"),
     ("onboard.ring", "rows in shared memory"),
     ("onboard.timebase", "vehicle time and its sigma"),
-    ("onboard.flight.estimate.readings.signals", "smoothed signals at even ticks"),
+    ("onboard.flight.estimate", "smoothed signals at even ticks"),
     ("onboard.regressor.rows", "rows y = Y chi"),
     ("onboard.identification", "estimate, interval, level"),
     ("onboard.recording.recorder", "log: raw rows and answers"),
