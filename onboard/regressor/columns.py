@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.kinematics import Chain, cross
 from onboard.dynamics.model.errors import UrdfError
-from onboard.dynamics.model.inertia import parameters_of, pseudo_inertia
+from onboard.dynamics.model.inertia import moved_to
 from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
 from onboard.dynamics.spatial import crf, force_transforms, own_inertias, times
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
@@ -90,8 +90,7 @@ def body_parameters(vehicle: VehicleModel) -> FloatArray:
     for link, name in enumerate(vehicle.links):
         frame = model.frames[vehicle.frame_id(name)]
         pose, first = frame.placement.homogeneous, 10 * (int(frame.parentJoint) - 1)
-        for k, unit in enumerate(np.eye(10)):
-            out[first : first + 10, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
+        out[first : first + 10, 10 * link : 10 * link + 10] = moved_to(pose)
     return out
 
 

@@ -12,7 +12,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
-_TENSOR = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # XX XY YY XZ YZ ZZ
+_ROWS, _COLUMNS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # XX XY YY XZ YZ ZZ
 
 
 class RigidBody(NamedTuple):
@@ -30,8 +30,8 @@ def symmetric(elements: FloatArray) -> FloatArray:
 
 
 def elements(tensor: FloatArray) -> FloatArray:
-    """A symmetric tensor, (3, 3), as ``XX XY YY XZ YZ ZZ``, (6,): the inverse of :func:`symmetric`."""
-    return np.array([tensor[i, j] for i, j in _TENSOR], np.float64)
+    """Symmetric tensors, (..., 3, 3), as ``XX XY YY XZ YZ ZZ``, (..., 6): the inverse of :func:`symmetric`."""
+    return np.asarray(tensor[..., _ROWS, _COLUMNS], np.float64)
 
 
 def parallel_axis(mass_kg: float, offset_m: FloatArray) -> FloatArray:
@@ -77,10 +77,7 @@ def composite_functional(vehicle: VehicleModel) -> FloatArray:
     functional = np.zeros((10, vehicle.chi.size))
     for link, name in enumerate(vehicle.links):
         pose = data.oMf[vehicle.frame_id(name)].homogeneous
-        for k in range(10):
-            unit = np.zeros(10)
-            unit[k] = 1.0
-            functional[:, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
+        functional[:, 10 * link : 10 * link + 10] = moved_to(pose)
     return functional
 
 
@@ -98,6 +95,15 @@ def pseudo_inertia(chi: FloatArray) -> FloatArray:
 
 
 def parameters_of(P: FloatArray) -> FloatArray:
-    """The ten standard parameters of a pseudo-inertia, (4, 4): the inverse of :func:`pseudo_inertia`."""
-    inertia = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-    return np.concatenate([[P[3, 3]], P[:3, 3], elements(inertia)])
+    """The ten standard parameters, (..., 10), of pseudo-inertias, (..., 4, 4): inverse of :func:`pseudo_inertia`."""
+    Sigma = P[..., :3, :3]
+    inertia = np.trace(Sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - Sigma
+    return np.concatenate([P[..., 3:, 3], P[..., :3, 3], elements(inertia)], axis=-1)
+
+
+_UNITS = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
+
+
+def moved_to(pose: FloatArray) -> FloatArray:
+    """Map of a body's ten parameters from one frame to another, (10, 10), by its pose there, (4, 4): ``T P T'``."""
+    return parameters_of(pose @ _UNITS @ pose.T).T
