@@ -17,7 +17,6 @@ is told where two levers are long; else both are as likely, and the mixture is o
 cannot be seen.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.linalg import lapack
-from scipy.spatial.transform import Rotation
 from scipy.special import stdtr
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.calibration.rotations import hat, hats, rotation_vector, turn
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import FARTHEST_SIZE, READING
 
@@ -49,6 +48,7 @@ _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of 
 _ROUNDS = 25
 _CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
 _FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer than transducers resolve
+_LEVEL = [np.delete(np.eye(3), axis, axis=1) for axis in range(3)]
 _LOCAL = 9  # poses about one, whose median is the zero there
 
 
@@ -90,10 +90,11 @@ class State(NamedTuple):
     @property
     def levers(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """1 + S + X of forces and of moments, X' of forces and of moments, (3, 3) each."""
-        own = np.diag(1.0 + self.scales[:3]), np.diag(1.0 + self.scales[3:])
-        for k in range(2):
-            own[k].flat[_OFF] = self.cross[6 * k : 6 * k + 6]
-        return (*own, self.cross[12:21].reshape(3, 3), self.cross[21:].reshape(3, 3))
+        own = np.empty((2, 9))
+        own[:, ::4], own[:, _OFF] = 1.0 + self.scales.reshape(2, 3), self.cross[:12].reshape(2, 6)
+        force, moment = own.reshape(2, 3, 3)
+        of_moments, of_forces = self.cross[12:].reshape(2, 3, 3)
+        return force, moment, of_moments, of_forces
 
     @property
     def sensitivity(self) -> FloatArray:
@@ -312,27 +313,6 @@ def _linearised(R: FloatArray, state: State, prior: Priors) -> tuple[FloatArray,
     return d @ A.T, J
 
 
-def hat(v: FloatArray) -> FloatArray:
-    """(3, 3): ``hat(v) w = v x w``."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def hats(v: FloatArray) -> FloatArray:
-    """The same of many, (n, 3, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - out.transpose(0, 2, 1)
-
-
-def _turn(v: FloatArray) -> FloatArray:
-    """The matrix of a rotation vector, (3, 3) (Rodrigues)."""
-    angle, K = math.hypot(*v), hat(v)
-    if not angle:
-        return np.eye(3)
-    return np.eye(3) + math.sin(angle) / angle * K + 2.0 * (math.sin(0.5 * angle) / angle) ** 2 * (K @ K)
-
-
 def coefficients(values: FloatArray) -> FloatArray:
     """Of the cosine transform over the poses (n, ...), without the constant, (n - 1, ...)."""
     return np.asarray(dct(values, axis=0, norm="ortho")[1:], np.float64)
@@ -346,13 +326,12 @@ def _in_frame(R: FloatArray, state: State, prior: Priors) -> FloatArray:
 
 def _tilted(state: State, level: FloatArray) -> FloatArray:
     """The turn of the base by its tilt about two axes (3, 2), (3, 3)."""
-    return _turn(level @ state.tilt)
+    return turn(level @ state.tilt)
 
 
 def _level(gravity: FloatArray) -> FloatArray:
     """The two axes that a base tilts about, (3, 2): not the one nearest to gravity."""
-    along = int(np.abs(gravity).argmax())
-    return np.eye(3)[:, [axis for axis in range(3) if axis != along]]
+    return _LEVEL[int(np.abs(gravity).argmax())]
 
 
 def _medians(values: FloatArray) -> FloatArray:
@@ -390,13 +369,13 @@ def prior_sigmas(wrench: FloatArray, prior: Priors, cross: float) -> FloatArray:
 
 def _values(state: State) -> FloatArray:
     """The unknowns, (45,); of the mounting the rotation vector."""
-    turn = Rotation.from_matrix(state.mounting, assume_valid=True).as_rotvec()
-    return np.concatenate([[state.mass], state.first_moment, turn, state.tilt, state.scales, state.cross])
+    mounting = rotation_vector(state.mounting)
+    return np.concatenate([[state.mass], state.first_moment, mounting, state.tilt, state.scales, state.cross])
 
 
 def moved(state: State, step: FloatArray) -> State:
     """A state after a step of the unknowns, (45,)."""
-    M = _turn(step[MOUNTING]) @ state.mounting
+    M = turn(step[MOUNTING]) @ state.mounting
     own = state.first_moment + step[FIRST_MOMENT], M, state.tilt + step[TILT], state.scales + step[SCALES]
     return State(float(state.mass + step[0]), *own, state.cross + step[CROSS])
 
@@ -414,15 +393,17 @@ def variances(noise: Noise, n: int) -> FloatArray:
 def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: State, noise: Noise) -> PoseFit:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
+    information = sigmas**-2.0
     own, turned, read = 1.0 / np.sqrt(spread), coefficients(R), coefficients(wrench)
     for _ in range(_ROUNDS):
         made, J = _linearised(turned, state, prior)
         r = (read - made) * own
         A = (J * own[..., None]).reshape(-1, UNKNOWNS)
-        H = A.T @ A + np.diag(sigmas**-2.0)
-        unit = 1.0 / np.sqrt(np.diag(H))  # of very different units
-        U = np.linalg.cholesky(H * np.outer(unit, unit)).T
-        whitened, _ = lapack.dtrtrs(U, unit * (A.T @ r.ravel() - _values(state) / sigmas**2), trans=1)
+        H = A.T @ A
+        H.flat[:: UNKNOWNS + 1] += information
+        unit = 1.0 / np.sqrt(H.diagonal())  # of very different units
+        U = np.linalg.cholesky(H * unit * unit[:, None]).T
+        whitened, _ = lapack.dtrtrs(U, unit * (A.T @ r.ravel() - _values(state) * information), trans=1)
         state = moved(state, unit * lapack.dtrtrs(U, whitened)[0])
         if np.abs(whitened).max() < _CLOSE:
             break
@@ -452,7 +433,7 @@ def _walks(one: PoseFit, own: FloatArray) -> tuple[FloatArray, FloatArray, Float
     """
     n = len(one.residual)
     squares = coefficients(one.residual) ** 2
-    squares = squares + np.einsum("jap,pq,jaq->ja", own, one.covariance, own, optimize=True)
+    squares = squares + ((own @ one.covariance) * own).sum(axis=-1)
     pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
     inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)
     count = n - 1 + _POOLED

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration.rotations import hat
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
@@ -287,7 +288,7 @@ def _axes(
             alone = _plain(poses, prior, one, (k,))
             gradient = np.zeros(wrist.UNKNOWNS)
             gradient[[0, 9 + k]] = 1.0 + one.state.scales[k], one.state.mass
-            gradient[27 + 3 * k : 30 + 3 * k] = wrist.hat(one.state.first_moment)[:, k] / wrist.REACH_m
+            gradient[27 + 3 * k : 30 + 3 * k] = hat(one.state.first_moment)[:, k] / wrist.REACH_m
             own = float(np.sqrt(gradient @ one.covariance @ gradient))
             mass = float(one.state.sensitivity[k, k]), own
         yield Axis(
