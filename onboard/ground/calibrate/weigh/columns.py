@@ -13,7 +13,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
-from onboard.ground.calibrate.weigh.table import Table
+from onboard.ground.calibrate.weigh.table import Table, by_rows, off
 
 FORCE_UNITS = {
     **{"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "un": 1e-6},
@@ -54,6 +54,7 @@ _LISTED = (
     *(("(?:force|f)", "f"), ("(?:torque|moment|m|t|tau)", "m"), ("(?:rotvec|rotationvector|axisangle)", "rotvec")),
     *(("(?:rpy|euler|eulerangles)", "rpy"), ("(?:orientation|ori|rot(?:ation)?)", "r")),
 )
+_COMPENSATED = re.compile(r"(?i)(?<![a-eg-z])ext(?![a-z])|tcp_?force")  # F_ext of Franka, actual_TCP_force of a UR
 _NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
     (
         r"(?:.*\.)?(?:wrench|force|ft|f\.ext(?:\.hat)?\.k)(?:\.(?:sensor|raw|data))?",
@@ -161,7 +162,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
         kind, at = _orientation(table, columns, {*force, *moment})
     values = table.values[:, at]
     if kind == "homogeneous":
-        kind, values = "matrix", _turned(values)
+        kind, values = "matrix", by_rows(values)
     if kind not in ("quaternion", "quaternion?", "matrix", "up"):
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
@@ -234,7 +235,7 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
         if kind == "matrix":
             sixteen = tuple(f"{row}{column}" for row in range(4) for column in range(4))
             at = _vector(table, columns, [r"(?:.*\.)?t([0-3][0-3])"], sixteen, tuple(taken))
-            if at is not None and len(_turned(table.values[:, at])):
+            if at is not None and len(by_rows(table.values[:, at])):
                 return "homogeneous", at
             for first in "10":
                 wanted = tuple(f"{int(first) + i}{int(first) + j}" for i in range(3) for j in range(3))
@@ -308,6 +309,16 @@ def _scaled(
                 f"give {option}, one of {', '.join(table_of)}, or how many {usual} one is, 1e-6 for instance"
             )
         factors.append(table_of[unit or usual])
+    six = table.values[:, [*force, *moment]]
+    if not known and not units.force and (np.isnan(six) | (six == np.rint(six))).all():
+        raise PosesError(
+            f"{table.label}: forces and moments are whole numbers without a unit, as counts are: say with --force-unit "
+            "and --moment-unit how many N and N m one is, 1e-6 for instance (or N, Nm)"
+        )
+    if any(_COMPENSATED.search(table.names[k]) for k in force if table.names):
+        said.append(
+            "such forces are without the payload that the controller was told: set it to 0, or add it to this one"
+        )
     if not known:
         said.append("no unit is named: forces are taken as N, moments as N m")
     wrench = np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
@@ -339,12 +350,12 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
         (first, size)
         for size in (16, 12)
         for first in range(width - size - 5)
-        if len(_turned(values[:, first : first + size]))
+        if len(by_rows(values[:, first : first + size]))
     ]
     for first in range(0 if blocks else width - 9):
         if _of_unit_length(values[:, first : first + 4]):
             kinds.append(("quaternion?", first, 4))
-        if first + 15 <= width and np.nanmedian(_off(values[:, first : first + 9].reshape(-1, 3, 3))) < 1e-2:
+        if first + 15 <= width and np.nanmedian(off(values[:, first : first + 9].reshape(-1, 3, 3))) < 1e-2:
             kinds.append(("matrix", first, 9))
     if orientation and orientation not in ("xyzw", "wxyz", "matrix"):  # three angles before the wrench, as is said
         kinds = [("angles", width - 9, 3)]
@@ -361,25 +372,10 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     wrench, named = _scaled(table, names, last[:3], last[3:], units, said)
     found = values[:, first : first + count]
     if blocks and kind == "matrix":
-        found = _turned(found)
+        found = by_rows(found)
     if kind in ("angles", "joints"):
         found = found * _angle(found, [], units.angle, said)
     return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
-
-
-def _turned(values: FloatArray) -> FloatArray:
-    """Rotation matrices by rows, (n, 9), of homogeneous ones (n, 12 or 16) by rows or columns; else (0, 9)."""
-    whole = values.reshape(len(values), -1, 4)
-    for T in (whole, whole.transpose(0, 2, 1)) if whole.shape[1] == 4 else (whole,):
-        R, last = T[:, :3, :3], T[:, 3:] - [0.0, 0.0, 0.0, 1.0]
-        if np.nanmax(np.abs(last), initial=0.0) < 1e-9 and np.nanmedian(_off(R)) < 1e-2:
-            return R.reshape(-1, 9)
-    return np.empty((0, 9))
-
-
-def _off(R: FloatArray) -> FloatArray:
-    """How far matrices (n, 3, 3) are from rotations, (n,)."""
-    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)), np.float64)
 
 
 def _remedy(width: int, quaternion: bool) -> str:

@@ -82,9 +82,17 @@ def judge_live(answer: Answer, frame: str) -> Judged:
 
 def _findings(answer: Answer) -> Findings:
     against, doubts = [], []
-    for axis in answer.axes:
-        if axis.frozen:
-            against.append(f"{axis.name} reads the same in poses that differ: it is stuck, or another column is meant")
+    against += [
+        f"{axis.name} reads the same in poses that differ: it is stuck, or another column is meant"
+        for axis in answer.axes
+        if axis.frozen
+    ]
+    if answer.changed is not None and not against:
+        row, body = answer.changed
+        against.append(
+            f"from row {row + 1} on another body is held, of {body.after_kg:.4g} kg after {body.before_kg:.4g} kg, "
+            f"{times_text(body.nats)} times likelier than one: weigh each part of the table by itself"
+        )
     if answer.wrong is not None and not against:
         against.append(f"{answer.wrong.what}: so the readings agree, {times_text(answer.wrong.nats)} times likelier")
     mass, *centre = answer.quantities[:4]

@@ -126,8 +126,22 @@ def _one(path: Path) -> Table:
 def _are_matrices(T: FloatArray) -> bool:
     """Rotations (n, 3, 3), or homogeneous matrices (n, 4, 4)."""
     R, last = T[:, :3, :3], T[:, 3:]
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    return bool(np.nanmedian(off) < _ROTATION and (last == [0.0, 0.0, 0.0, 1.0][: T.shape[2]]).all())
+    return bool(np.nanmedian(off(R)) < _ROTATION and (last == [0.0, 0.0, 0.0, 1.0][: T.shape[2]]).all())
+
+
+def by_rows(values: FloatArray) -> FloatArray:
+    """Rotation matrices by rows, (n, 9), of homogeneous ones (n, 12 or 16) by rows or columns; else (0, 9)."""
+    whole = values.reshape(len(values), -1, 4)
+    for T in (whole, whole.transpose(0, 2, 1)) if whole.shape[1] == 4 else (whole,):
+        R, last = T[:, :3, :3], T[:, 3:] - [0.0, 0.0, 0.0, 1.0]
+        if np.nanmax(np.abs(last), initial=0.0) < 1e-9 and np.nanmedian(off(R)) < _ROTATION:
+            return R.reshape(-1, 9)
+    return np.empty((0, 9))
+
+
+def off(R: FloatArray) -> FloatArray:
+    """How far matrices (n, 3, 3) are from rotations, (n,)."""
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)), np.float64)
 
 
 def _text(path: Path, raw: bytes) -> str:

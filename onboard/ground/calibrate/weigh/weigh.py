@@ -13,6 +13,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration import wrist
 from onboard.estimation.calibration.rotations import hat
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
+from onboard.ground.calibrate.weigh.changed import Change, change
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -68,6 +69,13 @@ class Wrong(NamedTuple):
     nats: float  # of evidence over the axes as they are
 
 
+class Changed(NamedTuple):
+    """Another body in some poses."""
+
+    row: int  # of the table, counted from 0, that is the first with it
+    body: Change
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a table tells, before it is judged."""
@@ -85,6 +93,7 @@ class Answer:
     count: Mapping[str, int]  # rows: all, bad, moving; poses
     others: tuple[tuple[Any, float], ...]  # conventions and their evidence less that of the chosen one, nats
     wrong: Wrong | None
+    changed: Changed | None
     held_out: HeldOut | None
     left_over: HeldOutFit  # of all readings, zeros apart
     moments_named: bool
@@ -112,6 +121,8 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     said_down, known = known.down is not None, known._replace(down=poses.convention.down)
     prior, groups = known.prior, count.pop("groups")
     others = tuple((other.convention, one.evidence - first.evidence) for other, one, _ in found)
+    tell("whether it is one body")
+    changed = change(poses, prior, wrist.fit(poses.R, poses.wrench, prior))
     tell("rows that contradict the others")
     out = wrist.outliers(poses.R, poses.wrench, prior)
     if (~out).sum() < max(4, len(out) // 2):
@@ -140,6 +151,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
         count,
         others,
         wrong,
+        changed and Changed(int(groups[changed.at][0]), changed),
         _held_out(poses, prior, weighing.best),
         _left_over(poses, prior, weighing.best.noise, weighing.best.state),
         meaning.moments_named,

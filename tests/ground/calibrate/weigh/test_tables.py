@@ -137,6 +137,22 @@ def test_a_line_of_units_below_the_names(one, tmp_path):
     assert columns.understood(table.read([path]), columns.Units()).kind == "angles?"
 
 
+def test_counts_and_readings_that_the_controller_has_compensated(one, tmp_path, capsys):
+    rows = np.hstack([one.rows[:, :4], np.rint(1e3 * one.wrench)])
+    assert weighed(tmp_path, rows)[0] == BAD_INPUT
+    assert "are whole numbers without a unit" in " ".join(capsys.readouterr().err.split())
+    code, answer = weighed(tmp_path, rows, "--force-unit", "1e-3", "--moment-unit", "1e-3")
+    assert code == OK
+    assert all(holds(answer, one.true).values())
+    for names, said in (
+        ((f"actual_TCP_force_{k}" for k in range(6)), True),
+        ((f"wrench_{k}" for k in range(6)), False),
+    ):
+        read = table.Table((*HEADER[:4], *names), one.rows, tuple(range(len(one.rows))), "poses.csv")
+        told = " ".join(columns.understood(read, columns.Units()).said)
+        assert ("without the payload that the controller was told" in told) == said
+
+
 def test_a_quaternion_that_is_none_is_said(one, tmp_path, capsys):
     assert weighed(tmp_path, one.rows * ([2.0] * 4 + [1.0] * 6))[0] == BAD_INPUT
     assert "or a quaternion or matrix that is no rotation" in " ".join(capsys.readouterr().err.split())

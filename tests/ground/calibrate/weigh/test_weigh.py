@@ -104,6 +104,26 @@ def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, fact
     assert ("--force-unit" in answer["verdict"]["text"]) == (level == "do not use")
 
 
+@pytest.mark.usefixtures("axes_as_they_are")
+def test_a_payload_that_is_gripped_between_poses(tmp_path):
+    """A tenth more from some pose on is named with its row; zeros taken off again, or contacts, are no body."""
+    one = record(8)
+    weight = one.true.mass_kg * (one.true.mounting @ one.R.transpose(0, 2, 1) @ [0.0, 0.0, -GRAVITY])
+    more = 0.1 * np.hstack([weight, np.cross(one.true.centre_m, weight)])
+    knocked = np.zeros_like(more)
+    knocked[[3, 11, 19], :3] = np.random.default_rng(1).normal(size=(3, 3)) * 5.0
+    held = np.arange(len(more))[:, None] >= 11
+    for added, body in ((more * held, True), (-one.wrench[11] * held, False), (knocked, False), (0.0, False)):
+        answer = weighed(tmp_path, np.hstack([one.rows[:, :4], one.wrench + added]))[1]
+        said = re.search(
+            r"from row 12 on another body is held, of ([\d.]+) kg after ([\d.]+) kg", answer["verdict"]["text"]
+        )
+        assert (said is not None) == body
+        assert (answer["verdict"]["level"] == "do not use") == body
+        if said:
+            assert float(said[1]) / float(said[2]) == pytest.approx(1.1, abs=0.02)
+
+
 def spoilt(wrench, what):
     out = wrench.copy()
     match what:

@@ -18,6 +18,7 @@ _LONGEST_STEP = 20.0  # median steps: where a counter starts again, it has gone 
 _FEWEST_KNOWN = 0.5  # of the cells, that have to be times
 _MOST_STARTS = 9  # of recordings in one file; where times fall more often they are mixed
 _MOST_LEFT_OUT = 0.1  # of the rows, so that times rise
+_MOST_REPEATED = 0.5  # of the rows: written twice, or by a clock of the logger that is slower than the samples
 
 
 class Clock(NamedTuple):
@@ -77,7 +78,10 @@ def clock(column: str, values: Values, named: str) -> Clock | None:
     if len(known) < max(3, _FEWEST_KNOWN * len(number)):
         return None
     kept = known[rising(values[known])] if values.dtype.kind in "iu" else known[rising(number[known])]
-    if len(known) - len(kept) > _MOST_LEFT_OUT * len(known) or len(kept) < 3:
+    repeated = int((np.diff(number[known]) == 0.0).sum())
+    if len(known) - len(kept) - repeated > _MOST_LEFT_OUT * len(known) or len(kept) < 3:
+        return None
+    if repeated > _MOST_REPEATED * len(known):
         return None
     left_out = len(number) - len(kept)
     offset = float(np.ceil(max(0.0, -number[kept[0]])))
@@ -103,6 +107,12 @@ def refused(column: str, values: Values) -> str:
     if len(back) and len(back) <= _MOST_STARTS:
         rows = ", ".join(str(one + 2) for one in back.tolist())
         return f"{column!r} starts again in row {rows}: cut the recordings apart, and import one after the other"
+    if not len(back):
+        count = int((np.diff(number) == 0.0).sum())
+        return (
+            f"{column!r} is a time by its name and stands still in {count} of {len(number)} rows: it is coarser "
+            "than the samples; delete the column, and the rate is asked for in its place"
+        )
     return f"{column!r} is a time by its name and does not rise: sort the recording"
 
 

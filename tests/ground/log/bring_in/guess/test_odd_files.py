@@ -187,6 +187,19 @@ def test_times_out_of_order_are_no_even_samples(tmp_path, capsys):
     assert "'time' is a time by its name and does not rise: sort the recording" in capsys.readouterr().err
 
 
+def test_rows_that_are_written_twice(tmp_path, capsys):
+    """One in seven: they are left out. Times in whole seconds are coarser than the samples."""
+    twice = np.sort(np.concatenate([np.arange(COUNT), np.arange(0, COUNT, 7)]))
+    path = made.text(tmp_path / "a.csv", IMU_NAMES, [one[twice] for one in imu_columns(body())])
+    log, found, _ = brought_in(path)
+    assert f"{len(twice) - COUNT} rows have a time that does not rise" in found.text
+    held_imu(log, body(), "imu_base")
+    columns = imu_columns(body())
+    made.text(path, IMU_NAMES, [np.floor(columns[0]), *columns[1:]])
+    assert main(["import", "--guess", str(path)]) == BAD_INPUT
+    assert "it is coarser than the samples" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(("unit", "modulus"), [("us", 1 << 32), ("ms", 1 << 16), ("us", 1 << 24)])
 def test_a_counter_that_starts_at_0_again_goes_on(tmp_path, unit, modulus):
     """Of a microcontroller, 0.9 s before its end as the recording begins."""
