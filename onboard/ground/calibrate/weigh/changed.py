@@ -32,7 +32,7 @@ class Change(NamedTuple):
     nats: float
 
 
-def change(poses: Poses, prior: wrist.Prior, whole: wrist.Fit) -> Change | None:
+def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> Change | None:
     """The likeliest change of the body; None where none is likely.
 
     Args:
@@ -61,7 +61,7 @@ def change(poses: Poses, prior: wrist.Prior, whole: wrist.Fit) -> Change | None:
     return Change(at, float(values[0][0]), float(values[1][0]), nats) if nats > -np.log(ODDS / len(instants)) else None
 
 
-def _left(poses: Poses, prior: wrist.Prior, part: slice) -> FloatArray:
+def _left(poses: Poses, prior: wrist.Priors, part: slice) -> FloatArray:
     R, wrench = poses.R[part], poses.wrench[part]
     left = wrench - wrist.predicted(R, wrist.begun(R, wrench, prior), prior)
     return np.asarray(left - left.mean(axis=0), np.float64)
