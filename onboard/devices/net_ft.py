@@ -30,6 +30,11 @@ class NetFtDevice(StreamedDevice, ComponentDevice):
         "arrivals; `latency_ms` and half of `poll_period_ms` are taken off. All components have the same times."
     )
     answering: ClassVar[Answering | None] = staticmethod(answering)
+    new_bus = "box"
+    new_keys: ClassVar[str] = """rate_hz = 1000                 # these three: as on its configuration page
+counts_per_N = 1e6
+counts_per_N_m = 1e6
+"""
     kind: Literal["net_ft"]
     rate_hz: Positive = NetFtConfig.rate_hz
     poll_period_ms: PollPeriod = NetFtConfig.poll_period_ms

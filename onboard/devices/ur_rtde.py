@@ -102,6 +102,8 @@ torque_scale_sigma = 0.1       # yours: of that, relative
 class UrWrenchDevice(UrOutputs, ComponentDevice):
     """A component of an e-Series' wrist sensor, `ft_raw_wrench`, in the axes of the flange: nothing is taken off it."""
 
+    new_bus = "robot"
+    new_keys = "rate_hz = 125                  # as of the joints\n"
     kind: Literal["ur_wrench"]
 
     def outputs(self, name: str) -> Sequence[RtdeChannel]:

@@ -9,16 +9,19 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from onboard.devices.base import BusDevice, JointDevice, LoadCellDevice
+from onboard.devices.buses import ComponentDevice
 from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
-CAN, GPIO, ROBOT = "can_0", "sync_line", "robot"
+CAN, GPIO, ROBOT, BOX = "can_0", "sync_line", "robot", "box"
+COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")  # of a wrist sensor, each a device
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
 URLS = {
     CAN: "can+socketcan://can0?bitrate=500000",
     GPIO: "gpio:///dev/gpiochip0?line=17",
     ROBOT: "tcp://192.168.56.101:30004",
+    BOX: "udp://192.168.1.1:49152",
 }
 
 
@@ -162,13 +165,42 @@ OF_LARGEST = OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears o
 
 
 def load_cell(kind: str, node: int, frame: str) -> NewDevice:
-    """A load cell that feels the moment about z of ``frame``."""
+    """A load cell that feels the moment about z of ``frame``, or component ``node`` of a wrist sensor in its axes."""
     if kind == RECORDED:
         text = f'\n[device.load_cell]\nkind = "recorded_load_cell"\nperiod_ms = 5\n{_felt(frame)}'
         return NewDevice(text + LoadCellDevice.new_delay, "")
+    if issubclass(_model(kind), ComponentDevice):
+        return _component(kind, node, frame)
     made = _table("load_cell", kind, node, "")
     delay = getattr(_model(kind), "new_delay", "")
     return made._replace(text=made.text + _felt(frame) + delay)
+
+
+def cells(kind: str) -> tuple[str, ...]:
+    """Names of the devices that are a load cell: a wrist sensor is six."""
+    wrist = kind in DEVICES and issubclass(_model(kind), ComponentDevice)
+    return COMPONENTS if wrist else ("load_cell",) if kind != "none" else ()
+
+
+def load_cells(kind: str, node: int, frame: str) -> list[NewDevice]:
+    """All of them."""
+    names = cells(kind)
+    numbers = range(1, len(names) + 1) if len(names) > 1 else [node] * len(names)
+    return [load_cell(kind, number, frame) for number in numbers]
+
+
+def _component(kind: str, number: int, frame: str) -> NewDevice:
+    made = _table(COMPONENTS[number - 1], kind, number, f"component = {number}\n")
+    axis = [float(place == (number - 1) % 3) for place in range(3)]
+    measures, unit, capacity, noise = ("force", "N", 50.0, 0.1) if number < 4 else ("moment", "N m", 10.0, 0.005)
+    keys = f"""frame = "{frame}"            # yours: whose axes are the sensor's; it feels what lies beyond
+axis = {axis}
+measures = "{measures}"
+capacity_N = {capacity:<18}# {unit}: range of its data sheet, yours
+scale_sigma = 0.01             # behind a known weight
+noise_N = {noise:<21}# {unit}, one sample at rest: yours
+"""
+    return made._replace(text=made.text + keys + LoadCellDevice.new_delay)
 
 
 def _felt(frame: str) -> str:

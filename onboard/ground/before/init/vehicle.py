@@ -169,8 +169,7 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None
         chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, smoothed=smoothed, gain_N_m_A=gain))
-    if wanted.load_cell != "none":
-        chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
+    chosen += devices.load_cells(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1])
     if any(device.bus == devices.CAN for device in chosen):
         chosen.append(devices.SYNC)
     return [*chosen, devices.PULSE] if wanted.pulse and not wanted.recorded else chosen
@@ -252,7 +251,8 @@ delay_s = 1e-4
     first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
     sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
-    own |= _torque_sigmas(wanted, devices.IN_GRAVITY) if wanted.by_torque else {"bias_load_cell": 5.0}
+    zeros = {f"bias_{cell}": 5.0 for cell in devices.cells(wanted.load_cell)}
+    own |= _torque_sigmas(wanted, devices.IN_GRAVITY) if wanted.by_torque else zeros
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
     known, about = _TAKEN_OVER if wanted.recorded and wanted.drawn is not None else _DRAWN
     drawn = "".join(f"{json.dumps(link)} = {known}\n" for link in wanted.links)

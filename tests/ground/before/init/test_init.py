@@ -35,6 +35,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
         alone = encoder == "recorded" and cell == "none" and needs_cell
         torques = 2 if (encoder in ("cia402", "dynamixel", "ur_joint") and wanted_torques) or alone else 0
+        cells = 6 if cell in ("net_ft", "ur_wrench") else int(cell != "none")
         given = {encoder, *({imu, cell} - {"none"})}
         mixed = "recorded" in given and len(given) > 1
         if mixed or (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
@@ -48,12 +49,12 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         build_online(vehicle)
         roles = roles_of(vehicle)
         assert [joint.joint for joint in roles.joints] == ["shoulder", "elbow"]
-        assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques + (cell != "none"))
+        assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques + cells)
         assert (vehicle.file.estimation.imu_prior.accelerometer_bias_m_s2 > 0.0) == (imu != "none")
         schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
         schema.validate(tomllib.loads(vehicle.text))
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
-    assert refused == {"free": 118, "planar": 118, "prescribed": 127, "fixed": 98}[base]
+    assert refused == {"free": 152, "planar": 152, "prescribed": 161, "fixed": 120}[base]
 
 
 def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
@@ -143,6 +144,19 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
     assert cli.main(["init", str(tmp_path / "new"), *arguments]) == cli.BAD_INPUT
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("cell", "bus"), [("net_ft", "box"), ("ur_wrench", "robot")])
+def test_a_wrist_sensor_is_six_devices_each_along_its_own_axis(cell: str, bus: str, tmp_path: Path) -> None:
+    make(NewVehicle("it", "fixed", ("a", "b"), "none", "ur_joint", cell), tmp_path)
+    vehicle = config.load(tmp_path / "vehicle.toml")
+    cells = {one.name: one.keys for one in roles_of(vehicle).cells}
+    assert [(name, keys.measures, keys.axis.index(1.0)) for name, keys in cells.items()] == [  # type: ignore[union-attr]
+        *(("fx", "force", 0), ("fy", "force", 1), ("fz", "force", 2)),
+        *(("mx", "moment", 0), ("my", "moment", 1), ("mz", "moment", 2)),
+    ]
+    assert {vehicle.file.device[name].bus for name in cells} == {bus}  # type: ignore[attr-defined]
+    assert {f"bias_{name}" for name in cells} <= vehicle.file.estimation.prior.absolute.keys()
 
 
 def test_a_vehicle_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
