@@ -24,6 +24,16 @@ class Standing(NamedTuple):
     level: Level
     why: str = ""
 
+    def after(self, found: Findings) -> "Standing":
+        """With what was found of all quantities; what a good one leans on is not said of a weak one."""
+        if found.against:
+            return Standing(Level.DO_NOT_USE, "; ".join(found.against))
+        if found.doubts and self.level is not Level.DO_NOT_USE:
+            return Standing(Level.WEAK, "; ".join([*([self.why] if self.level is Level.WEAK else []), *found.doubts]))
+        if found.widened and self.level is Level.GOOD:
+            return Standing(Level.GOOD, "; ".join([*([self.why] if self.why else []), *found.widened]))
+        return self
+
     @property
     def text(self) -> str:
         """``weak: its interval contains zero``."""
@@ -37,19 +47,15 @@ def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None =
     or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero, or is
     too wide for its ``size``; a finding weakens it. The text of a good one says which calibrations it leans on.
     """
-    if findings.against:
-        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
     if not quantity.supported:
-        return Standing(Level.WEAK, quantity.note)
+        return Standing(Level.WEAK, quantity.note).after(Findings(findings.against))
     reasons = []
     if is_positive(quantity.name, quantity.unit):
         if quantity.high <= 0.0:
-            return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
+            return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units").after(findings)
         if quantity.low <= 0.0:
             reasons.append("its interval contains zero")
     if not reasons and (wide := too_wide(quantity, size)):
         reasons.append(wide)
-    reasons += findings.doubts
-    if reasons:
-        return Standing(Level.WEAK, "; ".join(reasons))
-    return Standing(Level.GOOD, "; ".join([*([quantity.leans] if quantity.leans else []), *findings.widened]))
+    own = Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD, quantity.leans)
+    return own.after(findings)

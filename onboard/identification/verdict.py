@@ -76,28 +76,36 @@ def verdict(evidence: Evidence) -> Verdict:
     if evidence.failure:
         return Verdict(Level.DO_NOT_USE, (evidence.failure, *evidence.findings.widened), tuple(evidence.asked))
     weak = tuple(name for name, determined in evidence.asked.items() if not determined)
-    bad = [*_contradictions(evidence), *(said for said in evidence.findings.against if "of the rows" not in said)]
+    of_all = _of_all(evidence)
     of_one = {name: one for name, one in evidence.standings.items() if evidence.asked.get(name)}
-    bad += _together(of_one, Level.DO_NOT_USE)
+    bad = [*of_all.against, *_together(of_one, Level.DO_NOT_USE)]
     if len(weak) == len(evidence.asked):
         bad.append("the motion determines nothing that was asked; move more, and every joint")
+    reasons = [*of_all.doubts, *_together(of_one, Level.WEAK)]
+    level = Level.DO_NOT_USE if bad else Level.WEAK if weak or reasons else Level.GOOD
+    return Verdict(level, (*bad, *reasons, *of_all.widened, *_repeated(evidence)), weak)
+
+
+def standings_of(evidence: Evidence) -> dict[str, Standing]:
+    """Level of each determined quantity with what the verdict says of all, as on board."""
+    of_all = _of_all(evidence)
+    return {name: one.after(of_all) for name, one in evidence.standings.items()}
+
+
+def _of_all(evidence: Evidence) -> Findings:
+    """What concerns all quantities: contradictions, prediction of one half from the other, corrections."""
+    against = [*_contradictions(evidence), *(said for said in evidence.findings.against if "of the rows" not in said)]
+    doubts = [*evidence.findings.doubts, *_jumped(evidence), *doubtful(evidence.corrections)]
     held_out = evidence.held_out
-    reasons = [
-        *evidence.findings.doubts,
-        *_jumped(evidence),
-        *_together(of_one, Level.WEAK),
-        *doubtful(evidence.corrections),
-    ]
     if held_out is None:
-        reasons += [evidence.unchecked] * bool(evidence.unchecked)
+        doubts += [evidence.unchecked] * bool(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
         said = f"one half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
         if held_out.worst.relative_error >= MOST_UNPREDICTED:
-            bad.append(said)
+            against.append(said)
         elif held_out.worst.relative_error >= WEAKLY_PREDICTED:
-            reasons.append(said)
-    level = Level.DO_NOT_USE if bad else Level.WEAK if weak or reasons else Level.GOOD
-    return Verdict(level, (*bad, *reasons, *evidence.findings.widened, *_repeated(evidence)), weak)
+            doubts.append(said)
+    return Findings(tuple(against), tuple(doubts), evidence.findings.widened)
 
 
 def _jumped(evidence: Evidence) -> list[str]:

@@ -19,7 +19,7 @@ from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate, standard_posterior
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
@@ -42,6 +42,28 @@ def test_good_data_are_good():
     found = verdict(evidence())
     assert found == (Level.GOOD, (), ())
     assert found.text == "good"
+
+
+@pytest.mark.parametrize(
+    ("changed", "level"),
+    [
+        ({"refused": {"residual": 100}}, Level.DO_NOT_USE),
+        ({"misfit": 100.0}, Level.DO_NOT_USE),
+        ({"findings": Findings(doubts=("not as stated: a step of scale_j2",))}, Level.WEAK),
+        ({"corrections": {"zero_j2": 4.0}}, Level.WEAK),
+        ({"held_out": None}, Level.WEAK),
+        ({"findings": Findings(widened=("zero_j2 is taken as 3 mrad",))}, Level.GOOD),
+    ],
+)
+def test_what_is_said_of_all_is_said_of_each(changed, level):
+    each = {"mass": Standing(Level.GOOD), "I_zz": Standing(Level.WEAK, "its interval contains zero")}
+    judged = evidence(standings=each, **changed)
+    stand, reasons = standings_of(judged), verdict(judged).reasons
+    assert stand["mass"].level is level
+    assert stand["mass"].why in reasons
+    assert stand["I_zz"].level is (Level.DO_NOT_USE if level is Level.DO_NOT_USE else Level.WEAK)
+    if level is Level.WEAK:
+        assert stand["I_zz"].why == f"its interval contains zero; {stand['mass'].why}"
 
 
 @pytest.mark.parametrize(("stuck", "told"), [(50, False), (60, True)])

@@ -9,7 +9,7 @@ from onboard.channels import NUMBERS
 from onboard.ground.campaign.instants import Instants, off_by
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.quantities import outer_of
-from onboard.identification.standing import Level, Standing
+from onboard.identification.standing import Level
 
 if TYPE_CHECKING:
     from onboard.ground.identify.kinds.identified import Identified
@@ -155,15 +155,12 @@ def of_log(found: "Identified", truth: Truth | None) -> FlightResult:
     """From what ``heft identify`` found in a log, beside the truth that lies with it."""
     true = (truth or {}).get("quantities", {})
     known = {name: float(value) for name, value in true.items() if isinstance(value, int | float)}
-    refused = found.verdict.level is Level.DO_NOT_USE
-    why = "; ".join(found.verdict.reasons) if refused else ""
-    answers, each = [], found.standings
+    answers = []
     for one in found.answers:
+        level, why = found.standing(one)
         made = FlightAnswer(one.name, one.unit, known.get(one.name, math.nan), bound=one.bound, leans=one.leans)
-        of_one = each.get(one.name, Standing(Level.WEAK))
-        level = Level.DO_NOT_USE if refused else of_one.level
-        made = made._replace(level=str(level), why=why or of_one.why)
-        if one.supported and not refused:
+        made = made._replace(level=str(level), why=why)
+        if one.supported and found.verdict.level is not Level.DO_NOT_USE:
             made = made._replace(supported=True, value=one.value, low=one.low, high=one.high, sigma=one.sigma)
         answers.append(made)
     return FlightResult(tuple(answers), events=(found.verdict.text,))

@@ -36,16 +36,15 @@ from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed, feed_rows
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
-from onboard.identification.standing import Level, Standing, standing
-from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.standing import Level
+from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
@@ -200,8 +199,8 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     if load is not None:
         unlike = throws.unlike_the_carrier(vehicle, load, estimate)
         findings = findings._replace(doubts=(*findings.doubts, *unlike))
-    each = standings(answers, useful)
-    evidence = evidence._replace(findings=findings, standings=each | _standings(estimate, thrown, useful))
+    each = standings([*answers, *_principal(thrown)], useful)
+    evidence = evidence._replace(findings=findings, standings=each)
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
@@ -221,20 +220,17 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
         drawing=drawing,
-        standings=each,
+        standings=standings_of(evidence),
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
 
 
-def _standings(estimate: Estimate, thrown: throws.Throw | None, useful: Useful) -> dict[str, Standing]:
-    """What each determined answer is good for, the principal moments of a throw's load among them."""
-    answers = [one for one in estimate.quantities if one.supported]
-    if thrown is not None and thrown.principal is not None:
-        rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
-        for name, value, sigma, low, high in rows:
-            answers.append(QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, ""))
-    size = sizes(answers, useful)
-    return {one.name: standing(one, Findings(), size.get(one.name)) for one in answers}
+def _principal(thrown: throws.Throw | None) -> list[IdentifiedQuantity]:
+    """Principal moments of a throw's load."""
+    if thrown is None or thrown.principal is None:
+        return []
+    rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
+    return [IdentifiedQuantity(name, "kg m^2", value, sigma, low, high, True) for name, value, sigma, low, high in rows]
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:

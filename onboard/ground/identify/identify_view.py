@@ -93,11 +93,18 @@ def _table(title: str, *headings: str) -> Table:
 
 def _one(log: Identified) -> list[RenderableType]:
     """Estimates of a log, and below them the evidence."""
-    answers = _table("", "", "unit", "value", "95 % interval", "bound")
+    answers = _table("", "", "unit", "value", "95 % interval", "bound", "level")
     for answer in log.answers:
         if answer.supported:
             interval = f"{answer.low:.4g} .. {answer.high:.4g}"
-            answers.add_row(answer.name, answer.unit, f"{answer.value:.4g}", interval, f"{answer.bound:.1g}")
+            answers.add_row(
+                answer.name,
+                answer.unit,
+                f"{answer.value:.4g}",
+                interval,
+                f"{answer.bound:.1g}",
+                log.standing(answer).level,
+            )
     notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     notes.add_column(no_wrap=True)
     notes.add_column(overflow="fold")

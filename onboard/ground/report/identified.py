@@ -49,10 +49,10 @@ def write(found: Identification, output: Path) -> None:
 
 
 def _sections(log: Identified, draw: Gallery) -> Iterator[tuple[str, str]]:
-    rows, each = [], log.standings
+    rows = []
     for one in log.answers:
         numbers = [f"{value:.5g}" if one.supported else "" for value in (one.value, one.low, one.high)]
-        told = str(each[one.name].level) if one.supported else "not determined"
+        told = str(log.standing(one).level) if one.supported else "not determined"
         rows.append([one.name, Cell(numbers[0]), Cell(" … ".join(numbers[1:]).strip(" …")), one.unit, told])
     refused = ", ".join(f"{reason_words(GateReason[name.upper()])} {count:,}" for name, count in log.refused.items())
     used = html.paragraph(f"{log.rows_used:,} rows used, by {log.method}. Refused: {refused or 'none'}.")

@@ -11,7 +11,7 @@ from onboard.identification.corrections import doubtful_from
 from onboard.identification.quantities import Findings
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Size, Useful
-from onboard.identification.verdict import Evidence, Verdict, verdict
+from onboard.identification.verdict import Evidence, Verdict, standings_of, verdict
 
 FARTHEST_m = 2.0
 """Centre of mass beyond which a unit is wrong: no wrist that a person handles holds a tool so; moments of a held tool
@@ -41,10 +41,9 @@ def judge(answer: Answer) -> Judged:
     sizes = {"m": Size(mass, useful.mass, "it")} | {
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
     }
-    standings = {one.name: standing(one, findings, sizes.get(one.name)) for one in body}
     odd = _odd(answer)
     corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k not in odd}
-    own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}  # findings stand in the verdict
+    own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}
     evidence = Evidence(
         answer.count["poses"] - len(answer.outliers),
         {},  # outliers weaken an answer: of some dozen poses one or two are soon a twentieth
@@ -55,7 +54,7 @@ def judge(answer: Answer) -> Judged:
         corrections=corrections,
         unchecked="too few poses to predict one half from the other: twelve or more",
     )
-    return Judged(verdict(evidence), standings, tuple(_notes(answer)))
+    return Judged(verdict(evidence), standings_of(evidence), tuple(_notes(answer)))
 
 
 def judge_live(answer: Answer, frame: str) -> Judged:
@@ -76,7 +75,8 @@ def judge_live(answer: Answer, frame: str) -> Judged:
         )
     if said:
         level, reasons = Level.DO_NOT_USE, (*said, *judged.verdict.reasons)
-        judged = judged._replace(verdict=judged.verdict._replace(level=level, reasons=reasons))
+        each = {name: one.after(Findings(tuple(said))) for name, one in judged.standings.items()}
+        judged = judged._replace(verdict=judged.verdict._replace(level=level, reasons=reasons), standings=each)
     return judged._replace(notes=tuple(notes))
 
 

@@ -21,7 +21,7 @@ from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.identification.windows import against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -50,18 +50,17 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=f"the fit failed: {error}")
         return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
     answers = _answers(vehicle, model, fit)
-    each = standings(answers, useful_of(vehicle))
     evidence = Evidence(
         fit.found.rows,
         {},
         {one.name: one.supported for one in answers if one.name in names},
         None,
         findings=_findings(model, fit),
-        standings=each,
+        standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
     known = log.path, "exiddm", answers, fit.found.rows, dict[str, int](), log.damage, verdict(evidence)
-    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), standings=each)
+    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), standings=standings_of(evidence))
 
 
 def _recorded(

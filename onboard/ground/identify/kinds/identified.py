@@ -110,6 +110,13 @@ class Identified:
         """The same with the runs from which it was pooled."""
         return replace(self, runs=runs)
 
+    def standing(self, answer: IdentifiedQuantity) -> Standing:
+        """Level of one of its answers, and why."""
+        own = self.standings.get(answer.name, Standing(Level.WEAK, "not determined by the data"))
+        if self.verdict.level is Level.DO_NOT_USE and own.level is not Level.DO_NOT_USE:
+            return Standing(Level.DO_NOT_USE, "; ".join(self.verdict.reasons))
+        return own
+
     @property
     def supported(self) -> bool:
         """Whether the load or at least one requested quantity is determined."""
@@ -133,7 +140,7 @@ class Identified:
             "rows_used": self.rows_used,
             "refused": self.refused,
             "damage": [str(one) for one in self.damage],
-            "quantities": [answer.as_json() for answer in self.answers],
+            "quantities": [one.as_json() | self.standing(one)._asdict() for one in self.answers],
             "held_out": _predictions(self.held_out),
             "misfit": self.misfit,
             "observable": _observability(self.observability),

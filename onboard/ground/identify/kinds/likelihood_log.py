@@ -31,7 +31,7 @@ from onboard.identification.rows.standard import link_estimate
 from onboard.identification.table.air_bearing import TableExiddm
 from onboard.identification.table.rivals import answered
 from onboard.identification.useful import Useful
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.recording.reader import LogReader
 
 EXIDDM = "exiddm"
@@ -140,7 +140,6 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     answers = (*of_payload, *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
-    each = standings(answers, kept.useful)
     evidence = Evidence(
         found.rows_used,
         kept.refused,
@@ -150,7 +149,7 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
         away={link.link: link.away},
         misfit=found.misfit,
         findings=found.findings,
-        standings=each,
+        standings=standings(answers, kept.useful),
         corrections=found.corrections,
         unchecked=found.unchecked,
     )
@@ -166,7 +165,7 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
         misfit=found.misfit,
         observability=observed_directions(body_seen(body), names),
         links=(link,),
-        standings=each,
+        standings=standings_of(evidence),
         residuals=found.residuals,
     )
 

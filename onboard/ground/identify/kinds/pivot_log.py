@@ -7,7 +7,7 @@ from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuant
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.pivot.online import PivotRun
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.recording.reader import LogReader
 
 
@@ -29,7 +29,6 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
         IdentifiedQuantity(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
         for one, bound in zip(told, bounds.tolist(), strict=True)
     )
-    each = standings(answers, useful_of(vehicle))
     refused = {str(reason.name).lower(): count for reason, count in run.refused.items() if count}
     evidence = Evidence(
         run.rows_used,
@@ -38,10 +37,10 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
         None,
         failure=f"the fit failed: {run.failure}" if run.failure else "",
         findings=run.findings(),
-        standings=each,
+        standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
     misfit = None if run.found is None else max(run.found.by_sensor)
     residuals = {} if run.found is None else by_axis(*run.residuals(), 1.0 / vehicle.file.estimation.row_rate_hz)
     known = log.path, "exiddm", answers, run.rows_used, refused, log.damage, verdict(evidence)
-    return Identified(*known, misfit=misfit, standings=each, residuals=residuals)
+    return Identified(*known, misfit=misfit, standings=standings_of(evidence), residuals=residuals)

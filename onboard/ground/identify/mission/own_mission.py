@@ -68,8 +68,7 @@ def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Ro
     rows: dict[str, Row] = {name: _answer(unit, refused or _UNDETERMINED) for name, unit in names.items()}
     for one in found.answers:
         told = one.supported and not refused
-        standing = found.standings[one.name].text if told else refused or _UNDETERMINED
-        rows[one.name] = _answer(one.unit, standing, told=told)
+        rows[one.name] = _answer(one.unit, found.standing(one).text, told=told)
         rows[one.name] |= {key: one.as_json()[key] for key in NUMBERS}
     return rows, [run.as_json() for run in found.runs]
 

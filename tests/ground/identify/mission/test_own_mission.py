@@ -1,5 +1,6 @@
 """Answers of a run on the table, in the result table of a rehearsal."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.mission import Mission
 from onboard import config
-from onboard.ground.identify.kinds.identified import IdentifiedQuantity, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.mission import own_mission
 from onboard.identification.standing import Level
 from onboard.identification.useful import Useful
@@ -26,7 +27,8 @@ FOUND = (
 def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
     answers = () if reasons else FOUND
-    found = SimpleNamespace(verdict=verdict, answers=answers, standings=standings(answers, Useful()), runs=())
+    each = standings(answers, Useful())
+    found = Identified(Path("run.mcap"), "exiddm", answers, 100, {}, (), verdict, standings=each)
     monkeypatch.setitem(own_mission.BY_LIKELIHOOD, "planar", lambda *_: found)
     rows, runs = own_mission.after_the_run(VEHICLE, None)
     assert runs == []
