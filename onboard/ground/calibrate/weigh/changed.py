@@ -16,7 +16,7 @@ from onboard.ground.calibrate.weigh.conventions import Poses
 _PART = 6  # poses of a part: four are a fit, and two more show its noise
 
 
-class Change(NamedTuple):
+class BodyChange(NamedTuple):
     """Another body.
 
     Attributes:
@@ -32,7 +32,7 @@ class Change(NamedTuple):
     nats: float
 
 
-def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> Change | None:
+def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> BodyChange | None:
     """The likeliest change of the body; None where none is likely.
 
     Args:
@@ -58,7 +58,9 @@ def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> Change | 
     chance = parts[0].covariance[:4, :4] + parts[1].covariance[:4, :4]
     size = np.maximum(*(np.abs([value[0], *[np.linalg.norm(value[1:])] * 3]) for value in values))
     nats = _log(values[1] - values[0], chance + np.diag(size**2)) - _log(values[1] - values[0], chance)
-    return Change(at, float(values[0][0]), float(values[1][0]), nats) if nats > -np.log(ODDS / len(instants)) else None
+    return (
+        BodyChange(at, float(values[0][0]), float(values[1][0]), nats) if nats > -np.log(ODDS / len(instants)) else None
+    )
 
 
 def _left(poses: Poses, prior: wrist.Priors, part: slice) -> FloatArray:

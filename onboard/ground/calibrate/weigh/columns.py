@@ -89,14 +89,12 @@ class Meaning(NamedTuple):
         orientation: (n, k); angles are in rad.
         wrench: (n, 6) N, N m.
         said: how it was understood, in words.
-        moments_named: whether the unit of the moments was given.
     """
 
     kind: str
     orientation: FloatArray
     wrench: FloatArray
     said: tuple[str, ...]
-    moments_named: bool
 
 
 class Units(NamedTuple):
@@ -155,7 +153,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
         raise PosesError(
             f"{table.label}: no columns of {what} among {_shown(table.names)}; give names by --columns NAME,NAME,..."
         )
-    wrench, named = _scaled(table, columns, force, moment, units, said)
+    wrench = _scaled(table, columns, force, moment, units, said)
     if joints:
         at, kind = _joints(table, columns, joints), "joints"
     else:
@@ -166,7 +164,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
     if kind not in ("quaternion", "quaternion?", "matrix", "up"):
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
-    return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said), named)
+    return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said))
 
 
 def _numbered(columns: list[Column]) -> list[Column]:
@@ -287,8 +285,8 @@ def _scaled(
     moment: Sequence[int],
     units: Units,
     said: list[str],
-) -> tuple[FloatArray, bool]:
-    """The wrench in N and N m, and whether the unit of its moments is known."""
+) -> FloatArray:
+    """The wrench in N and N m."""
     factors = []
     known = True
     for at, table_of, given, usual, option in (
@@ -300,7 +298,7 @@ def _scaled(
             factors.append(float(number[0]))
             continue
         unit = _plain(given) or (names.pop() if len(names) == 1 else "?")
-        known = bool(unit)
+        known &= bool(unit)
         if unit == "mn" and option == "--moment-unit":
             unit = "mnm"
         if (unit or usual) not in table_of:
@@ -321,8 +319,7 @@ def _scaled(
         )
     if not known:
         said.append("no unit is named: forces are taken as N, moments as N m")
-    wrench = np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
-    return wrench, known
+    return np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
 
 
 def _angle(values: FloatArray, names: Sequence[str], given: str, said: list[str]) -> float:
@@ -369,13 +366,13 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
     names = [Column("", "")] * width
     last = range(first + count, width)
-    wrench, named = _scaled(table, names, last[:3], last[3:], units, said)
+    wrench = _scaled(table, names, last[:3], last[3:], units, said)
     found = values[:, first : first + count]
     if blocks and kind == "matrix":
         found = by_rows(found)
     if kind in ("angles", "joints"):
         found = found * _angle(found, [], units.angle, said)
-    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), named)
+    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said))
 
 
 def _remedy(width: int, quaternion: bool) -> str:

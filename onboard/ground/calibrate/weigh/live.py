@@ -212,7 +212,7 @@ class Session:
         if n < 4:
             self.tell(f"pose {n} taken; turn the wrist to the next pose")
             return
-        meaning = Meaning("matrix", np.array(self.R).reshape(n, 9), np.array(self.wrench), (), True)
+        meaning = Meaning("matrix", np.array(self.R).reshape(n, 9), np.array(self.wrench), ())
         try:
             self.answer = weigh(meaning, self.known)
         except PosesError as error:

@@ -13,7 +13,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration import wrist
 from onboard.estimation.calibration.rotations import hat
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
-from onboard.ground.calibrate.weigh.changed import Change, change
+from onboard.ground.calibrate.weigh.changed import BodyChange, change
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -69,11 +69,11 @@ class Wrong(NamedTuple):
     nats: float  # of evidence over the axes as they are
 
 
-class Changed(NamedTuple):
+class ChangedBody(NamedTuple):
     """Another body in some poses."""
 
     row: int  # of the table, counted from 0, that is the first with it
-    body: Change
+    body: BodyChange
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,9 @@ class Answer:
     count: Mapping[str, int]  # rows: all, bad, moving; poses
     others: tuple[tuple[Any, float], ...]  # conventions and their evidence less that of the chosen one, nats
     wrong: Wrong | None
-    changed: Changed | None
+    changed: ChangedBody | None
     held_out: HeldOut | None
     left_over: HeldOutFit  # of all readings, zeros apart
-    moments_named: bool
 
 
 def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _: None) -> Answer:
@@ -151,10 +150,9 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
         count,
         others,
         wrong,
-        changed and Changed(int(groups[changed.at][0]), changed),
+        changed and ChangedBody(int(groups[changed.at][0]), changed),
         _held_out(poses, prior, weighing.best),
         _left_over(poses, prior, weighing.best.noise, weighing.best.state),
-        meaning.moments_named,
     )
 
 
