@@ -19,6 +19,7 @@ _KEPT = re.compile(  # of a page: code, links, HTML with its content where it is
 )
 _GLOSSARY = Path(__file__).resolve().parents[1] / "docs" / "glossary.md"
 _EVERYDAY = {"answer", "left out", "lie", "mark", "named", "refused"}  # more often meant as everywhere than as there
+_LEVELS = {"good", "weak", "do not use"}  # levels where they are emphasised
 _ROW = re.compile(r"^\| (?!word )([A-Za-z][\w ,]*) \|", re.MULTILINE)
 _PAGE = re.compile(r"`(?:docs/)?(\w+\.md)`")
 
@@ -48,7 +49,8 @@ def with_words(text: str, glossary: str) -> str:
     """The page with a link at the first use of each word of the glossary, outside code, links and headings."""
     rows = _ROW.findall(_GLOSSARY.read_text(encoding="utf-8"))
     anchors = {word: _anchor(row) for row in rows for word in row.split(", ") if word not in _EVERYDAY}
-    longest_first = "|".join(sorted(map(re.escape, anchors), key=len, reverse=True))
+    patterns = {word: rf"(?<=\*){word}(?=\*)" if word in _LEVELS else re.escape(word) for word in anchors}
+    longest_first = "|".join(patterns[word] for word in sorted(patterns, key=len, reverse=True))
     used = set[str]()
 
     def link(word: re.Match[str]) -> str:
