@@ -78,6 +78,13 @@ def angle(joint: int) -> Callable[[float], float]:
     return lambda time_s: 0.2 * joint + 0.3 * float(np.sin(2.0 * time_s + joint))
 
 
+def without(device: str) -> str:
+    """The vehicle's devices but one."""
+    before, own, after = DEVICES.partition(f"[device.{device}]")
+    assert own
+    return before + after[after.index("[device.") :]
+
+
 def vehicle(directory: Path, urls: dict[str, str], text: str = DEVICES) -> config.Vehicle:
     """The vehicle, its file in ``directory``."""
     (directory / "mixed.urdf").write_text(urdf(), encoding="utf-8")

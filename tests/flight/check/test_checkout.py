@@ -75,7 +75,7 @@ def test_every_line_of_the_list_is_there_and_judged(walked):
         assert by_name[name].outcome == "passed", by_name[name]
     assert "imu_base" in by_name["devices"].found
     assert {part.split()[0] for part in by_name["pulse"].found.removeprefix("marked: ").split(", ")} == {
-        *("imu_base", "elbow", "wrist")
+        *("imu_base", "imu_elbow", "elbow", "wrist")
     }
     # The arm swings by 0.3 rad, joint_1 about 0.2 rad; the incremental encoder of joint_3 counts from its power-up.
     swings = [re.search(r"read (\S+) to (\S+) deg", by_name[f"range and sense of joint_{k}"].found) for k in (1, 3)]

@@ -16,7 +16,7 @@ from rich.console import Console
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.cli.common import NOT_READY
 from onboard.flight.check.desk import DeskTest, alone, desk_tests, render
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, MixedWorld, vehicle, without
 from tests.hil_sim.devices.twin_bench import MS
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -110,10 +110,10 @@ def test_more_noise_than_is_stated_is_said_with_the_remedy(tmp_path: Path) -> No
         assert shown(test)[-1].strip() == ("look" if loud else "good")
 
 
-def test_a_device_that_is_not_there(tmp_path: Path) -> None:
-    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\naddress = 0x69\n', 1)
+def test_another_chip_at_its_address(tmp_path: Path) -> None:
+    text = without("imu_elbow").replace('frame = "body"\n', 'frame = "body"\naddress = 0x69\n', 1)
     test = tried(tmp_path, ("imu_base",), text, 1.0)["imu_base"]
-    assert any("0x69 does not answer" in said for said in test.problems)
+    assert any("0x69 has WHO_AM_I 0x00 (unknown), MPU-6050 has 0x68" in said for said in test.problems)
     assert test.signals == ()
     assert shown(test)[-1].strip() == "not ready"
 

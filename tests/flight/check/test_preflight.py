@@ -11,7 +11,7 @@ from onboard import config
 from onboard.cli import main
 from onboard.flight.check.preflight import preflight, render
 from onboard.flight.estimate.estimator import Estimator
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, MixedWorld, vehicle, without
 from tests.hil_sim.devices.twin_bench import MS
 
 
@@ -55,9 +55,10 @@ def test_every_device_is_seen_with_its_rate_and_its_pulses(found):
     assert by_name["elbow"].identity == "QSB-D, serial number 81830, firmware 0x0e"
     for name, hz in (("imu_base", 1000), ("imu_tip", 150), ("shoulder", 200), ("cell", 100), ("wrist", 200)):
         assert by_name[name].rate_hz == pytest.approx(hz, rel=0.02)
-    assert {name for name, check in by_name.items() if check.marks} == {"imu_base", "elbow", "wrist"}
+    assert {name for name, check in by_name.items() if check.marks} == {"imu_base", "imu_elbow", "elbow", "wrist"}
     for name in ("imu_base", "elbow", "wrist"):
         assert 0.0 < by_name[name].time_sigma_us < 200.0
+    assert 0.0 < by_name["imu_elbow"].time_sigma_us < 600.0  # a third of its period: its marks are whole samples
     assert by_name["phase"].nominal_hz is None
 
 
@@ -75,7 +76,7 @@ def test_what_is_shown_names_every_device_and_the_verdict(found):
 WRONG = (  # in the file, what stands there in its place, whose problem that is, and what is said
     ("rate_hz = 200", "rate_hz = 100", "wrist", "200 Hz where the vehicle file has 100 Hz"),
     ("tick_hz = 1000000", "tick_hz = 8000000", "wrist", "its clock makes 1e+06 ticks/s, tick_hz is 8e+06"),
-    ("address = 0x68", "address = 0x69", "imu_base", "0x69 does not answer"),
+    ("address = 0x68", "address = 0x69", "imu_base", "0x69 has WHO_AM_I 0x00 (unknown), MPU-6050 has 0x68"),
     ("counts_per_revolution = 500000", "counts_per_revolution = 4096", "shoulder", "encoder has 500000 counts/rev"),
     ("index = 0x2000", "index = 0x2001", "phase", "TPDO1 has no 2001h:01"),
     ("sample_period_ms = 10", "sample_period_ms = 1", "cell", "Hz where the vehicle file has 1000 Hz"),
@@ -84,7 +85,7 @@ WRONG = (  # in the file, what stands there in its place, whose problem that is,
 
 
 def test_a_file_that_does_not_fit_its_devices(tmp_path):
-    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\naddress = 0x68\n', 1)
+    text = without("imu_elbow").replace('frame = "body"\n', 'frame = "body"\naddress = 0x68\n', 1)
     for right, wrong, *_ in WRONG:
         assert right in text
         text = text.replace(right, wrong, 1)
@@ -102,10 +103,11 @@ def test_buses_that_are_not_there_and_a_sync_line_that_does_not_reach_the_imu(tm
     }
     found = look_over(tmp_path, seconds=2.0, urls=away, fsync=False)
     on_can = {"can_sync", "shoulder", "upper", "load_cell", "phase"}
-    assert problems(found).keys() == on_can | {"cell", "imu_base"}
+    assert problems(found).keys() == on_can | {"cell", "imu_base", "imu_elbow"}
     assert {problems(found)[name] for name in on_can} == {"bus can_0 could not be opened"}
     assert "No such file" in problems(found)["cell"]
-    assert "check the sync line to it" in problems(found)["imu_base"]
+    for name in ("imu_base", "imu_elbow"):
+        assert "check the sync line to it" in problems(found)[name]
     assert found.problems[0].startswith("can_0: can+socketcan://no_such_can")
     assert shown(found).rstrip().endswith("not ready")
 

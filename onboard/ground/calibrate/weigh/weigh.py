@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import log_ndtr
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration import wrist
@@ -111,9 +112,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     """
     if meaning.kind == "up":
         known = known.by_up
-    found = list(_fits(meaning, known, tell))
-    # A negative mass is the other sign of the readings, which is among them or was excluded by a person
-    found = [each for each in found if each[1].state.mass > 0.0] or found
+    found = [(poses, _positive(one), count) for poses, one, count in _fits(meaning, known, tell)]
     most = max(one.evidence for _, one, _ in found)
     near = [each for each in found if each[1].evidence > most + np.log(ODDS)]
     poses, first, count = near[0]
@@ -187,6 +186,11 @@ def _fits(
         raise failed or PosesError("no orientation in any row: check the columns")
 
 
+def _positive(one: wrist.PoseFit) -> wrist.PoseFit:
+    """With the evidence that its mass is positive: one that is certainly not is of the other sign of the readings."""
+    return one._replace(evidence=one.evidence + float(log_ndtr(one.state.mass / np.sqrt(one.covariance[0, 0]))))
+
+
 def _same_answer(near: list[tuple[Poses, wrist.PoseFit, dict[str, Any]]]) -> None:
     """Refuse meanings that are as likely and answer otherwise.
 
@@ -195,10 +199,8 @@ def _same_answer(near: list[tuple[Poses, wrist.PoseFit, dict[str, Any]]]) -> Non
     """
     (poses, one, _), *rest = near
     for other, fit, _ in rest:
-        both = [_body(each.state) for each in (one, fit)]
-        sigma = np.sqrt(
-            [np.hypot(*(np.diag(_body_covariance(each))[k] ** 0.5 for each in (one, fit))) ** 2 for k in range(4)]
-        )
+        both = [np.array([each.state.mass, *each.state.first_moment]) for each in (one, fit)]
+        sigma = np.sqrt(np.diag(one.covariance + fit.covariance)[:4])
         if (np.abs(both[0] - both[1]) > 2.0 * sigma).any():
             options = [
                 f"--{name}={getattr(poses.convention, name)} or {getattr(other.convention, name)}"
