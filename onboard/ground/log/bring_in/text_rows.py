@@ -23,7 +23,7 @@ _LONGEST_LINE = 1 << 20  # characters of a CSV
 _BLOCK = 1 << 20  # cells of a CSV that are text at a time
 _SKIP = 'bad_rows = "skip" in [mapping] leaves such rows out'
 _LOOKED_AT = 200  # rows, for a list
-_LONGEST_LIST = 1 << 16  # characters that brackets hold together over lines
+_LONGEST_LIST = 16  # lines that brackets hold together: in so many NumPy prints a hundred numbers
 _LONGEST_CELL = 80  # characters of one in a message
 _ARRAY = re.compile(r"\s*(?:np\.|numpy\.)?array\((.*?)(?:,\s*dtype=[\w.]+)?\)\s*", re.DOTALL)
 _BRACKET = re.compile(r"[\[(][\s\[(]*[-+]?\.?\d")  # where a list of numbers begins; no unit in a header does so
@@ -128,26 +128,34 @@ def unbroken(text: Iterable[str]) -> Iterator[str]:
     A matrix that is printed over some lines stands in the first, and the others are empty. Brackets that do not close
     stay as they are.
     """
-    lines = iter(text)
-    for line in lines:
+    lines, waiting = iter(text), deque[str]()
+    while (line := waiting.popleft() if waiting else next(lines, None)) is not None:
         if _BRACKET.search(line) is None:
             yield line
             continue
-        whole, more = line, 0
-        while (deep := _deep(whole)) > 0 and len(whole) < _LONGEST_LIST and (further := next(lines, None)) is not None:
-            whole, more = f"{whole.rstrip()} {further.lstrip()}", more + 1
+        over, deep = [line], _deep(line)
+        while deep > 0 and len(over) < _LONGEST_LIST:
+            if (further := waiting.popleft() if waiting else next(lines, None)) is None:
+                break
+            over.append(further)
+            deep += _deep(further)
+        if deep:
+            yield line
+            waiting.extendleft(reversed(over[1:]))
+            continue
         depth, listed, out = 0, False, []
+        whole = " ".join([over[0].rstrip(), *map(str.strip, over[1:])]) if over[1:] else line
         for k, mark in enumerate(whole):
             if mark in "[(":
                 listed = bool(_BRACKET.match(whole, k)) if not depth else listed
             depth += (mark in "[(") - (mark in "])")
-            out.append(_MASK if depth > 0 and listed and not deep and (mark.isspace() or mark in ",;") else mark)
+            out.append(_MASK if depth > 0 and listed and (mark.isspace() or mark in ",;") else mark)
         yield "".join(out)
-        yield from [""] * more
+        yield from [""] * (len(over) - 1)
 
 
 def _deep(line: str) -> int:
-    """Brackets that are open at the end of a line."""
+    """Brackets that a line opens and does not close."""
     return sum(line.count(mark) for mark in "[(") - sum(line.count(mark) for mark in "])")
 
 

@@ -122,6 +122,8 @@ def test_lists_in_cells_and_matrices_as_they_are_printed(one, tmp_path):
         np.testing.assert_allclose(columns.understood(read, columns.Units()).orientation.reshape(-1, 3, 3), one.R)
     broken = ["a [N m],b[0],c", "1,[2, 3", " 4],5", "(0.1"]
     assert list(unbroken(broken)) == ["a [N m],b[0],c", "1,[2\0\0" + "3\0" + "4],5", "", "(0.1"]
+    noted = ["t,note", "0,(1 st try", *(f"{n},[{n}; 5]" for n in range(20)), "1,[2"]  # a bracket that nothing closes
+    assert list(unbroken(noted)) == [line.replace("; ", "\0\0") for line in noted]
 
 
 @pytest.mark.parametrize(
