@@ -7,10 +7,7 @@ from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.node import Node
-from drivers.canopen_pdo.play.drive_master import DriveMaster
-from drivers.canopen_pdo.play.player import Player
-from drivers.canopen_pdo.play.player_config import PlayerConfig
-from drivers.canopen_pdo.play.torque_master import TorqueConfig, TorqueMaster
+from drivers.canopen_pdo.play.torque_master import Play, master_of
 from drivers.canopen_pdo.profiles.channel import NodeConfig, PdoChannel
 from drivers.canopen_pdo.profiles.event_channel import EventChannel
 from drivers.canopen_pdo.profiles.mapped_object import MappedObject
@@ -62,7 +59,7 @@ class CanopenBus:
         sync: SyncConfig,
         name: str = "canopen",
         guards: Sequence[GuardConfig] = (),
-        play: PlayerConfig | TorqueConfig | None = None,
+        play: Play | None = None,
     ) -> None:
         self.name = name
         self.unclaimed = 0
@@ -98,16 +95,14 @@ class CanopenBus:
             self._channels.append(channel)
             by_node.setdefault(data.node, []).append(channel)
         guarding = self._guards(guards, by_node)
-        self.player: DriveMaster | None = None
-        if isinstance(play, PlayerConfig):
-            self.player = Player(play, self._sync, self._port.send, self._report)
-        elif play is not None:
-            self.player = TorqueMaster(play, self._sync, self._port.send, self._report)
+        send, report = self._port.send, self._report
+        self.player = None if play is None else master_of(play, self._sync, send, report)
+        self._axes = () if self.player is None else self.player.axes
         self._nodes = []
         for number, channels in by_node.items():
-            axis = None if self.player is None else self.player.axis_of(number)
-            send = self._port.send if axis is None else axis.send
-            self._nodes.append(Node(number, channels, send, self._report, guarding.get(number), axis))
+            axis = next((axis for axis in self._axes if axis.node == number), None)
+            by = send if axis is None else axis.send
+            self._nodes.append(Node(number, channels, by, report, guarding.get(number), axis))
         self._handlers = self._routes()
         self._rounds = Rounds(self._synchronous, self._nodes, self._sync, self._sync_rows)
         others = {channel.data.cob_id for channel in self._channels if isinstance(channel, EventChannel)}
@@ -250,8 +245,9 @@ class CanopenBus:
         for channel in self._channels:
             cob_id = channel.data.cob_id
             routes[cob_id] = (*routes.get(cob_id, ()), channel.accept)
-        for cob_id, route in self.player.routes() if self.player is not None else ():
-            routes[cob_id] = (*routes.get(cob_id, ()), route)
+        for axis in self._axes:
+            for cob_id, route in axis.routes():
+                routes[cob_id] = (*routes.get(cob_id, ()), route)
         return routes
 
     def _dispatch(self, frames: list[CanFrame]) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from drivers.errors import ConfigurationError
 
@@ -58,6 +58,8 @@ class SyncCounter:
         pause_ns: Length of a pause of the producer before the second to last SYNC; else 0. It is known one SYNC later:
             after a host that only read late, the next SYNC comes early.
     """
+
+    WHAT: ClassVar[str] = "SYNC"
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns

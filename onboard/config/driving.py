@@ -1,7 +1,8 @@
-"""From ``[drive]``, a motion's CSV and the URDF to what the player of a CAN bus sends, in counts of each drive.
+"""From ``[drive]``, a motion's CSV and the URDF to what the player of a bus sends, in counts of each drive.
 
-The motion is put on the SYNC period by a cubic spline through its rows, at rest at both ends, and refused as a whole
-where it leaves a limit anywhere: range less margin, rate, acceleration. Light, because acquisition starts with it.
+The motion is put on the period of the drives (SYNC, or requests) by a cubic spline through its rows, at rest at both
+ends, and refused as a whole where it leaves a limit anywhere: range less margin, rate, acceleration. Light, because
+acquisition starts with it.
 """
 
 import csv
@@ -9,18 +10,16 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen_pdo.play.drive_axis import CYCLIC, PROFILE, AxisConfig
-from drivers.canopen_pdo.play.player_config import PlayerConfig
+from drivers.play.player import PlayerConfig
 from onboard.config.drive import Drive
 from onboard.config.errors import ConfigError
 from onboard.config.segments import Library
 from onboard.devices.base import DeviceSection, Surroundings
-from onboard.devices.can.canopen import sync_on
 from onboard.devices.driven import DrivenDevice
 
 FloatArray = NDArray[np.float64]
@@ -49,7 +48,7 @@ class Played(NamedTuple):
     urdf_text: str
 
 
-def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig | None:
+def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig[Any] | None:
     """What is played on a bus; None where nothing is: no motion and no segments, or another bus's drives.
 
     Raises:
@@ -63,7 +62,7 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig |
         raise ConfigError(f"{vehicle.label}: no device has driven = true: give it to the drives that play")
     buses = sorted({device.bus for device in driven.values()})
     if len(buses) > 1:
-        raise ConfigError(f"{vehicle.label}: driven devices are on {', '.join(buses)}; one SYNC moves one bus's drives")
+        raise ConfigError(f"{vehicle.label}: driven devices are on {', '.join(buses)}; drives of one bus move together")
     if buses != [bus]:
         return None
     joints = [device.joint for device in driven.values()]
@@ -74,7 +73,7 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig |
     else:
         time_s, q = np.array([0.0, HELD_S]), np.tile(next(iter(segments.values()))[1][0], (2, 1))
     ranges = joint_ranges(vehicle.urdf_text)
-    period_s = 1e-3 * sync_on(around, bus)[1].period_ms
+    period_s = 1.0 / next(iter(driven.values())).rate_on(around)
     on_sync_s, on_sync = resampled(time_s, q, period_s)
     axes, columns = [], []
     for column, (name, device) in enumerate(driven.items()):
@@ -82,7 +81,7 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig |
         require_within(
             str(motion or name), device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2
         )
-        axes.append(_axis(drive, name, device, limits))
+        axes.append(device.axis(name, _limits(drive, name, device, limits), drive.master_node))
         columns.append(_counts(device, q[:, column] if drive.mode == "profile" else on_sync[:, column]))
     counts = np.stack(columns, 1)
     asked = {}
@@ -92,13 +91,13 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig |
             limits = _range(drive, device.joint, ranges)
             require_within(own, device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2)
         asked[own] = np.stack([_counts(device, on_sync[:, k]) for k, device in enumerate(driven.values())], 1)
-    ticks, mode = np.arange(len(counts), dtype=np.int64), CYCLIC
+    ticks = np.arange(len(counts), dtype=np.int64)
     if drive.mode == "profile":
         if np.diff(time_s).min() < WAY_POINTS_S:
             raise ConfigError(f"{motion}: way points of a profile are {WAY_POINTS_S} s apart or more: thin it out")
-        ticks, mode = np.round((time_s - time_s[0]) / period_s).astype(np.int64), PROFILE
+        ticks = np.round((time_s - time_s[0]) / period_s).astype(np.int64)
     return PlayerConfig(
-        *(tuple(axes), ticks, counts, mode, drive.heartbeat_ms, drive.sync_limit_ms, drive.master_node),
+        *(tuple(axes), ticks, counts, drive.mode == "profile", drive.heartbeat_ms, drive.sync_limit_ms),
         name=name,
         segments=asked,
     )
@@ -263,20 +262,18 @@ def _per_rad(device: DrivenDevice) -> float:
     return device.gain * device.counts_per_revolution / math.tau
 
 
-def _axis(drive: Drive, name: str, device: DrivenDevice, limits: Range) -> AxisConfig:
+def _limits(drive: Drive, name: str, device: DrivenDevice, limits: Range) -> dict[str, Any]:
+    """Of an ``AxisConfig``: what is the same for every kind of drive."""
     per_rad = abs(_per_rad(device))
     low, high = sorted(_counts(device, np.array([limits.low, limits.high])).tolist())
-    return AxisConfig(
-        device.settings(name),
-        f"{name}_sent",
-        low,
-        high,
-        rate=limits.rate * per_rad,
-        acceleration=drive.acceleration_rad_s2 * per_rad,
-        quick_stop=drive.quick_stop_rad_s2 * per_rad,
-        following_error=round(drive.following_error_rad * per_rad),
-        start_within=round(drive.start_within_rad * per_rad),
-        holds=drive.after_stop == "hold",
-        brakes=device.brake,
-        checks_units=device.check_units,
-    )
+    return {
+        "sent": f"{name}_sent",
+        "low": low,
+        "high": high,
+        "rate": limits.rate * per_rad,
+        "acceleration": drive.acceleration_rad_s2 * per_rad,
+        "quick_stop": drive.quick_stop_rad_s2 * per_rad,
+        "following_error": round(drive.following_error_rad * per_rad),
+        "start_within": round(drive.start_within_rad * per_rad),
+        "holds": drive.after_stop == "hold",
+    }

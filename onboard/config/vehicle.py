@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.canopen_pdo.play.player_config import PlayerConfig
+from drivers.play.player import PlayerConfig
 from onboard.config.bases.free_body import FreeBody
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Pivot
@@ -201,7 +201,7 @@ class Vehicle(BaseModel):
         """
         return None if self.segments_path is None else read_segments(self.segments_path)
 
-    def play(self, bus: str) -> PlayerConfig | None:
+    def play(self, bus: str) -> PlayerConfig[Any] | None:
         """What is played on a bus, if it is armed; see :func:`onboard.config.driving.player_of`."""
         drive = self.file.drive
         if drive is None or not drive.armed or not (self.arm or drive.phase is not None):

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from drivers.canopen_pdo.play.player_config import PlayerConfig
 from drivers.device import Device
+from drivers.play.player import PlayerConfig
 from drivers.ports import SerialPort, Station
 from drivers.records import Rows
 from onboard.devices import roles
@@ -50,8 +50,8 @@ class Surroundings(Protocol):
     def buses(self) -> list[str]:
         """Names of all buses."""
 
-    def play(self, bus: str) -> PlayerConfig | None:
-        """What the drives of a CAN bus are to play; None: nothing."""
+    def play(self, bus: str) -> PlayerConfig[Any] | None:
+        """What the drives of a bus are to play; None: nothing."""
 
 
 class DeviceSection(Section):

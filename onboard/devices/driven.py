@@ -1,10 +1,11 @@
 """Joints with a motor: keys of its velocity and torque, and those that say that it is sent set points."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
+from drivers.play.axis import AxisConfig
 from onboard.devices import roles
 from onboard.devices.base import JointDevice, Problem, Surroundings
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
@@ -66,9 +67,16 @@ class DrivenDevice(JointDevice):
     driven: Annotated[
         bool, Field(description="It plays the motion of `[drive]`; `NAME_status` and `NAME_sent` are recorded.")
     ] = False
-    brake: Annotated[
-        bool, Field(description="It has a brake, which stops it in a fault; else its motor slows it down.")
-    ] = True
-    check_units: Annotated[
-        bool, Field(description="Refuse to drive it unless 608Fh, 6091h or 6092h say `counts_per_revolution` too.")
-    ] = True
+
+    def axis(self, name: str, limits: Mapping[str, Any], master_node: int) -> AxisConfig:
+        """How it is driven.
+
+        Args:
+            name: Of the device.
+            limits: Fields of its ``AxisConfig`` that do not depend on its kind.
+            master_node: Our node number, on a bus that has them.
+
+        Raises:
+            ConfigurationError: It cannot be driven within them.
+        """
+        raise NotImplementedError

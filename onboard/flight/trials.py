@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.play.drive_axis import AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.drive_axis import Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.play.torque_master import TorqueConfig, TorqueMaster
 from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.canopen_pdo.sync import SyncConfig
@@ -198,12 +198,12 @@ class Trials:
 
     # The bus
 
-    def _axis(self, k: int) -> AxisConfig:
+    def _axis(self, k: int) -> Cia402AxisConfig:
         wire, limits = self._wires[k], self._limits
         drive = Cia402Config(wire.node, wire.counts, wire.zero, wire.name, status=f"{wire.name}_status")
         ends = self._zero[k] + self._per_rad[k] * np.array([limits.low[k], limits.high[k]])
         per_rad = abs(float(self._per_rad[k]))
-        return AxisConfig(
+        return Cia402AxisConfig(
             drive,
             f"{wire.name}_sent",
             round(float(ends.min())),
@@ -269,7 +269,7 @@ class Trials:
         return raw * per_mille, raw.tolist()
 
     @property
-    def _axes(self) -> list[DriveAxis]:
+    def _axes(self) -> Sequence[DriveAxis]:
         return self._master.axes
 
     @staticmethod

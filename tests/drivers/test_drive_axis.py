@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.canopen_pdo.play.drive_axis import CYCLIC, AxisConfig, DriveAxis
+from drivers.canopen_pdo.play.drive_axis import CYCLIC, Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.profiles.cia402 import POSITION, Cia402Config
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.reporter import Reporter
@@ -19,8 +19,8 @@ def told():
     def of(rate, read_ms):
         sync = SyncCounter(PERIOD_MS * MS)
         config = Cia402Config(1, 100_000, position="a", status="a_status")
-        limits = AxisConfig(config, "a_sent", -1_000_000, 1_000_000, RATE, 1e6, 1e6, 1000, 1000)
-        axis = DriveAxis(limits, CYCLIC, sync, (127, 100), lambda cob_id, data: None, Reporter("can_0"))
+        limits = Cia402AxisConfig(config, "a_sent", -1_000_000, 1_000_000, RATE, 1e6, 1e6, 1000, 1000)
+        axis = DriveAxis(limits, CYCLIC, sync, 100, lambda cob_id, data: None, Reporter("can_0"))
         axis.started()
         found = []
         for k in range(80):
@@ -59,7 +59,7 @@ def test_a_drive_beyond_its_limit_is_named(told, late_ms):
 def test_a_target_beyond_the_limits_is_cut_to_them(counts, sent):
     frames = []
     config = Cia402Config(1, 100_000, position="a", status="a_status")
-    limits = AxisConfig(config, "a_sent", -500, 800, RATE, 1e6, 1e6, 1000, 1000)
+    limits = Cia402AxisConfig(config, "a_sent", -500, 800, RATE, 1e6, 1e6, 1000, 1000)
     sync = SyncCounter(PERIOD_MS * MS)
-    DriveAxis(limits, CYCLIC, sync, (127, 100), lambda *frame: frames.append(frame), Reporter("can_0")).target(counts)
+    DriveAxis(limits, CYCLIC, sync, 100, lambda *frame: frames.append(frame), Reporter("can_0")).target(counts)
     assert frames == [(0x301, sent.to_bytes(4, "little", signed=True))]

@@ -11,12 +11,11 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import example, given, settings
 
-from drivers.canopen_pdo.play.drive_axis import AxisConfig
-from drivers.canopen_pdo.play.drive_master import State
-from drivers.canopen_pdo.play.player import Player
-from drivers.canopen_pdo.play.player_config import PlayerConfig
+from drivers.canopen_pdo.play.drive_axis import Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.profiles.cia402 import MODE, POSITION, STATUS, Cia402Config
 from drivers.canopen_pdo.sync import SyncCounter
+from drivers.play.master import State
+from drivers.play.player import Player, PlayerConfig
 from drivers.reporter import Reporter
 
 PERIOD_NS = 5_000_000
@@ -51,7 +50,9 @@ class Wire:
             low, high = round(zero - half), round(zero + half)
             drive = Cia402Config(node, per_rev, position=f"axis_{node}", status=f"status_{node}")
             limits = {"rate": rate, "acceleration": acceleration, "quick_stop": acceleration}
-            axes.append(AxisConfig(drive, "sent", low, high, following_error=per_rev, start_within=per_rev, **limits))
+            axes.append(
+                Cia402AxisConfig(drive, "sent", low, high, following_error=per_rev, start_within=per_rev, **limits)
+            )
             columns.append(np.round(zero + motion).astype(np.int64))
             stands.append(int(columns[-1][0] + case.away * rng.choice([-1, 1]) * max(near - 2.0, 0.0)))
         counts = np.stack(columns, 1)
@@ -64,7 +65,8 @@ class Wire:
         self.came = True
         self.report = Reporter("can_0")
         self.sync = SyncCounter(PERIOD_NS)
-        self.player = Player(self.config, self.sync, self.send, self.report)
+        axes_of = [DriveAxis(axis, CYCLIC, self.sync, 100, self.send, self.report) for axis in axes]
+        self.player = Player(self.config, axes_of, self.sync, self.report)
         self.now = 0
 
     @staticmethod

@@ -1,12 +1,13 @@
 """The master of torques on simulated servo drives, in virtual time: what it sends, and what stops it."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.play.drive_axis import AxisConfig
+from drivers.canopen_pdo.play.drive_axis import Cia402AxisConfig
 from drivers.canopen_pdo.play.torque_master import TorqueConfig
 from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.canopen_pdo.sync import SyncConfig
@@ -25,7 +26,7 @@ ENABLED = 0x27
 def axis(name, node, rate=3.0):
     drive = Cia402Config(node, COUNTS, position=name, status=f"{name}_status")
     motion = (rate * PER_RAD, 10.0 * PER_RAD, 10.0 * PER_RAD)
-    return AxisConfig(drive, f"{name}_sent", round(-2.0 * PER_RAD), round(2.0 * PER_RAD), *motion, 1000, 1000)
+    return Cia402AxisConfig(drive, f"{name}_sent", round(-2.0 * PER_RAD), round(2.0 * PER_RAD), *motion, 1000, 1000)
 
 
 class Bench:
@@ -141,4 +142,4 @@ def test_a_master_that_dies_leaves_drives_that_stop_by_themselves(made):
 
 def test_a_number_that_a_drive_has_is_refused_for_the_master():
     with pytest.raises(ConfigurationError, match="master node 1"):
-        TorqueConfig((axis("a", 1),), lambda tick, counts: [0], master=1)
+        replace(axis("a", 1), master=1)

@@ -10,18 +10,20 @@ mode 10 the target is a torque, in thousandths of the rated one (6076h), on the 
 """
 
 import struct
-from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from typing import Final
+from functools import partial
+from typing import ClassVar, Final
 
 import numpy as np
 
 from drivers.canopen_pdo import frame
+from drivers.canopen_pdo.frame import NmtState
 from drivers.canopen_pdo.profiles.cia402 import MODE, POSITION, RATED_TORQUE, STATUS, Cia402Config, Place
 from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, confirm, ensure_rpdo, read_unsigned
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import ConfigurationError, SdoAbortError
+from drivers.play.axis import Axis, AxisConfig
 from drivers.records import CAN_FRAME
 from drivers.reporter import Reporter
 
@@ -40,93 +42,71 @@ ENABLING: Final = {  # the controlword that leads on from a state
 FOLLOWING_ERROR, ACKNOWLEDGE, REACHED = 1 << 13, 1 << 12, 1 << 10  # of the statusword
 FOLLOWING_MS: Final = 10
 LARGEST_TORQUE: Final = 32_767  # thousandths of the rated torque, in an I16
-RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's own control
-RATE_WINDOW_NS: Final = 25_000_000
-_WRAP, _HALF = 1 << 32, 1 << 31
 _FRAME = struct.Struct("<i")
 
 
 @dataclass(frozen=True)
-class AxisConfig:
-    """A drive that is driven; counts are the drive's position units, as it sends them.
+class Cia402AxisConfig(AxisConfig):
+    """A CiA 402 drive that is driven.
 
     Attributes:
         drive: What is read from it, with position and status.
-        sent: Channel of the frames that it is sent.
-        low: Least position, counts.
-        high: Largest.
-        rate: Largest rate, counts/s.
-        acceleration: Of a profile, counts/s2.
-        quick_stop: Deceleration, counts/s2.
-        following_error: Largest, counts.
-        start_within: How far it may stand from where the motion begins, counts.
-        holds: It holds its position after a quick stop, instead of being released to its brake.
         brakes: It has a brake, which stops it in a fault; else it is slowed down by its motor.
         checks_units: 608Fh, 6091h and 6092h have to agree with ``counts_per_revolution``.
+        master: Our node number, of the heartbeat.
     """
 
     drive: Cia402Config
-    sent: str
-    low: int
-    high: int
-    rate: float
-    acceleration: float
-    quick_stop: float
-    following_error: int
-    start_within: int
-    holds: bool = False
     brakes: bool = True
     checks_units: bool = True
+    master: int = 127
 
     def __post_init__(self) -> None:
         if self.drive.position is None or self.drive.status is None:
             raise ConfigurationError(f"{self.sent}: a drive that is driven is read by position and status: name both")
-        if not -_HALF <= self.low < self.high < _HALF:
-            text = f"{self.drive.name}: may be between {self.low} and {self.high} counts: a drive counts in 32 bits"
-            raise ConfigurationError(f"{text}, the least below the most: correct limits, zero_count or margin")
-        if min(self.rate, self.acceleration, self.quick_stop, self.following_error, self.start_within) < 1:
-            raise ConfigurationError(f"{self.drive.name}: a limit of less than one count: give larger ones")
+        if not 1 <= self.master <= 127 or self.master == self.drive.node:
+            raise ConfigurationError(f"master node {self.master}: a number of 1..127 that no drive has")
+        super().__post_init__()
 
 
-class DriveAxis:
-    """One drive, as the player has it.
+class DriveAxis(Axis):
+    """One CiA 402 drive, as its master has it.
 
     Args:
         config: The drive.
         mode: ``CYCLIC``, ``PROFILE`` or ``CYCLIC_TORQUE``.
         sync: Numbers the SYNCs, which its positions are of.
-        master: Our node number and, in ms, how long the drive does without our heartbeat.
+        heartbeat_ms: How long the drive does without our heartbeat.
         send: Sends a frame (COB-ID, data).
         report: Where its frames go as rows.
 
     Attributes:
-        is_ready: It is set up and started.
         status: Statusword; None before the first.
         mode_shown: Mode of operation that is in force.
-        position: Counts, within 32 bits.
         failed: Error code of its last EMCY since it was started; 0 for none.
         rated_torque_mNm: Of its motor, by its object 6076h; 0 before it is set up in mode 10.
     """
 
+    ANSWERS: ClassVar = " SYNC"
+    SHOWS: ClassVar = "statuswords"
+
     def __init__(
         self,
-        config: AxisConfig,
+        config: Cia402AxisConfig,
         mode: int,
         sync: SyncCounter,
-        master: tuple[int, int],
+        heartbeat_ms: int,
         send: Callable[[int, bytes], None],
         report: Reporter,
     ) -> None:
-        self.config, self.mode = config, mode
-        self.node, self.name = config.drive.node, config.drive.name
-        self.is_ready, self.failed = False, 0
+        super().__init__(config, sync)
+        self.config: Cia402AxisConfig = config
+        self.mode, self.node = mode, config.drive.node
+        self._is_set_up, self.failed = False, 0
         self.rated_torque_mNm = 0
         self.status: int | None = None
         self.mode_shown: int | None = None
-        self.position: int | None = None
-        self.now_ns = 0
-        self._sync, self._master = sync, master
-        self._past: deque[tuple[int, int]] = deque()  # SYNC numbers, and positions
+        self._sync, self._heartbeat_ms = sync, heartbeat_ms
         self._transmit, self._report = send, report
         self._rows: list[tuple[int, int, int, int, list[int]]] = []
         self._sequence = 0
@@ -161,6 +141,11 @@ class DriveAxis:
 
     # Received
 
+    def routes(self) -> list[tuple[int, Callable[[int, bytes], None]]]:
+        """COB-IDs that it listens to."""
+        tpdos = [(cob_id, partial(self.on_tpdo, cob_id)) for cob_id in self.cob_ids]
+        return [*tpdos, (frame.EMERGENCY + self.node, self.on_emergency)]
+
     def on_tpdo(self, cob_id: int, host_ns: int, data: bytes) -> None:
         """A TPDO of it came; one of wrong length is reported by its channel."""
         for entry, place in self._places[cob_id]:
@@ -168,8 +153,7 @@ class DriveAxis:
                 continue
             word = data[place.start : place.start + place.size]
             if entry == POSITION:
-                self.position = int.from_bytes(word, "little", signed=True)
-                self._past.append((self._sync.tick or 0, self.position))
+                self._is_at(int.from_bytes(word, "little", signed=True))
             elif entry == STATUS:
                 self.status = int.from_bytes(word, "little")
             else:
@@ -184,47 +168,67 @@ class DriveAxis:
 
     def started(self) -> None:
         """It is set up, and was started."""
-        self.is_ready, self.failed = True, 0
-        self.status = self.position = self.mode_shown = None
-        self._past.clear()
+        self._is_set_up, self.failed = True, 0
+        self.status = self.mode_shown = None
+        self._forget()
 
     def lost(self) -> None:
         """It has to be set up again."""
-        self.is_ready = False
+        self._is_set_up = False
 
-    def distance(self, counts: int) -> int:
-        """Counts from ``counts`` to where it is, across the end of 32 bits."""
-        assert self.position is not None
-        return (self.position - counts + _HALF) % _WRAP - _HALF
+    # What it says
 
-    def unwell(self, now_ns: int, limit_ns: int) -> str:
-        """Why it must not go on, whatever it is sent; empty while all is well."""
-        slack = self.config.following_error
+    @property
+    def is_ready(self) -> bool:
+        """See ``Axis``."""
+        return self._is_set_up and self.position is not None and self.status is not None
+
+    @property
+    def may_move(self) -> bool:
+        """See ``Axis``."""
+        return self.is_enabled or self.status is None
+
+    @property
+    def shown(self) -> str:
+        """See ``Axis``: its statusword."""
+        return f"{self.status or 0:04X}h"
+
+    @property
+    def has_taken(self) -> bool:
+        """See ``Axis``."""
+        return bool((self.status or 0) & ACKNOWLEDGE)
+
+    @property
+    def has_arrived(self) -> bool:
+        """See ``Axis``."""
+        return bool((self.status or 0) & REACHED)
+
+    def not_to_be_armed(self) -> str:
+        """See ``Axis``."""
+        if self.state in FAULTS:
+            return f"is in fault, statusword {self.shown}: clear it with its tool"
+        if self.failed:
+            return f"reports {self.failed:04X}h (EMCY): clear it with its tool"
+        return ""
+
+    def broken(self) -> str:
+        """See ``Axis``."""
         if self.failed:
             return f"reports {self.failed:04X}h (EMCY)"
-        if not self.is_ready:
+        if not self._is_set_up:
             return "was set up again: it had rebooted, or its heartbeat had stopped"
         if self.state in FAULTS:
-            return f"is in fault, statusword {self.status or 0:04X}h"
-        if (silent_ns := now_ns - self.heard_ns) > limit_ns:
-            return f"has not answered SYNC for {silent_ns // 1_000_000} ms"
-        if self.position is None or not self.config.low - slack <= self.position <= self.config.high + slack:
-            return "is outside its limits"
-        return self._too_fast()
+            return f"is in fault, statusword {self.shown}"
+        return ""
 
-    def _too_fast(self) -> str:
-        """Its rate between SYNCs, over a window long enough for the counts; when its frames arrived does not matter."""
-        window = -(-RATE_WINDOW_NS // self._sync.period_ns)
-        while len(self._past) > 2 and self._past[-1][0] - self._past[1][0] >= window:
-            self._past.popleft()
-        periods = self._past[-1][0] - self._past[0][0] if self._past else 0
-        if periods < window:
-            return ""
-        per_s = 1e9 / (periods * self._sync.period_ns)
-        rate = abs(self.distance(self._past[0][1])) * per_s
-        if rate <= RATE_SLACK * self.config.rate + 2.0 * per_s:
-            return ""
-        return f"moves at {360.0 * rate / self.config.drive.counts_per_revolution:.1f} deg/s, faster than its limit"
+    def astray(self) -> Iterator[str]:
+        """See ``Axis``."""
+        if not self.is_enabled:
+            yield f"has left the operation enabled state, statusword {self.shown}"
+        if self.mode_shown != self.mode:
+            yield f"is in mode {self.mode_shown}, not {self.mode} (6061h)"
+        if self.mode == CYCLIC and (self.status or 0) & FOLLOWING_ERROR:
+            yield "reports a following error"
 
     # Sent
 
@@ -239,10 +243,36 @@ class DriveAxis:
         """Send a controlword."""
         self.send(0x200 + self.node, word.to_bytes(2, "little"))
 
-    def target(self, counts: int, word: int | None = None) -> None:
-        """Send a target position, in mode 1 with its controlword; outside the limits it is cut to them."""
-        held = _FRAME.pack(min(max(counts, self.config.low), self.config.high))
-        self.send(0x300 + self.node, held if word is None else held + word.to_bytes(2, "little"))
+    def beat(self) -> None:
+        """See ``Axis``: our heartbeat, which every drive hears."""
+        self.send(frame.HEARTBEAT + self.config.master, bytes([NmtState.OPERATIONAL]))
+
+    def enable(self) -> None:
+        """See ``Axis``: in mode 10 without torque; else a drive without a set point stays where it is."""
+        if self.mode == CYCLIC_TORQUE:
+            self.torque(0)
+        self.control(ENABLING.get(self.state or 0, DISABLE_VOLTAGE))
+
+    def quick_stop(self) -> None:
+        """See ``Axis``."""
+        self.control(QUICK_STOP)
+
+    def cut(self) -> None:
+        """See ``Axis``."""
+        self.control(DISABLE_VOLTAGE)
+
+    def target(self, counts: int) -> None:
+        """See ``Axis``."""
+        self.send(0x300 + self.node, _FRAME.pack(self._held(counts)))
+
+    def way_point(self, counts: int) -> None:
+        """See ``Axis``: the controlword that says that it is new comes with it."""
+        word = ENABLE | AT_ONCE | NEW_SET_POINT
+        self.send(0x300 + self.node, _FRAME.pack(self._held(counts)) + word.to_bytes(2, "little"))
+
+    def confirm(self) -> None:
+        """See ``Axis``."""
+        self.control(ENABLE | AT_ONCE)
 
     def torque(self, per_mille: int) -> None:
         """Send a target torque, in thousandths of the rated one, positive towards larger counts."""
@@ -287,7 +317,6 @@ class DriveAxis:
 
     def _objects(self) -> list[tuple[int, int, int, int]]:
         config = self.config
-        node, silence_ms = self._master
         objects = [
             (0x607D, 1, config.low, 4),
             (0x607D, 2, config.high, 4),
@@ -297,7 +326,7 @@ class DriveAxis:
             (0x605A, 0, 6 if config.holds else 2, 2),
             (0x605E, 0, 0 if config.brakes else 2, 2),
             (0x6007, 0, 3, 2),
-            (0x1016, 1, node << 16 | silence_ms, 4),
+            (0x1016, 1, config.master << 16 | self._heartbeat_ms, 4),
             (0x6060, 0, self.mode, 1),
         ]
         if self.mode == PROFILE:

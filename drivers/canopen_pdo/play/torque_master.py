@@ -3,7 +3,7 @@
 Armed, it beats, enables the drives with torque zero where they stand, and then asks the law for torques once a SYNC, as
 soon as every drive has answered it; they are in force from the next SYNC on. A SYNC that a drive does not answer in
 time has no torques of its own: those of the last one stay. It watches on every pump what the player of positions
-watches too (:meth:`DriveAxis.unwell`), the state and mode of every drive and its rate. Whatever is wrong becomes a
+watches too (:meth:`Axis.unwell`), the state and mode of every drive and its rate. Whatever is wrong becomes a
 quick stop of all drives, once; so does a law that says why it ends.
 """
 
@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from drivers.canopen_pdo.play.drive_axis import CYCLIC_TORQUE, AxisConfig, DriveAxis
-from drivers.canopen_pdo.play.drive_master import DriveMaster, State
+from drivers.canopen_pdo.play.drive_axis import CYCLIC, CYCLIC_TORQUE, PROFILE, Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import ConfigurationError
+from drivers.play.master import DriveMaster, State
+from drivers.play.player import Player, PlayerConfig
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -31,30 +32,26 @@ class TorqueConfig:
         law: Asked once a SYNC.
         heartbeat_ms: How long the drives do without our heartbeat.
         sync_limit_ms: Longest time without SYNC, or without an answer of a drive.
-        master: Our node number, of the heartbeat.
     """
 
-    axes: tuple[AxisConfig, ...]
+    axes: tuple[Cia402AxisConfig, ...]
     law: Law
     heartbeat_ms: int = 100
     sync_limit_ms: float = 25.0
-    master: int = 127
 
     def __post_init__(self) -> None:
-        if not self.axes or not 1 <= self.master <= 127 or any(axis.drive.node == self.master for axis in self.axes):
-            raise ConfigurationError(f"master node {self.master}: a number of 1..127 that no drive has; and a drive")
+        if not self.axes:
+            raise ConfigurationError("a law of torques without a drive: name one")
 
 
-class TorqueMaster(DriveMaster):
+class TorqueMaster(DriveMaster[DriveAxis]):
     """The master of one CAN bus, in the player's place; arguments and attributes as :class:`DriveMaster` has."""
 
     SENDS: ClassVar = "torque"
     STOPPED_AS: ClassVar = Severity.WARNING  # a law says so at the end of its trials, too
 
-    def __init__(
-        self, config: TorqueConfig, sync: SyncCounter, send: Callable[[int, bytes], None], report: Reporter
-    ) -> None:
-        super().__init__(config, CYCLIC_TORQUE, sync, send, report)
+    def __init__(self, config: TorqueConfig, axes: Sequence[DriveAxis], sync: SyncCounter, report: Reporter) -> None:
+        super().__init__(config, axes, sync, report)
         self.config = config
 
     @property
@@ -70,9 +67,6 @@ class TorqueMaster(DriveMaster):
     def _started(self) -> None:
         """The law is asked from the next SYNC on."""
 
-    def _hold_still(self, axis: DriveAxis) -> None:
-        axis.torque(0)
-
     def _go_on(self) -> None:
         if self.state is State.ENABLING:
             self._enable()
@@ -80,8 +74,8 @@ class TorqueMaster(DriveMaster):
             self._ask()
 
     def _ask(self) -> None:
-        tick = self._sync.tick
-        answered = all(axis.heard_ns >= self._sync.host_ns for axis in self.axes)
+        tick = self._ticks.tick
+        answered = all(axis.heard_ns >= self._ticks.host_ns for axis in self.axes)
         if tick is None or tick == self._sent_tick or not answered:
             return
         self._sent_tick = tick
@@ -91,3 +85,24 @@ class TorqueMaster(DriveMaster):
             return
         for axis, torque in zip(self.axes, torques, strict=True):
             axis.torque(torque)
+
+
+Play = PlayerConfig[Cia402AxisConfig] | TorqueConfig
+
+
+def master_of(
+    play: Play, sync: SyncCounter, send: Callable[[int, bytes], None], report: Reporter
+) -> DriveMaster[DriveAxis]:
+    """The master of the drives of a CAN bus.
+
+    Args:
+        play: What its drives are driven by.
+        sync: Numbers the SYNCs of this bus.
+        send: Sends a frame (COB-ID, data); does not raise on bus faults.
+        report: Where events and rows go.
+    """
+    mode = CYCLIC_TORQUE if isinstance(play, TorqueConfig) else PROFILE if play.is_profile else CYCLIC
+    axes = [DriveAxis(axis, mode, sync, play.heartbeat_ms, send, report) for axis in play.axes]
+    if isinstance(play, TorqueConfig):
+        return TorqueMaster(play, axes, sync, report)
+    return Player(play, axes, sync, report)

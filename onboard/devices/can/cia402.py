@@ -1,10 +1,12 @@
 """Drive (CiA 402)."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from drivers.canopen_pdo.guarding import GuardConfig
+from drivers.canopen_pdo.play.drive_axis import Cia402AxisConfig
 from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.records import CAN_FRAME, SCALAR
 from onboard.devices.base import Channels, Surroundings
@@ -35,6 +37,12 @@ class Cia402Device(CanopenNodeDevice, MotorDevice, DrivenDevice):
     ] = None
     gear_ratio: float = Cia402Config.gear_ratio
     tpdos: tuple[int, ...] = Cia402Config.tpdos
+    brake: Annotated[
+        bool, Field(description="It has a brake, which stops it in a fault; else its motor slows it down.")
+    ] = True
+    check_units: Annotated[
+        bool, Field(description="Refuse to drive it unless 608Fh, 6091h or 6092h say `counts_per_revolution` too.")
+    ] = True
 
     def channels(self, name: str) -> Channels:
         """Position, velocity, torque; of a driven one statusword and the frames sent."""
@@ -55,3 +63,8 @@ class Cia402Device(CanopenNodeDevice, MotorDevice, DrivenDevice):
         torque = f"{name}_torque" if self.torque else None
         status = f"{name}_status" if self.driven else None
         return self._settings(Cia402Config, position=name, velocity=velocity, torque=torque, status=status)
+
+    def axis(self, name: str, limits: Mapping[str, Any], master_node: int) -> Cia402AxisConfig:
+        """See ``DrivenDevice``."""
+        keys = {**limits, "brakes": self.brake, "checks_units": self.check_units, "master": master_node}
+        return Cia402AxisConfig(self.settings(name), **keys)

@@ -7,12 +7,13 @@ move the arm again.
 import threading
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from drivers.canopen_pdo.play.drive_master import DriveMaster
-from drivers.canopen_pdo.play.player import Player
 from drivers.device import Device
+from drivers.play.master import DriveMaster
+from drivers.play.player import Player
 from drivers.records import Batch, SampleStatus, Severity, event
 from onboard import config
 from onboard.channels import Act
@@ -39,7 +40,7 @@ class Arming:
         self._channel = None if phases is None else phases.channel
         self._mark = None if directory is None else directory / MARK
         self._spent = self._mark is not None and self._mark.exists()
-        self._players: list[DriveMaster] = []
+        self._players: list[DriveMaster[Any]] = []
         self._lock = threading.Lock()
         asks = directory is not None and vehicle.file.mission is not None
         self._asked_at = directory / REQUESTS if directory is not None and asks else None
@@ -48,7 +49,7 @@ class Arming:
 
     def started(self, device: Device, now_ns: int) -> list[Batch]:
         """A device was started: its player is armed where the operator has armed; an event where it is not any more."""
-        player: DriveMaster | None = getattr(device, "player", None)
+        player: DriveMaster[Any] | None = getattr(device, "player", None)
         if player is None:
             return []
         if self._spent:

@@ -1,28 +1,26 @@
-"""Plays a motion over the drives of a CAN bus, and stops them all when anything is not as it has to be.
+"""Plays a motion over the drives of a bus, and stops them all when anything is not as it has to be.
 
-Nothing is sent before ``arm``, but for the set-up. Armed, it beats (CiA 301 heartbeat, which the drives watch), enables
-the drives where they stand, blends into the motion within ``BLEND_S`` or as long as their limits need, and sends each
-target after the SYNC before the one it is for. It watches, on every pump: SYNC, each drive's answers, state, mode,
-position, rate, distance from the target, EMCY, reboot. Whatever is wrong becomes a quick stop of all drives, once; a
-player that has stopped does not start again. Where SYNCs were lost, or this computer was late, the drives stood at
-their last target: the motion goes on from there, from rest to its own pace within their accelerations, and ends as much
-later.
+Nothing is sent before ``arm``, but for the set-up. Armed, it enables the drives where they stand, blends into the
+motion within ``BLEND_S`` or as long as their limits need, and sends each target after the tick (SYNC, or round of
+requests) before the one it is for. It watches, on every pump, what every master does, and each drive's distance from
+its target. Where ticks were lost, or this computer was late, the drives stood at their last target: the motion goes on
+from there, from rest to its own pace within their accelerations, and ends as much later.
 
-The drives stop by themselves when this process does not beat any more: that is set up before, and read back.
+The drives stop by themselves when this process is not there any more: that is set up before, and read back.
 """
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import ClassVar, Final
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.canopen_pdo.play import drive_axis
-from drivers.canopen_pdo.play.drive_axis import CYCLIC, DriveAxis
-from drivers.canopen_pdo.play.drive_master import DriveMaster, State
-from drivers.canopen_pdo.play.player_config import PlayerConfig
-from drivers.canopen_pdo.sync import SyncCounter
+from drivers.errors import ConfigurationError
+from drivers.play.axis import Axis, AxisConfig, Ticks
+from drivers.play.master import Axis_co, DriveMaster, State
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -30,29 +28,68 @@ BLEND_S: Final = 1.0  # from where the arm stands to the motion, at least
 BLEND_RATE, BLEND_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # largest of 10 u^3 - 15 u^4 + 6 u^5, by u
 ARRIVE_NS: Final = 60_000_000_000  # of the last way point of a profile
 ACKNOWLEDGE_NS: Final = 500_000_000
-LATENCY: Final = 3  # SYNCs from a target being sent to its being reached
+LATENCY: Final = 3  # ticks from a target being sent to its being reached
+Config_co = TypeVar("Config_co", bound=AxisConfig, covariant=True)
 
 
-class Player(DriveMaster):
-    """The player of one CAN bus; arguments and attributes as :class:`DriveMaster` has, the mode in ``config``."""
+@dataclass(frozen=True)
+class PlayerConfig(Generic[Config_co]):
+    """What is played, and how.
+
+    Attributes:
+        axes: The drives, in the order of the columns.
+        ticks: Periods from the start of the motion to each row, rising, (n,).
+        counts: Target of each drive, (n, axes).
+        is_profile: Its rows are way points of the drives' own profiles, instead of a target for each tick.
+        heartbeat_ms: How long the drives do without us.
+        sync_limit_ms: Longest time without a tick, or without an answer of a drive.
+        name: Of the motion, for messages.
+        segments: Further motions by name, a row for each tick, from the motion's last row and back to it.
+    """
+
+    axes: tuple[Config_co, ...]
+    ticks: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    is_profile: bool = False
+    heartbeat_ms: int = 100
+    sync_limit_ms: float = 25.0
+    name: str = "motion"
+    segments: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.counts.shape != (len(self.ticks), len(self.axes)) or len(self.ticks) < 2 or not self.axes:
+            raise ConfigurationError(f"{self.name}: {self.counts.shape} targets for {len(self.axes)} drives: two rows")
+        for name, counts in self.segments.items():
+            if self.is_profile or counts.ndim != 2 or np.abs(counts[[0, -1]] - self.counts[-1]).max() > 1:
+                raise ConfigurationError(
+                    f"{name}: segments are cyclic, from where {self.name} ends and back: correct it"
+                )
+        columns = np.concatenate([self.counts, *self.segments.values()]).T
+        for axis, column in zip(self.axes, columns, strict=True):
+            if column.min() < axis.low or column.max() > axis.high:
+                raise ConfigurationError(f"{self.name}: {axis.drive.name} would leave its limits: correct the motion")
+
+
+class Player(DriveMaster[Axis_co]):
+    """The player of one bus; arguments and attributes as :class:`DriveMaster` has."""
 
     SENDS: ClassVar = "target"
     STOPPED_AS: ClassVar = Severity.ERROR
 
     def __init__(
-        self, config: PlayerConfig, sync: SyncCounter, send: Callable[[int, bytes], None], report: Reporter
+        self, config: PlayerConfig[AxisConfig], axes: Sequence[Axis_co], ticks: Ticks, report: Reporter
     ) -> None:
-        super().__init__(config, config.mode, sync, send, report)
+        super().__init__(config, axes, ticks, report)
         self.config = config
         self._first_tick = self._row = 0
         self._played = -1.0  # rows after the start, of the last target
-        self._pace, self._gain = 1.0, 1.0  # rows a SYNC; of it that is missing, the share that a SYNC adds
+        self._pace, self._gain = 1.0, 1.0  # rows a tick; of it that is missing, the share that a tick adds
         self._counts, self._name = config.counts, config.name  # of what is played now
         self._offsets: list[int] = []
         self._aimed: deque[tuple[int, list[int]]] = deque(maxlen=LATENCY + 1)
-        self._waiting_ns: int | None = None  # for bit 12 in mode 1
+        self._waiting_ns: int | None = None  # for a way point to be acknowledged
         self._worst = [0] * len(self.axes)
-        self._blend = self._lead = round(BLEND_S * 1e9 / sync.period_ns)
+        self._blend = self._lead = round(BLEND_S * 1e9 / ticks.period_ns)
 
     def request(self, name: str) -> None:
         """Play a segment from where the arm is held; refused, with an event, while it is not held there."""
@@ -68,21 +105,20 @@ class Player(DriveMaster):
 
     # Arming
 
-    def _not_to_be_armed(self, place: int, axis: DriveAxis) -> str:
+    def _not_to_be_armed(self, place: int, axis: Axis) -> str:
         if why := super()._not_to_be_armed(place, axis):
             return why
         if axis.position is None or not axis.config.low <= axis.position <= axis.config.high:
             return "stands outside its limits: bring it back by hand, or with its tool"
         away = abs(axis.distance(int(self.config.counts[0][place])))
         if away > axis.config.start_within:
-            stands = 360.0 * away / axis.config.drive.counts_per_revolution
-            return f"stands {stands:.2f} deg from where the motion starts: bring it there"
+            return f"stands {axis.config.degrees(away):.2f} deg from where the motion starts: bring it there"
         return ""
 
     def _get_ready(self) -> str:
         first = self.config.counts[0].tolist()
         self._offsets = [axis.distance(start) for axis, start in zip(self.axes, first, strict=True)]
-        period_s = self._sync.period_ns * 1e-9
+        period_s = self._ticks.period_ns * 1e-9
         self._blend = self._lead = math.ceil(self._blend_s() / period_s)
         seconds = (int(self.config.ticks[-1]) + self._blend) * period_s
         return f"{self.config.name}, {seconds:.1f} s, {super()._get_ready()}"
@@ -95,9 +131,6 @@ class Player(DriveMaster):
             needed.append(math.sqrt(BLEND_ACCELERATION * abs(offset) / axis.config.acceleration))
         return max(needed)
 
-    def _hold_still(self, axis: DriveAxis) -> None:
-        """Nothing is sent: a drive that gets no set point stays where it is enabled."""
-
     def _started(self) -> None:
         self._row = 0
         self._begin_motion()
@@ -106,22 +139,22 @@ class Player(DriveMaster):
     # Playing
 
     def _go_on(self) -> None:
-        tick = self._sync.tick
+        tick = self._ticks.tick
         if tick is None or tick == self._sent_tick:
             return
         if self.state is State.ENABLING:
-            if self.config.mode == CYCLIC:
+            if not self.config.is_profile:
                 self._aim(tick, self._row_at(0))  # where they stand
             self._enable()
-        elif self.config.mode == CYCLIC:
+        elif not self.config.is_profile:
             self._play(tick)
         else:
             self._way_point(tick)
         self._sent_tick = tick
 
     def _begin_motion(self) -> None:
-        self._first_tick, self._played, self._pace = (self._sync.tick or 0) + 1, -1.0, 1.0
-        square = (self._sync.period_ns * 1e-9) ** 2
+        self._first_tick, self._played, self._pace = (self._ticks.tick or 0) + 1, -1.0, 1.0
+        square = (self._ticks.period_ns * 1e-9) ** 2
         steps = np.abs(np.diff(self._counts, axis=0)).max(axis=0).tolist()
         blends = [BLEND_RATE * abs(offset) / self._blend for offset in self._offsets]
         largest = [max(1.0, *both) for both in zip(steps, blends, strict=True)]
@@ -158,22 +191,22 @@ class Player(DriveMaster):
         self._aimed.append((tick, targets))
 
     def _way_point(self, tick: int) -> None:
-        """Mode 1: bit 4 marks a new target, bit 12 acknowledges it."""
+        """Each is acknowledged and confirmed before the next."""
         if self._waiting_ns is not None:
-            if all((axis.status or 0) & drive_axis.ACKNOWLEDGE for axis in self.axes):
+            if all(axis.has_taken for axis in self.axes):
                 self._waiting_ns = None
                 for axis in self.axes:
-                    axis.control(drive_axis.ENABLE | drive_axis.AT_ONCE)
+                    axis.confirm()
             elif self._now_ns - self._waiting_ns > ACKNOWLEDGE_NS:
-                self.stop("a target was not acknowledged (bit 12 of the statusword)")
+                self.stop("a target was not acknowledged")
             return
-        ready = not any((axis.status or 0) & drive_axis.ACKNOWLEDGE for axis in self.axes)
+        ready = not any(axis.has_taken for axis in self.axes)
         if self._row < len(self.config.ticks):
             if ready and tick - self._first_tick >= self.config.ticks[self._row]:
                 for axis, target in zip(self.axes, self.config.counts[self._row].tolist(), strict=True):
-                    axis.target(target, drive_axis.ENABLE | drive_axis.AT_ONCE | drive_axis.NEW_SET_POINT)
+                    axis.way_point(target)
                 self._row, self._waiting_ns, self._told_ns = self._row + 1, self._now_ns, self._now_ns
-        elif ready and all((axis.status or 0) & drive_axis.REACHED for axis in self.axes):
+        elif ready and all(axis.has_arrived for axis in self.axes):
             for axis, target in zip(self.axes, self.config.counts[-1].tolist(), strict=True):
                 if abs(axis.distance(target)) > axis.config.following_error:
                     self.stop(f"{axis.name} says that its target is reached, and is elsewhere")
@@ -187,10 +220,10 @@ class Player(DriveMaster):
         self.state = State.HOLDING
         far = (
             ""
-            if self.config.mode != CYCLIC
+            if self.config.is_profile
             else "; largest following error, mdeg: "
             + ", ".join(
-                f"{axis.name} {360e3 * far / axis.config.drive.counts_per_revolution:.0f}"
+                f"{axis.name} {1e3 * axis.config.degrees(far):.0f}"
                 for axis, far in zip(self.axes, self._worst, strict=True)
             )
         )
@@ -199,12 +232,10 @@ class Player(DriveMaster):
 
     # Watching
 
-    def _astray(self, place: int, axis: DriveAxis) -> Iterator[str]:
+    def _astray(self, place: int, axis: Axis) -> Iterator[str]:
         yield from super()._astray(place, axis)
-        if self.config.mode == CYCLIC and (axis.status or 0) & drive_axis.FOLLOWING_ERROR:
-            yield "reports a following error"
         if self._aimed:
             far = min(abs(axis.distance(targets[place])) for _, targets in self._aimed)
             self._worst[place] = max(self._worst[place], far)
             if far > axis.config.following_error:
-                yield f"is {360.0 * far / axis.config.drive.counts_per_revolution:.2f} deg from where it was sent"
+                yield f"is {axis.config.degrees(far):.2f} deg from where it was sent"

@@ -1,21 +1,16 @@
-"""What every master of the drives of a CAN bus does: it beats, arms, enables, watches, stops.
+"""What every master of the drives of a bus does, whatever their kind: it beats, arms, enables, watches, stops.
 
-Armed, it beats (CiA 301 heartbeat, which the drives watch) and enables the drives where they stand. On every pump it
-watches SYNC, each drive's answers, state, mode, limits, rate, EMCY, reboot, and that it sent something itself. Whatever
-is wrong becomes a quick stop of all drives, once; a master that has stopped does not start again.
+Armed, it beats where the drives watch that and enables them where they stand. On every pump it watches the ticks, each
+drive's answers, state, limits, rate and faults, and that it sent something itself. Whatever is wrong becomes a quick
+stop of all drives, once; a master that has stopped does not start again.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from enum import Enum, auto
-from functools import partial
-from typing import ClassVar, Final, Protocol
+from typing import ClassVar, Final, Generic, Protocol, TypeVar
 
-from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.frame import NmtState
-from drivers.canopen_pdo.play import drive_axis
-from drivers.canopen_pdo.play.drive_axis import AxisConfig, DriveAxis
-from drivers.canopen_pdo.sync import SyncCounter
+from drivers.play.axis import Axis, Ticks
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -24,6 +19,7 @@ ENABLE_NS: Final = 3_000_000_000
 REPEAT_NS: Final = 50_000_000  # of a controlword that is not obeyed
 STOP_NS: Final = 3_000_000_000  # of a quick stop
 BEATS: Final = 4  # heartbeats in the time that a drive does without
+Axis_co = TypeVar("Axis_co", bound=Axis, covariant=True)
 
 
 class State(Enum):
@@ -44,31 +40,22 @@ class MasterConfig(Protocol):
     """Configuration that all masters have in common."""
 
     @property
-    def axes(self) -> tuple[AxisConfig, ...]:
-        """The drives."""
-
-    @property
     def heartbeat_ms(self) -> int:
         """How long the drives do without our heartbeat."""
 
     @property
     def sync_limit_ms(self) -> float:
-        """Longest time without SYNC, or without an answer of a drive."""
-
-    @property
-    def master(self) -> int:
-        """Our node number, of the heartbeat."""
+        """Longest time without a tick, or without an answer of a drive."""
 
 
-class DriveMaster(ABC):
-    """The master of the drives of one CAN bus.
+class DriveMaster(ABC, Generic[Axis_co]):
+    """The master of the drives of one bus.
 
     Args:
-        config: What is driven.
-        mode: Of operation (6060h).
-        sync: Numbers the SYNCs of this bus.
-        send: Sends a frame (COB-ID, data); does not raise on bus faults.
-        report: Where events and rows go.
+        config: How they are watched.
+        axes: The drives.
+        ticks: Numbers the SYNCs, or the rounds, of this bus.
+        report: Where events go.
 
     Attributes:
         state: Where it stands.
@@ -76,22 +63,14 @@ class DriveMaster(ABC):
         stopped_by: Why they were stopped; empty before.
     """
 
-    SENDS: ClassVar[str]  # what it sends once a SYNC
+    SENDS: ClassVar[str]  # what it sends once a tick
     STOPPED_AS: ClassVar[Severity]  # of the event of a quick stop
 
-    def __init__(
-        self,
-        config: MasterConfig,
-        mode: int,
-        sync: SyncCounter,
-        send: Callable[[int, bytes], None],
-        report: Reporter,
-    ) -> None:
+    def __init__(self, config: MasterConfig, axes: Sequence[Axis_co], ticks: Ticks, report: Reporter) -> None:
         self.state, self.stopped_by = State.IDLE, ""
-        self._sync, self._report, self._mode = sync, report, mode
-        self._master, self._heartbeat_ms = config.master, config.heartbeat_ms
-        own = self._master, self._heartbeat_ms
-        self.axes = [DriveAxis(axis, mode, sync, own, send, report) for axis in config.axes]
+        self.axes = axes
+        self._ticks, self._report = ticks, report
+        self._heartbeat_ms = config.heartbeat_ms
         self._armed = self._was_armed = False
         self._limit_ns = round(config.sync_limit_ms * 1e6)
         self._since_ns = self._beat_ns = self._told_ns = self._now_ns = 0
@@ -110,18 +89,6 @@ class DriveMaster(ABC):
     def arm(self) -> None:
         """From now on the drives are enabled as soon as all are ready; may be called by another thread."""
         self._armed = True
-
-    def axis_of(self, node: int) -> DriveAxis | None:
-        """The axis that a node drives."""
-        return next((axis for axis in self.axes if axis.node == node), None)
-
-    def routes(self) -> list[tuple[int, Callable[[int, bytes], None]]]:
-        """COB-IDs that it listens to."""
-        found: list[tuple[int, Callable[[int, bytes], None]]] = []
-        for axis in self.axes:
-            found += [(cob_id, partial(axis.on_tpdo, cob_id)) for cob_id in axis.cob_ids]
-            found.append((frame.EMERGENCY + axis.node, axis.on_emergency))
-        return found
 
     def step(self, now_ns: int) -> None:
         """Everything that is due, after the frames of a pump were taken."""
@@ -149,7 +116,7 @@ class DriveMaster(ABC):
             axis.now_ns = now_ns
 
     def hand_over(self) -> None:
-        """Pass the frames that were sent to the reporter."""
+        """Pass what the drives were sent to the reporter."""
         for axis in self.axes:
             axis.hand_over()
 
@@ -165,7 +132,7 @@ class DriveMaster(ABC):
     # Arming and enabling
 
     def _begin(self) -> None:
-        late = [axis.name for axis in self.axes if not axis.is_ready or axis.position is None or axis.status is None]
+        late = [axis.name for axis in self.axes if not axis.is_ready]
         if late:
             if self._now_ns - self._since_ns > READY_NS:
                 self.stop(f"not ready: {', '.join(late)}; see its events; the arm is not moved")
@@ -178,12 +145,9 @@ class DriveMaster(ABC):
         self.state, self._since_ns, self._told_ns = State.ENABLING, self._now_ns, 0
         self._report.event(self._now_ns, Severity.WARNING, "drive_armed", self._get_ready())
 
-    def _not_to_be_armed(self, place: int, axis: DriveAxis) -> str:
-        if axis.state in drive_axis.FAULTS:
-            return f"is in fault, statusword {axis.status or 0:04X}h: clear it with its tool"
-        if axis.failed:
-            return f"reports {axis.failed:04X}h (EMCY): clear it with its tool"
-        return ""
+    def _not_to_be_armed(self, place: int, axis: Axis) -> str:
+        del place
+        return axis.not_to_be_armed()
 
     def _get_ready(self) -> str:
         """The last call before drives are enabled: what they are armed for."""
@@ -195,18 +159,13 @@ class DriveMaster(ABC):
             self._started()
             return
         if self._now_ns - self._since_ns > ENABLE_NS:
-            told = ", ".join(f"{axis.name} {axis.status or 0:04X}h" for axis in self.axes if not axis.is_enabled)
-            self.stop(f"not enabled within {ENABLE_NS * 1e-9:g} s, statuswords: {told}")
+            told = ", ".join(f"{axis.name} {axis.shown}" for axis in self.axes if not axis.is_enabled)
+            self.stop(f"not enabled within {ENABLE_NS * 1e-9:g} s, {self.axes[0].SHOWS}: {told}")
             return
-        if self._now_ns - self._told_ns >= self._sync.period_ns:
+        if self._now_ns - self._told_ns >= self._ticks.period_ns:
             self._told_ns = self._now_ns
             for axis in self.axes:
-                self._hold_still(axis)
-                axis.control(drive_axis.ENABLING.get(axis.state or 0, drive_axis.DISABLE_VOLTAGE))
-
-    @abstractmethod
-    def _hold_still(self, axis: DriveAxis) -> None:
-        """What a drive is sent before a controlword that enables it, so that it does not move."""
+                axis.enable()
 
     @abstractmethod
     def _started(self) -> None:
@@ -220,15 +179,15 @@ class DriveMaster(ABC):
 
     def _wrong(self) -> str:
         """Why the drives have to stop; empty while all is well."""
-        silent_ns = self._now_ns - self._sync.host_ns
+        silent_ns = self._now_ns - self._ticks.host_ns
         if silent_ns > self._limit_ns:
-            return f"no SYNC for {silent_ns // 1_000_000} ms"
-        tick = self._sync.tick
+            return f"no {self._ticks.WHAT} for {silent_ns // 1_000_000} ms"
+        tick = self._ticks.tick
         if tick is not None and self._sent_tick is not None:
-            missed_ns = (tick - self._sent_tick - 1) * self._sync.period_ns
+            missed_ns = (tick - self._sent_tick - 1) * self._ticks.period_ns
             if missed_ns > self._limit_ns:
                 late = f"no {self.SENDS} was sent for {missed_ns // 1_000_000} ms"
-                return f"{late}: lost SYNCs, or this computer was late"
+                return f"{late}: lost {self._ticks.WHAT}s, or this computer was late"
         for place, axis in enumerate(self.axes):
             if wrong := axis.unwell(self._now_ns, self._limit_ns):
                 return f"{axis.name} {wrong}"
@@ -236,11 +195,9 @@ class DriveMaster(ABC):
                 return f"{axis.name} {wrong}"
         return ""
 
-    def _astray(self, place: int, axis: DriveAxis) -> Iterator[str]:
-        if not axis.is_enabled:
-            yield f"has left the operation enabled state, statusword {axis.status or 0:04X}h"
-        if axis.mode_shown != self._mode:
-            yield f"is in mode {axis.mode_shown}, not {self._mode} (6061h)"
+    def _astray(self, place: int, axis: Axis) -> Iterator[str]:
+        del place
+        return axis.astray()
 
     # Stopping and beating
 
@@ -248,13 +205,13 @@ class DriveMaster(ABC):
         if self._now_ns - self._told_ns >= REPEAT_NS:
             self._told_ns = self._now_ns
             for axis in self.axes:
-                axis.control(drive_axis.QUICK_STOP)
-        moving = [axis for axis in self.axes if axis.is_enabled or axis.status is None]
+                axis.quick_stop()
+        moving = [axis for axis in self.axes if axis.may_move]
         if not moving:
             self._end(Severity.INFO, "drive_at_rest", "no drive follows set points any more")
         elif self._now_ns - self._since_ns > STOP_NS:
             for axis in moving:
-                axis.control(drive_axis.DISABLE_VOLTAGE)
+                axis.cut()
             left = ", ".join(axis.name for axis in moving)
             self._end(Severity.ERROR, "drive_unheard", f"no answer to quick stop: {left}; told to cut the current")
 
@@ -265,4 +222,4 @@ class DriveMaster(ABC):
     def _beat(self) -> None:
         if self._now_ns - self._beat_ns >= self._heartbeat_ms * 1_000_000 // BEATS:
             self._beat_ns = self._now_ns
-            self.axes[0].send(frame.HEARTBEAT + self._master, bytes([NmtState.OPERATIONAL]))
+            self.axes[0].beat()
