@@ -83,6 +83,17 @@ def chance_text(chance: float) -> str:
     return f"chance {chance:.0e}" if chance > 1e-300 else "chance below 1e-300"
 
 
+def contradicted_text(share: float, of: str = "rows", then: str = "check the sensors against each other") -> str:
+    """Why no answer is to be used where such a share of readings contradicts the others; empty where few do.
+
+    Args:
+        share: of the readings, 0 to 1.
+        of: what readings are called.
+        then: what to do about it, or what it looks like.
+    """
+    return f"{share:.0%} of the {of} contradict the others; {then}" if share > MOST_CONTRADICTED else ""
+
+
 def times_text(nats: float) -> str:
     """How much likelier by so much evidence: ``7.39``, ``1e+12``."""
     digits = nats / math.log(10.0)

@@ -94,7 +94,7 @@ def standings_of(evidence: Evidence) -> dict[str, Standing]:
 
 def _of_all(evidence: Evidence) -> Findings:
     """What concerns all quantities: contradictions, prediction of one half from the other, corrections."""
-    against = [*_contradictions(evidence), *(said for said in evidence.findings.against if "of the rows" not in said)]
+    against = [*_contradictions(evidence), *evidence.findings.against]
     doubts = [*evidence.findings.doubts, *_jumped(evidence), *doubtful(evidence.corrections)]
     held_out = evidence.held_out
     if held_out is None:
@@ -115,10 +115,6 @@ def _jumped(evidence: Evidence) -> list[str]:
 
 def _contradictions(evidence: Evidence) -> list[str]:
     said = []
-    refused = evidence.refused.get("residual", 0)
-    share = refused / (evidence.rows_used + refused)
-    if share > MOST_CONTRADICTED:
-        said.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
     fit = evidence.held_out.fit if evidence.held_out is not None else None
     if fit is not None and fit.relative_error > MOST_UNEXPLAINED and _beyond_noise(fit, evidence):
         said.append(

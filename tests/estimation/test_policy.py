@@ -14,6 +14,7 @@ from onboard.estimation.policy import (
     REFUSE,
     TESTS,
     chance_text,
+    contradicted_text,
     of_each,
     sigmas,
     times_text,
@@ -45,6 +46,11 @@ def test_rows_of_an_hour_double_twelve_times_from_those_of_a_second() -> None:
 
 def test_a_reading_is_one_of_a_million_of_each_test() -> None:
     assert pytest.approx(0.01 / 6e6, rel=0.01) == READING
+
+
+def test_more_than_one_reading_in_twenty_is_too_many_to_contradict_the_others() -> None:
+    assert not contradicted_text(0.05)
+    assert contradicted_text(0.06, "ticks", "it swings") == "6% of the ticks contradict the others; it swings"
 
 
 def test_chances_and_evidence_have_words_where_numbers_end() -> None:

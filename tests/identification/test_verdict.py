@@ -47,7 +47,7 @@ def test_good_data_are_good():
 @pytest.mark.parametrize(
     ("changed", "level"),
     [
-        ({"refused": {"residual": 100}}, Level.DO_NOT_USE),
+        ({"findings": Findings(("6% of the rows contradict the others",))}, Level.DO_NOT_USE),
         ({"misfit": 100.0}, Level.DO_NOT_USE),
         ({"findings": Findings(doubts=("not as stated: a step of scale_j2",))}, Level.WEAK),
         ({"corrections": {"zero_j2": 4.0}}, Level.WEAK),
@@ -98,7 +98,7 @@ def test_what_is_not_determined_is_named():
         ({"rows_used": 0, "refused": {"gap": 264, "phase": 4}}, "no row could be used (264 gap, 4 phase)"),
         ({"rows_used": 0, "refused": {}}, "no row could be used (there was none)"),
         ({"asked": {"mass": False, "I_zz": False}}, "the motion determines nothing that was asked"),
-        ({"refused": {"residual": 60}}, "6% of the rows contradict the others"),
+        ({"findings": Findings(("6% of the rows contradict the others",))}, "6% of the rows contradict the others"),
         ({"held_out": HeldOut(FINE, FINE, HeldOutFit(0.4, 20.0))}, "40% of it is left over"),
         ({"held_out": HeldOut(HeldOutFit(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
         ({"failure": "the fit gave up: not converged"}, "the fit gave up"),

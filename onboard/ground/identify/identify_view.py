@@ -9,6 +9,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.policy import HALF
 from onboard.ground.calibrate.result import digits
 from onboard.ground.identify import runs_view
@@ -16,6 +18,7 @@ from onboard.ground.identify.identify import Identification
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import LoadSummary
 from onboard.identification.rows.free_body import PrincipalMoments
+from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.standing import Level
 from onboard.identification.verdict import Verdict
 
@@ -145,12 +148,7 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         yield "before capture", f"turned at {within_interval(log.before.rate_rad_s, half[3:])} rad/s in space, and"
         velocity = within_interval(1e3 * log.before.velocity_m_s, 1e3 * half[:3])
         yield "", f"came at {velocity} mm/s to the gripper, in its axes"
-    for one in log.links:
-        if one.body is not None:
-            said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
-            if one.away:
-                said += f"; for the URDF: nearest to the table of bodies that can exist, {one.away:.1f} sigmas off"
-            yield one.link, said
+    yield from ((one.link, _body(one, one.body)) for one in log.links if one.body is not None)
     if log.refused.get("stuck"):
         said = "readings repeat where they must change; where a recorder writes them more than once, say repeats = true"
         yield "stuck", f"{said} in the [device] of its channel"
@@ -158,8 +156,16 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
     yield "rows", f"{log.rows_used} used; left out: {left_out or 'none'}"
 
 
-def _numbers(values: NDArray[np.float64]) -> str:
-    return ", ".join(f"{value:.1f}" for value in values)
+def _body(link: LinkEstimate, body: RigidBody) -> str:
+    J = body_jacobian(link.mean)[:4]
+    half = HALF * np.sqrt(np.einsum("ri,ij,rj->r", J, link.covariance, J))
+    mass = within_interval(np.array([body.mass_kg]), half[:1])
+    said = f"{mass} kg, centre of mass {within_interval(1e3 * body.centre_of_mass_m, 1e3 * half[1:])} mm"
+    if body.mass_kg <= half[0]:
+        said += "; the rows do not tell its mass apart from where it is: a cell for a force does, or six axes"
+    if link.away >= 0.05:  # of what is shown
+        said += f"; for the URDF: nearest to the table of bodies that can exist, {link.away:.1f} sigmas off"
+    return said
 
 
 def within_interval(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:

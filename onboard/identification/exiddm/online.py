@@ -14,7 +14,7 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, MOST_CONTRADICTED, REFUSE, tails
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, REFUSE, contradicted_text, tails
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
 from onboard.identification.evidence.bank import Known, Mixture, Weighed
@@ -298,8 +298,8 @@ class ExiddmIdentifier:
         """Why no answer is to be used, whatever the estimate; empty if nothing says so."""
         glitches = self.refused[GateReason.RESIDUAL]
         share = glitches / max(self.rows_used + glitches, 1)
-        if share > MOST_CONTRADICTED:
-            return f"{share:.0%} of the ticks contradict the others; {self._of_what_is_left()}"
+        if contradicted := contradicted_text(share, "ticks", self._of_what_is_left()):
+            return contradicted
         if self.exiddm.exchanged:
             return _EXCHANGED
         left_out, unexplained = self.exiddm.fusion.contradicting, self._unexplained()

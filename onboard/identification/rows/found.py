@@ -5,7 +5,7 @@ from typing import Protocol
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
-from onboard.estimation.policy import MOST_CONTRADICTED
+from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.identification.corrections import doubtful, too_large
@@ -46,8 +46,8 @@ def found(of: _Judged) -> Findings:
     """Reasons to refuse all estimates of an identifier or to weaken them, and what is told with any."""
     said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
     share = (residual := of.refused[GateReason.RESIDUAL]) / max(of.rows_used + residual, 1)
-    if share > MOST_CONTRADICTED and of.suspects is None:
-        against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
+    if of.suspects is None and (contradicted := contradicted_text(share)):
+        against.append(contradicted)
     if of.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
         return Findings(tuple(against), ())
     jackknife = of.block_jackknife()

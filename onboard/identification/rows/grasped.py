@@ -15,7 +15,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.policy import MOST_CONTRADICTED, sigmas
+from onboard.estimation.policy import contradicted_text, sigmas
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import refused_from
 from onboard.identification.quantities import (
@@ -91,7 +91,7 @@ class GraspedPayload:
         standard = jackknife.combination(self._w)
         shrinkage = standard.sigma / np.sqrt(np.einsum("ri,ij,rj->r", self._w, prior_covariance, self._w))
         weak = (shrinkage > SUPPORTED_SHRINKAGE) | (standard.degrees_of_freedom < SUPPORTED_FREEDOM)
-        why = self._refused(used, refused) or why
+        why = contradicted_text(refused / max(used + refused, 1)) or why
         if not why and (weak[0] or standard.low[0] <= 0.0):
             why = "the data do not determine a mass apart from zero; move more, or against gravity"
             if not weak[0] and standard.high[0] < 0.0:
@@ -124,12 +124,6 @@ class GraspedPayload:
                 self.names, BODY_UNITS, numbers, shrinkage, weak, said, strict=True
             )
         )
-
-    def _refused(self, used: int, refused: int) -> str:
-        """Reason why rows contradict each other; empty if they do not."""
-        if refused > MOST_CONTRADICTED * (used + refused):
-            return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
-        return ""
 
 
 def contradiction(names: Sequence[str], jackknife: JackknifeEstimate, prior: FloatArray, covariance: FloatArray) -> str:

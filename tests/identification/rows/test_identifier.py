@@ -460,3 +460,13 @@ def test_a_gain_of_the_recording_with_the_payload_moves_its_rows_alone(rng):
     assert 0 < np.count_nonzero(own) < at.size
     np.testing.assert_array_equal(D[:, 0, -1], own[use])
     assert not D[:, 0, :-1].any()
+
+
+@pytest.mark.parametrize(("every", "against"), [(15, True), (25, False)])
+def test_more_than_one_row_in_twenty_that_contradicts_the_others_refuses_all(rng, every, against):
+    signals, held, _ = flight(rng)
+    measured = signals.measured.copy()
+    measured[100::every] += 20.0
+    who = identifier()
+    feed(who, signals._replace(measured=measured), held)
+    assert any("of the rows contradict the others" in said for said in who.findings().against) == against

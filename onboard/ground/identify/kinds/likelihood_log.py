@@ -16,7 +16,7 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import HALF
+from onboard.estimation.policy import HALF, contradicted_text
 from onboard.estimation.recursive.rls import Observability
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
@@ -140,6 +140,8 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     answers = (*of_payload, *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
+    residual = kept.refused.get("residual", 0)
+    contradicted = contradicted_text(residual / max(found.rows_used + residual, 1))
     evidence = Evidence(
         found.rows_used,
         kept.refused,
@@ -148,7 +150,7 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
         failure=judged.reason,
         away={link.link: link.away},
         misfit=found.misfit,
-        findings=found.findings,
+        findings=found.findings.plus([contradicted] if contradicted else []),
         standings=standings(answers, kept.useful),
         corrections=found.corrections,
         unchecked=found.unchecked,

@@ -27,11 +27,11 @@ import numpy as np
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     LIKELY_SIZE,
-    MOST_CONTRADICTED,
     ODDS,
     ODDS_OF_PART,
     READING,
     LIKELY_DELAY_s,
+    contradicted_text,
     sigmas,
 )
 from onboard.identification.evidence.bank import Bank, Known, Mixture, Suspect, Weighed
@@ -119,10 +119,8 @@ class RowSuspects:
         if self.weighed is None or self._left is None:
             return (), ()
         against, doubts = map(list[str], self.weighed.judged)
-        if self._left.far > MOST_CONTRADICTED:
-            against.append(
-                f"{self._left.far:.0%} of the rows contradict the others; check the sensors against each other"
-            )
+        if contradicted := contradicted_text(self._left.far):
+            against.append(contradicted)
         for name, share, noise in zip(self._names, self._left.of_read.tolist(), self._left.noise.tolist(), strict=True):
             if noise > NOISE and share > DOUBTFUL_UNEXPLAINED:
                 said = f"{share:.0%} of what {name} reads is left over"

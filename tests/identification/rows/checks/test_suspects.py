@@ -200,6 +200,17 @@ def test_readings_that_nothing_explains_are_refused():
     assert any("wrist_moment_y reads is left over" in text for text in fed(wrong).findings().against)
 
 
+@pytest.mark.parametrize(("share", "against"), [(0.08, True), (0.02, False)])
+def test_more_than_one_row_in_twenty_that_is_far_off_refuses_all(rng, share, against):
+    def wrong(given):
+        measured = given.measured.copy()
+        measured[rng.random(len(measured)) < share] += 0.1 * np.ptp(measured, axis=0)
+        return given._replace(measured=measured)
+
+    said = fed(wrong).findings().against
+    assert any("of the rows contradict the others" in one for one in said) == against
+
+
 def test_a_large_error_is_linearised_anew(monkeypatch):
     """A zero of 150 mrad is one where rows are made about it; about none it is "farther than any" or several things."""
     wrong, name = WRONG["a large zero"]
