@@ -34,8 +34,14 @@ from onboard.estimation.policy import FARTHEST_SIZE, READING
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
 _OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
-_OF_ROW, _OF_COLUMN, _SIX = _OFF // 3, _OFF % 3, np.arange(6)
+_HATS = hats(np.eye(3))  # of the axes
+_AXES = np.arange(6)
 REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
+# Of scales and cross-talk, (36,): the reading, what of (m d, p x d) is taken, and times what.
+_READING = np.concatenate([_AXES, _OFF // 3, 3 + _OFF // 3, np.repeat(_AXES, 3)])
+_TAKEN = np.concatenate([_AXES, _OFF % 3, 3 + _OFF % 3, np.tile([3, 4, 5], 3), np.tile([0, 1, 2], 3)])
+_TIMES = np.repeat([1.0, 1.0 / REACH_m, REACH_m], [18, 9, 9])
+_SCALES_AND_CROSS = np.arange(SCALES.start, UNKNOWNS)
 _FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
 SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
@@ -88,22 +94,17 @@ class State(NamedTuple):
     cross: FloatArray  # (30,) X of forces and of moments without their diagonals, X' of forces and of moments
 
     @property
-    def levers(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """1 + S + X of forces and of moments, X' of forces and of moments, (3, 3) each."""
-        own = np.empty((2, 9))
-        own[:, ::4], own[:, _OFF] = 1.0 + self.scales.reshape(2, 3), self.cross[:12].reshape(2, 6)
-        force, moment = own.reshape(2, 3, 3)
-        of_moments, of_forces = self.cross[12:].reshape(2, 3, 3)
-        return force, moment, of_moments, of_forces
+    def levers(self) -> tuple[FloatArray, FloatArray]:
+        """Readings by m d and by p x d, (6, 3) each: 1 + S + X, and X' with L."""
+        both = np.eye(6)
+        both[_READING, _TAKEN] += np.concatenate([self.scales, self.cross]) * _TIMES
+        return both[:, :3], both[:, 3:]
 
     @property
     def sensitivity(self) -> FloatArray:
         """Readings by gravity in sensor axes, (6, 3)."""
-        force, moment, of_moments, of_forces = self.levers
-        p = hat(self.first_moment)
-        return np.concatenate(
-            [self.mass * force + of_moments @ p / REACH_m, moment @ p + self.mass * REACH_m * of_forces]
-        )
+        of_weight, of_moment = self.levers
+        return self.mass * of_weight + of_moment @ hat(self.first_moment)
 
 
 class PoseFit(NamedTuple):
@@ -161,10 +162,13 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS)
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
     state = begun(R, wrench, prior)
     residual = wrench - predicted(R, state, prior)
-    sigma, floor, turned = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench), coefficients(R)
+    sigma, floor = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench)
+    turned = coefficients(_elements(R))
     one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
     for _ in range(rounds):
-        noise = _noise(one, jacobian(turned, one.state, prior), prior, floor)
+        J = _linearised(one.state, prior)[1]
+        hanging = J.transpose(0, 2, 1) @ one.covariance @ J  # (6, 9, 9)
+        noise = _noise(one, ((turned @ hanging) * turned).sum(axis=-1).T, prior, floor)
         change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
         one = _fit(R, wrench, prior, one.state, noise)
         if change < _CLOSE:
@@ -253,7 +257,8 @@ def zeros(one: PoseFit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     The third is the sigma of what a zero has moved between the first and the last pose, (6,).
     """
     n = len(one.residual)
-    weights, variance, inflated = _walks(one, coefficients(J))
+    own = coefficients(J)
+    weights, variance, inflated = _walks(one, ((own @ one.covariance) * own).sum(axis=-1))
     share = np.concatenate(
         [np.ones((len(_WALKS), 1)), 1.0 - 1.0 / inflated], axis=1
     )  # of a coefficient that is the zero's
@@ -289,28 +294,31 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> State:
 
 def jacobian(R: FloatArray, state: State, prior: Priors) -> FloatArray:
     """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
-    return _linearised(R, state, prior)[1]
+    by = _linearised(state, prior)[1] @ _elements(R).T  # (6, 45, n)
+    return np.asarray(np.moveaxis(by, -1, 0), np.float64)
 
 
-def _linearised(R: FloatArray, state: State, prior: Priors) -> tuple[FloatArray, FloatArray]:
-    """:func:`predicted` and :func:`jacobian`: both are linear in ``R``, whose coefficients give theirs."""
+def _linearised(state: State, prior: Priors) -> tuple[FloatArray, FloatArray]:
+    """:func:`predicted` and :func:`jacobian` by the elements of R', of which both are linear: (6, 9), (6, 45, 9)."""
     level = _level(prior.gravity_m_s2)
     down = _tilted(state, level) @ prior.gravity_m_s2
-    d = R.transpose(0, 2, 1) @ down @ state.mounting.T
-    A, J = state.sensitivity, np.zeros((len(R), 6, UNKNOWNS))
-    force, moment, of_moments, of_forces = state.levers
-    weight, moments, p_by = state.mass * d, d @ hat(state.first_moment).T, -hats(d)  # p x d = -d x p
-    J[:, :3, 0], J[:, 3:, 0] = d @ force.T, REACH_m * d @ of_forces.T
-    J[:, :3, FIRST_MOMENT], J[:, 3:, FIRST_MOMENT] = of_moments @ p_by / REACH_m, moment @ p_by
-    J[:, :, MOUNTING] = A @ p_by
-    J[:, :, TILT] = -A @ (state.mounting @ R.transpose(0, 2, 1) @ (hat(down) @ level))
-    J[:, _SIX, 9 + _SIX] = np.concatenate([weight, moments], axis=1)
-    J[:, _OF_ROW, 15 + _SIX] = weight[:, _OF_COLUMN]
-    J[:, 3 + _OF_ROW, 21 + _SIX] = moments[:, _OF_COLUMN]
-    for axis in range(3):
-        J[:, axis, 27 + 3 * axis : 30 + 3 * axis] = moments / REACH_m
-        J[:, 3 + axis, 36 + 3 * axis : 39 + 3 * axis] = REACH_m * weight
-    return d @ A.T, J
+    d = (state.mounting[:, :, None] * down).reshape(3, 9)  # gravity in sensor axes
+    (of_weight, of_moment), p = state.levers, hat(state.first_moment)
+    A = state.mass * of_weight + of_moment @ p
+    by = np.zeros((6, UNKNOWNS, 3))  # by d
+    by[:, 0] = of_weight
+    by[:, FIRST_MOMENT] = (of_moment @ _HATS).transpose(1, 0, 2)  # p x d = -d x p
+    by[:, MOUNTING] = (A @ _HATS).transpose(1, 0, 2)
+    by[_READING, _SCALES_AND_CROSS] = np.concatenate([state.mass * np.eye(3), p])[_TAKEN] * _TIMES[:, None]
+    J = by @ d
+    tilts = -(A @ state.mounting)[:, None, :, None] * (hat(down) @ level).T[:, None]  # (6, 2, 3, 3)
+    J[:, TILT] = tilts.reshape(6, 2, 9)
+    return A @ d, J
+
+
+def _elements(R: FloatArray) -> FloatArray:
+    """Of R', row by row, (n, 9)."""
+    return R.transpose(0, 2, 1).reshape(-1, 9)
 
 
 def coefficients(values: FloatArray) -> FloatArray:
@@ -394,30 +402,33 @@ def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: State, noise: 
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
     information = sigmas**-2.0
-    own, turned, read = 1.0 / np.sqrt(spread), coefficients(R), coefficients(wrench)
+    turned, read = coefficients(_elements(R)), coefficients(wrench)
+    # The normal equations' sums over the poses, before the loop: readings are linear in R'.
+    S = (turned.T[None] / spread.T[:, None]) @ turned  # (6, 9, 9)
+    b = (turned.T @ (read / spread)).T  # (6, 9)
     for _ in range(_ROUNDS):
-        made, J = _linearised(turned, state, prior)
-        r = (read - made) * own
-        A = (J * own[..., None]).reshape(-1, UNKNOWNS)
-        H = A.T @ A
+        made, J = _linearised(state, prior)
+        A = J.transpose(1, 0, 2).reshape(UNKNOWNS, 54)
+        H = (J @ S).transpose(1, 0, 2).reshape(UNKNOWNS, 54) @ A.T
+        gradient = A @ (b - (S @ made[..., None])[..., 0]).ravel()
         H.flat[:: UNKNOWNS + 1] += information
         unit = 1.0 / np.sqrt(H.diagonal())  # of very different units
         U = np.linalg.cholesky(H * unit * unit[:, None]).T
-        whitened, _ = lapack.dtrtrs(U, unit * (A.T @ r.ravel() - _values(state) * information), trans=1)
+        whitened, _ = lapack.dtrtrs(U, unit * (gradient - _values(state) * information), trans=1)
         state = moved(state, unit * lapack.dtrtrs(U, whitened)[0])
         if np.abs(whitened).max() < _CLOSE:
             break
     residual, off = wrench - predicted(R, state, prior), _values(state)
-    squares = float(((coefficients(residual) * own) ** 2).sum() + ((off / sigmas) ** 2).sum())
+    squares = float((coefficients(residual) ** 2 / spread).sum() + ((off / sigmas) ** 2).sum())
     volume = float(np.log(unit / np.diag(U)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
     root, _ = lapack.dtrtrs(U, np.diag(unit), trans=1)
     return PoseFit(state, root.T @ root, noise, residual, evidence)
 
 
-def _noise(one: PoseFit, own: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
+def _noise(one: PoseFit, hanging: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
     """One step of expectation maximisation: noise and walk of each axis, and cross-talk; as of :func:`_walks`."""
-    weights, variance, _ = _walks(one, own)
+    weights, variance, _ = _walks(one, hanging)
     sigma = np.sqrt((weights * variance).sum(axis=0))
     walk = np.sqrt((weights * variance * _WALKS[:, None] ** 2).sum(axis=0))
     sigma = np.maximum(sigma, floor)
@@ -426,14 +437,14 @@ def _noise(one: PoseFit, own: FloatArray, prior: Priors, floor: FloatArray) -> N
     return Noise(sigma, walk, float(cross))
 
 
-def _walks(one: PoseFit, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _walks(one: PoseFit, hanging: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Probability of each walk, variance with it, (walks, 6), and what it multiplies variances by, (walks, n - 1).
 
-    A walk that does not show may still be there, so all of them are kept. ``own``: of the Jacobian, the coefficients.
+    A walk that does not show may still be there, so all of them are kept. ``hanging``: variance of the residuals'
+    coefficients by that of the unknowns, (n - 1, 6).
     """
     n = len(one.residual)
-    squares = coefficients(one.residual) ** 2
-    squares = squares + ((own @ one.covariance) * own).sum(axis=-1)
+    squares = coefficients(one.residual) ** 2 + hanging
     pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
     inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)
     count = n - 1 + _POOLED
