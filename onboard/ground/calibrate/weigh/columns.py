@@ -14,15 +14,8 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.ground.calibrate.weigh.table import Table, by_rows, off
+from onboard.ground.calibrate.weigh.units import FORCE_UNITS, MOMENT_UNITS, are_si
 
-FORCE_UNITS = {
-    **{"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "un": 1e-6},
-    **{"kgf": 9.80665, "kp": 9.80665, "gf": 0.00980665, "lbf": 4.4482216},
-}
-MOMENT_UNITS = {
-    **{"nm": 1.0, "nmm": 1e-3, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "kgfm": 9.80665},
-    **{"kgfcm": 0.0980665, "lbfin": 0.11298483, "lbfft": 1.3558179, "ozfin": 0.0070615518, "unm": 1e-6},
-}
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
 _FULL_TURN = 2.0 * np.pi + 0.1
@@ -89,12 +82,14 @@ class Meaning(NamedTuple):
         orientation: (n, k); angles are in rad.
         wrench: (n, 6) N, N m.
         said: how it was understood, in words.
+        unnamed: ``force``, ``moment``, where nobody named a unit.
     """
 
     kind: str
     orientation: FloatArray
     wrench: FloatArray
     said: tuple[str, ...]
+    unnamed: tuple[str, ...] = ()
 
 
 class Units(NamedTuple):
@@ -153,7 +148,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
         raise PosesError(
             f"{table.label}: no columns of {what} among {_shown(table.names)}; give names by --columns NAME,NAME,..."
         )
-    wrench = _scaled(table, columns, force, moment, units, said)
+    wrench, unnamed = _scaled(table, columns, force, moment, units, said)
     if joints:
         at, kind = _joints(table, columns, joints), "joints"
     else:
@@ -164,7 +159,7 @@ def understood(table: Table, units: Units, joints: Sequence[str] = (), orientati
     if kind not in ("quaternion", "quaternion?", "matrix", "up"):
         values = values * _angle(values, [columns[k].unit for k in at], units.angle, said)
     said.insert(0, f"orientation from {_shown([table.names[k] for k in at])}")
-    return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said))
+    return Meaning(_said_kind(table, kind, orientation), values, wrench, tuple(said), unnamed)
 
 
 def _numbered(columns: list[Column]) -> list[Column]:
@@ -285,30 +280,31 @@ def _scaled(
     moment: Sequence[int],
     units: Units,
     said: list[str],
-) -> FloatArray:
-    """The wrench in N and N m."""
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """The wrench in N and N m, and of what nobody named the unit."""
     factors = []
-    known = True
-    for at, table_of, given, usual, option in (
-        (force, FORCE_UNITS, units.force, "n", "--force-unit"),
-        (moment, MOMENT_UNITS, units.moment, "nm", "--moment-unit"),
+    unnamed: list[str] = []
+    for at, table_of, given, usual, what in (
+        (force, FORCE_UNITS, units.force, "n", "force"),
+        (moment, MOMENT_UNITS, units.moment, "nm", "moment"),
     ):
         names = {columns[k].unit for k in at}
         if number := re.fullmatch(r"\s*\d*\.?\d+(?:e[-+]?\d+)?\s*", given, re.IGNORECASE):  # N or N m in one
             factors.append(float(number[0]))
             continue
         unit = _plain(given) or (names.pop() if len(names) == 1 else "?")
-        known &= bool(unit)
-        if unit == "mn" and option == "--moment-unit":
+        if not unit and not all(are_si(table.names[k]) for k in at):
+            unnamed.append(what)
+        if unit == "mn" and what == "moment":
             unit = "mnm"
         if (unit or usual) not in table_of:
             raise PosesError(
                 f"{table.label}: the unit {given or unit!r} of {_shown([table.names[k] for k in at])} is not known; "
-                f"give {option}, one of {', '.join(table_of)}, or how many {usual} one is, 1e-6 for instance"
+                f"give --{what}-unit, one of {', '.join(table_of)}, or how many {usual} one is, 1e-6 for instance"
             )
         factors.append(table_of[unit or usual])
     six = table.values[:, [*force, *moment]]
-    if not known and not units.force and (np.isnan(six) | (six == np.rint(six))).all():
+    if unnamed and not units.force and (np.isnan(six) | (six == np.rint(six))).all():
         raise PosesError(
             f"{table.label}: forces and moments are whole numbers without a unit, as counts are: say with --force-unit "
             "and --moment-unit how many N and N m one is, 1e-6 for instance (or N, Nm)"
@@ -317,9 +313,8 @@ def _scaled(
         said.append(
             "such forces are without the payload that the controller was told: set it to 0, or add it to this one"
         )
-    if not known:
-        said.append("no unit is named: forces are taken as N, moments as N m")
-    return np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
+    wrench = np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
+    return wrench, tuple(unnamed)
 
 
 def _angle(values: FloatArray, names: Sequence[str], given: str, said: list[str]) -> float:
@@ -366,13 +361,13 @@ def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str
     said: list[str] = [f"columns without names: {kind.rstrip('?')} in {first + 1} to {first + count}, then the wrench"]
     names = [Column("", "")] * width
     last = range(first + count, width)
-    wrench = _scaled(table, names, last[:3], last[3:], units, said)
+    wrench, unnamed = _scaled(table, names, last[:3], last[3:], units, said)
     found = values[:, first : first + count]
     if blocks and kind == "matrix":
         found = by_rows(found)
     if kind in ("angles", "joints"):
         found = found * _angle(found, [], units.angle, said)
-    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said))
+    return Meaning(_said_kind(table, kind, orientation), found, wrench, tuple(said), unnamed)
 
 
 def _remedy(width: int, quaternion: bool) -> str:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY, times_text
+from onboard.ground.calibrate.weigh.units import likelier, radius_m
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.corrections import doubtful_from
 from onboard.identification.quantities import Findings
@@ -19,7 +20,6 @@ in N mm that are taken for N m are a thousand times too large."""
 HEAVIEST_kg = 2300.0
 """Mass beyond which a unit is wrong: the largest payload of an arm that is sold (Fanuc M-2000iA/2300)."""
 _SEATED_rad = np.deg2rad(3.0)  # a sensor on its flange: by bolts and a pin
-_DENSITY_kg_m3 = 500.0  # of a body whose size is not told, as of the fits' first guess
 
 
 class Judged(NamedTuple):
@@ -35,15 +35,16 @@ def judge(answer: Answer) -> Judged:
     findings = _findings(answer)
     body = answer.quantities[:4]
     mass, centre = body[0].mean, np.array([one.mean for one in body[1:]])
-    radius = (0.75 * max(mass, 0.0) / (np.pi * _DENSITY_kg_m3)) ** (1.0 / 3.0)
-    size = float(np.sqrt(centre @ centre + 0.6 * radius**2))  # root mean square distance of a sphere's mass
+    size = float(np.sqrt(centre @ centre + 0.6 * radius_m(mass) ** 2))  # root mean square distance of a sphere's mass
     useful = Useful()
     sizes = {"m": Size(mass, useful.mass, "it")} | {
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
     }
     odd = _odd(answer)
     corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k not in odd}
-    own = {one.name: standing(one, Findings(), sizes.get(one.name)) for one in body}
+    units = _unnamed(answer)
+    of_mass = units if "force" in answer.unnamed else Findings()
+    own = {one.name: standing(one, of_mass if one is body[0] else units, sizes.get(one.name)) for one in body}
     evidence = Evidence(
         answer.count["poses"] - len(answer.outliers),
         {},  # outliers weaken an answer: of some dozen poses one or two are soon a twentieth
@@ -99,8 +100,8 @@ def _findings(answer: Answer) -> Findings:
     far = float(np.linalg.norm([one.mean for one in centre]))
     if mass.supported and far > FARTHEST_m:
         against.append(
-            f"the centre of mass would be {far:.3g} m from the sensor: its moments are in another unit than N m "
-            "(--moment-unit Nmm, mNm ...)"
+            f"the centre of mass would be {far:.3g} m from the sensor: its moments are in another unit than N m"
+            f"{_others(answer) or ' (--moment-unit Nmm, mNm ...)'}"
         )
     left = answer.left_over.relative_error
     if left**2 > MOSTLY and not against:
@@ -142,6 +143,22 @@ def _findings(answer: Answer) -> Findings:
             said += f"; the zero of {axis.name} moved by {moved:.2g} N ({moved / weight:.0%} of the weight)"
         doubts.append(f"{said}; plain least squares would say {plain:.4g} kg")
     return Findings(tuple(against), tuple(doubts))
+
+
+def _unnamed(answer: Answer) -> Findings:
+    """That nobody named a unit: what the mass, or the centre alone, is by assumption."""
+    if not answer.unnamed:
+        return Findings()
+    taken = " and ".join(f"{what}s as {'N' if what == 'force' else 'N m'}" for what in answer.unnamed)
+    options = " ".join(f"--{what}-unit {'N' if what == 'force' else 'Nm'}" for what in answer.unnamed)
+    return Findings((), (f"no unit is named: {taken} ({options} says so){_others(answer)}",))
+
+
+def _others(answer: Answer) -> str:
+    """Units that are likelier than those taken; empty where none are, or where they are named."""
+    mass, *centre = (one.mean for one in answer.quantities[:4])
+    said = likelier(mass, float(np.linalg.norm(centre)), answer.unnamed) if answer.unnamed else ""
+    return f"; it would be {said}" if said else ""
 
 
 def _odd(answer: Answer) -> list[int]:

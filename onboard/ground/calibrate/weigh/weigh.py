@@ -97,6 +97,7 @@ class Answer:
     changed: ChangedBody | None
     held_out: HeldOut | None
     left_over: HeldOutFit  # of all readings, zeros apart
+    unnamed: tuple[str, ...]  # `force`, `moment`, where nobody named a unit
 
 
 def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _: None) -> Answer:
@@ -152,6 +153,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
         changed and ChangedBody(int(groups[changed.at][0]), changed),
         _held_out(poses, prior, weighing.best),
         _left_over(poses, prior, weighing.best.noise, weighing.best.state),
+        meaning.unnamed,
     )
 
 

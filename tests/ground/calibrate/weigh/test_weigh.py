@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 from onboard.cli import BAD_INPUT, FAILED, OK, main
-from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, HEADER, holds, quaternion, record, turn, weighed, write
+from onboard.ground.calibrate.weigh import units
+from tests.ground.calibrate.weigh.wrist_bench import (
+    GRAVITY,
+    HEADER,
+    NAMED,
+    holds,
+    quaternion,
+    record,
+    turn,
+    weighed,
+    write,
+)
 
 PAGE = (Path(__file__).parents[4] / "docs" / "weigh.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
@@ -18,7 +29,7 @@ WRENCH = HEADER[4:]
 
 def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    write(tmp_path / "poses.csv", one.rows)
+    write(tmp_path / "poses.csv", one.rows, NAMED)
     assert main(["init", "lab", "--from", "workshop"]) == OK
     assert len(COMMANDS) == 4
     for command in COMMANDS:
@@ -90,7 +101,7 @@ def test_a_base_that_leans_further_than_is_stated(tmp_path):
         (("--gravity=0,0,-1",), "weak", lambda answer: answer["verdict"]["text"]),
         (("--gravity=0,0,-1", "--tilt-deg=25"), "good", lambda _: "the base leans by 25 deg against"),
     ):
-        code, answer = weighed(tmp_path, rows, *said)
+        code, answer = weighed(tmp_path, rows, *said, header=NAMED)
         assert (code, answer["verdict"]["level"]) == (OK, level)
         assert re.search("the base leans by 2[3-7] deg against", where(answer))
         assert all(holds(answer, leaning.true).values())
@@ -99,7 +110,7 @@ def test_a_base_that_leans_further_than_is_stated(tmp_path):
 @pytest.mark.parametrize(("factor", "level"), [(2000.0, "good"), (3000.0, "do not use")])
 def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, factor, level):
     rows = np.hstack([one.rows[:, :4], one.wrench * factor / one.true.mass_kg])
-    answer = weighed(tmp_path, rows)[1]
+    answer = weighed(tmp_path, rows, header=NAMED)[1]
     assert answer["verdict"]["level"] == level
     assert ("--force-unit" in answer["verdict"]["text"]) == (level == "do not use")
 
@@ -150,13 +161,45 @@ def spoilt(wrench, what):
         ("fx, fy exchanged", "force x and y are exchanged"),
         ("fz stuck", "force z reads the same in poses that differ"),
         ("fz stuck from half on", "force z reads the same in poses that differ"),
-        ("N mm", "its moments are in another unit than N m"),
+        ("N mm", "its moments are in another unit than N m; it would be in N and Nmm"),
     ],
 )
 def test_wrong_axes_and_units_are_refused_by_name(one, tmp_path, what, said):
     code, answer = weighed(tmp_path, np.hstack([one.rows[:, :4], spoilt(one.wrench, what)]))
     assert (code, answer["verdict"]["level"]) == (FAILED, "do not use")
     assert said in answer["verdict"]["text"]
+
+
+@pytest.mark.usefixtures("axes_as_they_are")
+def test_what_nobody_named_a_unit_of_is_weak(one, tmp_path):
+    """Poses tell no unit of force: a mass in kgf taken for N is a tenth of it. Names of ROS are defined in N."""
+    q, wrench = one.rows[:, :4], one.wrench
+    ros = [*HEADER[:4], *(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")]
+    for header, factor, weak in (
+        (HEADER, 1.0, {"m", "c_x", "c_y", "c_z"}),
+        (HEADER, [1.0 / 9.80665] * 3 + [1.0] * 3, {"m", "c_x", "c_y", "c_z"}),
+        ((*NAMED[:7], *HEADER[7:]), 1.0, {"c_x", "c_y", "c_z"}),
+        ((*HEADER[:7], *NAMED[7:]), 1.0, {"m", "c_x", "c_y", "c_z"}),
+        (NAMED, 1.0, set()),
+        (ros, 1.0, set()),
+    ):
+        code, answer = weighed(tmp_path, np.hstack([q, wrench * factor]), header=header)
+        found = {each["name"] for each in answer["quantities"] if "no unit is named" in each.get("why", "")}
+        assert (code, found, answer["verdict"]["level"]) == (OK, weak, "weak" if weak else "good")
+        assert ("in kgf and Nm" in answer["verdict"]["text"]) == (np.ndim(factor) == 1)
+
+
+def test_units_that_would_make_a_held_tool():
+    """Within ten radii of a sphere of its mass, 94 mm at 1.756 kg, and beyond a tenth of one."""
+    both = ("force", "moment")
+    assert units.likelier(1.756, 0.08, both) == ""
+    assert [bool(units.likelier(1.756, far, both)) for far in (0.85, 1.05)] == [False, True]
+    assert ["in N and Nmm" in units.likelier(1.756, far, both) for far in (8.5, 10.5)] == [False, True]
+    assert units.likelier(1.756, 80.0, both).startswith("in N and Nmm 1.76 kg at 80 mm")
+    assert units.likelier(1.756, 8.0, both).startswith("in N and Ncm 1.76 kg at 80 mm")
+    assert "in kgf and Nm 1.76 kg at 80 mm" in units.likelier(0.17906, 0.7845, both)
+    assert "in gf and Nm 1.76 kg at 80 mm" in units.likelier(179.06, 0.7845e-3, both)
+    assert units.likelier(0.17906, 0.7845, ("moment",)) == "in N and Ncm 0.179 kg at 7.84 mm"
 
 
 def test_the_remedies_that_are_named_help(one, tmp_path):

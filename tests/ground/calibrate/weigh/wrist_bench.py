@@ -13,6 +13,7 @@ import numpy as np
 from onboard.cli import main
 
 HEADER = ("qw", "qx", "qy", "qz", "fx", "fy", "fz", "mx", "my", "mz")
+NAMED = (*HEADER[:4], *(f"{name} [N]" for name in HEADER[4:7]), *(f"{name} [Nm]" for name in HEADER[7:]))
 GRAVITY = 9.80665
 
 
