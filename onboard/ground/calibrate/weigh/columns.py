@@ -13,14 +13,13 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
-from onboard.ground.calibrate.weigh.table import Table, by_rows, off
+from onboard.ground.calibrate.weigh.table import LENGTH, Table, by_rows, off
 from onboard.ground.calibrate.weigh.units import FORCE_UNITS, MOMENT_UNITS, are_si
 
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 _UNITS = FORCE_UNITS | MOMENT_UNITS | ANGLE_UNITS | {"m": 1.0, "mm": 1e-3, "s": 1.0, "ms": 1e-3}
 _FULL_TURN = 2.0 * np.pi + 0.1
 ONE_G = 0.05  # of gravity: what an accelerometer at rest may be off
-_UNIT = 1e-3  # of a quaternion's length: four decimals
 
 # Names, without marks between their parts, in the order in which they are looked for
 _WRENCH = (
@@ -44,20 +43,24 @@ _ORIENTATION = (
     ("up", r"(?:.*acc(?:el(?:eration|erometer)?)?|.*grav(?:ity)?|(?:.*imu)?a|g)([xyz])$", "xyz"),
 )
 _LISTED = (
-    *(("(?:force|f)", "f"), ("(?:torque|moment|m|t|tau)", "m"), ("(?:rotvec|rotationvector|axisangle)", "rotvec")),
+    *(
+        ("(?:forces?|f)", "f"),
+        ("(?:torques?|moments?|m|t|tau)", "m"),
+        ("(?:rotvec|rotationvector|axisangle)", "rotvec"),
+    ),
     *(("(?:rpy|euler|eulerangles)", "rpy"), ("(?:orientation|ori|rot(?:ation)?)", "r")),
 )
 _COMPENSATED = re.compile(r"(?i)(?<![a-eg-z])ext(?![a-z])|tcp_?force")  # F_ext of Franka, actual_TCP_force of a UR
 _NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
     (
-        r"(?:.*\.)?(?:wrench|force|ft|f\.ext(?:\.hat)?\.k)(?:\.(?:sensor|raw|data))?",
+        r"(?:.*\.)?(?:wrench(?:es)?|forces?|ft|f\.ext(?:\.hat)?\.k)(?:\.(?:sensor|raw|data))?",
         ("fx", "fy", "fz", "mx", "my", "mz"),
     ),
-    (r"(?:.*\.)?pose", ("x", "y", "z", "rx", "ry", "rz")),
-    (r"(?:.*\.)?pose", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
+    (r"(?:.*\.)?poses?", ("x", "y", "z", "rx", "ry", "rz")),
+    (r"(?:.*\.)?poses?", ("x", "y", "z", "quat0", "quat1", "quat2", "quat3")),
     (r".*", tuple(f"t{row}{column}" for row in range(4) for column in range(4))),
     (r".*", tuple(f"rot{row}{column}" for row in range(3) for column in range(3))),
-    (r"(?:.*\.)?(?:quat(?:ernion)?|orientation|ori|rot(?:ation)?)", ("quat0", "quat1", "quat2", "quat3")),
+    (r"(?:.*\.)?(?:quat(?:ernion)?|orientation|ori|rot(?:ation)?)s?", ("quat0", "quat1", "quat2", "quat3")),
     *((rf"(?:.*\.)?{what}", (f"{as_}x", f"{as_}y", f"{as_}z")) for what, as_ in _LISTED),
 )
 
@@ -247,7 +250,7 @@ def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tu
 
 
 def _of_unit_length(four: FloatArray) -> bool:
-    return bool(np.nanmedian(np.abs(np.linalg.norm(four, axis=1) - 1.0)) < _UNIT)
+    return bool(np.nanmedian(np.abs(np.linalg.norm(four, axis=1) - 1.0)) < LENGTH)
 
 
 def _of_one_length(three: FloatArray) -> bool:

@@ -1,4 +1,4 @@
-"""Tables of numbers as people write them: CSV, semicolons, tabs or blanks; with or without names; several side by side.
+"""Tables of numbers as people write them: text with or without names, arrays, messages; several side by side.
 
 A cell that is no number is NaN and spoils its row only; a row of another length is NaN throughout. Both are counted by
 who uses them.
@@ -7,6 +7,7 @@ who uses them.
 import codecs
 import csv
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -16,12 +17,20 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
+from onboard.ground.log.bring_in import foreign
+from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess.sniff import kind_of
+from onboard.ground.log.bring_in.mapping import Csv
+from onboard.ground.log.bring_in.messages import TIMES
 from onboard.ground.log.bring_in.text_rows import list_of, unbroken
 
 LARGEST_BYTES = 64 << 20  # of text; static poses are some hundred rows, a whole recording at 100 Hz some hours
+LENGTH = 1e-3  # of a quaternion: four decimals
 _ROTATION = 1e-2  # of elements of R R': three decimals
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d*")  # 1,234.5
 _SEPARATOR = re.compile(r"sep=(.)")  # the line that a spreadsheet is told the delimiter by
+_TUM = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of a trajectory, whose t is a translation
+_NEAR_s = 0.1  # between a wrench and the orientation that it is taken with: poses are held for longer
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
@@ -53,8 +62,22 @@ def read(paths: Sequence[Path]) -> Table:
     if len({len(one.values) for one in tables}) > 1:
         counts = ", ".join(f"{len(one.values)} in {one.label}" for one in tables)
         raise PosesError(f"rows of different number ({counts}): give files with a row for each pose, in the same order")
+    if len(tables) > 1 and (any(any(one.names) for one in tables) or any(map(_is_timed, tables))):
+        tables = [one if any(one.names) else one._replace(names=_by_numbers(one)) for one in tables]
     names = tuple(name for one in tables for name in one.names)
     return Table(names, np.hstack([one.values for one in tables]), tables[0].lines, label)
+
+
+def _is_timed(one: Table) -> bool:
+    return bool((np.diff(one.values[:, 0]) > 0.0).all())
+
+
+def _by_numbers(one: Table) -> tuple[str, ...]:
+    """Names of a file without any, beside others: a time that rises, then a wrench, or a quaternion at its end."""
+    timed, width = int(_is_timed(one)), one.values.shape[1]
+    if width >= 4 and np.nanmedian(np.abs(np.linalg.norm(one.values[:, -4:], axis=1) - 1.0)) < LENGTH:
+        return (*[""] * (width - 4), "quat0", "quat1", "quat2", "quat3")
+    return (*[""] * timed, "fx", "fy", "fz", "mx", "my", "mz") if width - timed == 6 else one.names
 
 
 def named(text: str, width: int) -> tuple[str, ...]:
@@ -78,12 +101,71 @@ def named(text: str, width: int) -> tuple[str, ...]:
 
 
 def _one(path: Path) -> Table:
+    try:
+        kind = kind_of(path)
+        if kind != "csv":
+            return _of_arrays(path, kind)
+    except SourceError as error:
+        raise PosesError(str(error)) from error
+    return _text_table(path)
+
+
+def _of_arrays(path: Path, kind: str) -> Table:
+    """Arrays by name, or messages: those of other topics nearest to each of the wrench's.
+
+    Raises:
+        PosesError: none have as many rows.
+        SourceError: the file cannot be read.
+    """
+    columns: dict[str, FloatArray] = {}
+    for name, values in foreign.read(path, Csv(), kind).columns.items():
+        if values.dtype.kind in "iufb" and values.ndim:
+            whole = values.reshape(len(values), -1).astype(np.float64)
+            parts = {f"{name}_{k}": whole[:, k] for k in range(whole.shape[1])} if values.ndim > 1 else {name: values}
+            columns |= {re.sub(r"\[(\d+)\]", r"_\1", own): np.asarray(part, np.float64) for own, part in parts.items()}
+    if kind in ("bag", "mcap", "ulog"):
+        columns = _together(columns)
+    length = max(Counter(map(len, columns.values())).items(), key=lambda one: one[::-1], default=(0, 0))[0]
+    columns = {name: one for name, one in columns.items() if len(one) == length}
+    if length < 2:
+        raise PosesError(f"{path} has no arrays of as many rows; give orientation and wrench with a row for each pose")
+    names = tuple("" if name.isdecimal() else name for name in columns)
+    return Table(names, np.stack([*columns.values()], axis=1), tuple(range(1, length + 1)), path.name)
+
+
+def _together(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Of messages, those nearest in time to each of the topic with forces; farther than ``_NEAR_s`` NaN."""
+    topics: dict[str, dict[str, FloatArray]] = {}
+    for name, one in columns.items():
+        topic, _, field = name.rpartition(":")
+        topics.setdefault(topic, {})[field] = one
+    clock = next(
+        (time for time in TIMES if all(time in of for of in topics.values() if len(of) > 1)),
+        "log_time",
+    )
+    own = next((topic for topic, of in topics.items() if any(re.search(r"force\.?x|wrench", each) for each in of)), "")
+    at = topics.get(own, {}).get(clock)
+    if at is None:
+        return columns
+    found = {}
+    for topic, of in topics.items():
+        if (times := of.get(clock)) is None:
+            continue
+        order = np.argsort(times, kind="stable")
+        place = np.clip(np.searchsorted(times[order], at), 1, max(len(times) - 1, 1))
+        before, after = order[place - 1], order[np.minimum(place, len(times) - 1)]
+        row = np.where(np.abs(times[before] - at) <= np.abs(times[after] - at), before, after)
+        far = np.abs(times[row] - at) > _NEAR_s * (1e6 if clock.startswith("timestamp") else 1e9)
+        for field, one in of.items():
+            name = f"{topic}:{field}".removeprefix(f"{topic}:position.") if topic != own else f"{topic}:{field}"
+            found[name] = np.where(far, np.nan, one[row])
+    return found
+
+
+def _text_table(path: Path) -> Table:
     if path.stat().st_size > LARGEST_BYTES:
         raise PosesError(f"{path} has more than {LARGEST_BYTES >> 20} MB: average the readings of each pose first")
-    raw = path.read_bytes()
-    if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise PosesError(f"{path} is no text; give a table of numbers, CSV for instance")
-    text = _text(path, raw)
+    text = _text(path, path.read_bytes())
     lines = [
         (number, line.strip()) for number, line in enumerate(unbroken(text.splitlines()), 1) if line.strip(" \t,;")
     ]
@@ -104,6 +186,8 @@ def _one(path: Path) -> Table:
             rows = rows[1:]
     elif comments and len(_cells(comments[-1][1], between)) == len(rows[0][1]):
         names = [cell.strip() for cell in _cells(comments[-1][1], between)]
+    if tuple(name.lower() for name in names[-7:]) == _TUM:
+        names = [*names[:-7], "x", "y", "z", *names[-4:]]
     if rows and names:
         names = [part for name, cell in zip_longest(names, rows[0][1], fillvalue="") for part in _parts(name, cell)]
     rows = [(number, [one for cell in row for one in ([*map(str, list_of(cell))] or [cell])]) for number, row in rows]

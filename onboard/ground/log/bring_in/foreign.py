@@ -1,4 +1,4 @@
-"""Reads columns of foreign files: text, NumPy's NPZ, MATLAB's, messages; a whole file is held in memory."""
+"""Reads columns of foreign files: text, NumPy's NPZ, MATLAB's, JSON, messages; a whole file is held in memory."""
 
 import re
 import stat
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.json_rows import read_json
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.matlab import read_mat
 from onboard.ground.log.bring_in.messages import read_messages
@@ -33,7 +34,7 @@ def read_npz(path: Path) -> Columns[str, Values]:
 
 
 def read(path: Path, layout: Csv, kind: str, *, skip: bool = False, names: Collection[str] | None = None) -> Recording:
-    """The columns of a file of ``kind``; see ``read_csv``, ``read_npz``, ``read_mat`` and ``read_messages``.
+    """The columns of a file of ``kind``, by ``read_csv``, ``read_npz``, ``read_mat``, ``read_json``, ``read_messages``.
 
     ``names``: of columns that are wanted; other topics need not be read.
 
@@ -57,6 +58,8 @@ def read(path: Path, layout: Csv, kind: str, *, skip: bool = False, names: Colle
         return Recording(read_npz(path))
     if kind == "mat":
         return Recording(read_mat(path))
+    if kind == "json":
+        return Recording(read_json(path))
     topics = None if names is None else {name.partition(":")[0] for name in names}
     return read_messages(path, kind, topics)
 

@@ -112,7 +112,7 @@ class About(_Section):
     """Name of the mapping and format of its recordings."""
 
     name: str
-    format: Literal["csv", "npz", "mat", "bag", "mcap", "ulog"]
+    format: Literal["csv", "npz", "mat", "json", "bag", "mcap", "ulog"]
     bad_rows: Literal["refuse", "skip"] = "refuse"
 
 

@@ -27,7 +27,9 @@ def read_mat(path: Path) -> dict[str, Values]:
     with path.open("rb") as file:
         head = file.read(_HEADER)
     if b"MATLAB 7.3" in head or head[:8] == b"\x89HDF\r\n\x1a\n":
-        raise SourceError(f"{path} is of version 7.3 (HDF5): in MATLAB, save('FILE.mat', '-v7')")
+        raise SourceError(
+            f"{path} is HDF5, as MATLAB's of version 7.3: there, save('FILE.mat', '-v7'); else save arrays as NPZ"
+        )
     _require_bounded(path, head)
     try:
         loaded = loadmat(path, simplify_cells=True)

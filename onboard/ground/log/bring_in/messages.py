@@ -41,29 +41,29 @@ def read_messages(path: Path, kind: str, topics: Collection[str] | None, most: i
     """
     if kind == "ulog":
         return _ulog(path, topics, most)
-    tables: dict[str, _Table] = {}
+    tables: dict[str, Rows] = {}
     total = 0
     for topic, log_time_ns, message in (_bag if kind == "bag" else _mcap)(path, topics):
-        table = tables.setdefault(topic, _Table())
+        table = tables.setdefault(topic, Rows())
         if most is None or table.count < most:
-            total += table.add(log_time_ns, message)
+            total += table.add(message, (("log_time", log_time_ns),))
         if total * _BYTES_A_NUMBER > LARGEST_BYTES:
             raise SourceError(f"{path} has more numbers than {LARGEST_BYTES / 1e9:.1f} GB hold: divide it")
     found = ((topic, name, one) for topic, table in tables.items() for name, one in table.arrays().items())
     return Recording({f"{topic}:{name}": one for topic, name, one in found})
 
 
-class _Table:
-    """Messages of a topic as columns; what a message lacks is NaN."""
+class Rows:
+    """Messages of a topic, or objects of JSON, as columns; what one lacks is NaN."""
 
     def __init__(self) -> None:
         self.count = 0
         self._columns: dict[str, list[float]] = {}
 
-    def add(self, log_time_ns: int, message: Any) -> int:
-        """Append a row; returns how many numbers it has."""
+    def add(self, message: Any, before: tuple[tuple[str, float], ...] = ()) -> int:
+        """Append a row, with what stands before its own numbers; returns how many it has."""
         found = 0
-        for name, value in (("log_time", log_time_ns), *_leaves(message, "")):
+        for name, value in (*before, *_leaves(message, "")):
             column = self._columns.setdefault(name, [])
             column += [np.nan] * (self.count - len(column))
             if len(column) == self.count:  # the first of a name

@@ -119,7 +119,7 @@ def _table(name: str, kind: str, columns: list[NumberColumn], joints: Sequence[s
             break
         found = None
     lost = next((refused(one.name, one.values) for one in clocks if found is None and _goes_on(one.values)), "")
-    if found is None and not lost and kind in ("csv", "npz", "mat"):
+    if found is None and not lost and kind in ("csv", "npz", "mat", "json"):
         for one in usable:
             if not set(one.of.stem) & _BESIDE and _rises(one.values):
                 found = clock(one.name, one.values, one.of.unit)

@@ -85,7 +85,6 @@ _WORDS = {  # by kind, those of which one says it
             "volt",
             "mode",
             "status",
-            "state",
             "flag",
             "flags",
             "error",
@@ -221,7 +220,7 @@ def kind_of(name: Name, labels: frozenset[str]) -> str:
     """What a group of columns is, by its stem and the labels of its columns; "" of nothing that is known."""
     words = name.own
     numbers = all(label.isdigit() for label in labels)
-    if words & _WORDS["other"]:
+    if words & _WORDS["other"] or name.stem[-1:] == ("state",):  # `state.q` is an angle, `safety_state` none
         return ""
     if labels <= set("xyzw") and labels >= set("xyz"):
         return _of_axes(words, labels)

@@ -57,7 +57,7 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     """Look at a recording and write a mapping for it.
 
     Args:
-        path: CSV, MAT, NPZ, a ROS bag, MCAP or ULog.
+        path: CSV, MAT, NPZ, JSON, a ROS bag, MCAP or ULog.
         vehicle: channels to name the columns by.
 
     Raises:

@@ -13,11 +13,12 @@ from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.text_rows import list_of, number, times_of, unbroken
 
-Kind = Literal["csv", "npz", "mat", "bag", "mcap", "ulog"]
+Kind = Literal["csv", "npz", "mat", "json", "bag", "mcap", "ulog"]
 _HEAD, _LOOKED_AT = 1 << 18, 200  # bytes, lines
 _NOTHING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "#n/a", "?")
 _WAYS = ((",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", "."), (" ", "."), (" ", ","))
 _COMMENTS = ("#", "%", "//")
+_JSON = re.compile(r'\s*(\{\s*"|\[\s*(\{\s*"|\[[^\[\]]*\]\s*,\s*\[))')  # objects, a list of them, a list of lists
 
 
 class Layout(NamedTuple):
@@ -58,7 +59,7 @@ def kind_of(path: Path) -> Kind:
         raise SourceError(f"{path} is of a kind that is not read here: {remedy}")
     if b"\0" in head and not head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise SourceError(f"{path} is no text, and of no kind that is known: save it as CSV, NPZ, MAT or MCAP")
-    return "csv"
+    return "json" if _JSON.match(head.decode("utf-8-sig", errors="replace")) else "csv"
 
 
 def layout_of(path: Path) -> Layout:

@@ -1,5 +1,6 @@
 """A mapping that is proposed brings the recording in as it is, for each kind of recording: numbers, units and times."""
 
+import json
 import sys
 
 import numpy as np
@@ -141,6 +142,41 @@ def test_npz_and_mat(tmp_path):
     held_imu(log, of)
     held(log, joints(own, own.tau))
     assert set(log.read("joint_2_torque")["unit"]) == {b"A"}
+
+
+def test_json_by_rows_by_columns_and_by_lines(tmp_path):
+    """The same recording as a list of objects, an object of lists beside other things, and an object on each line."""
+    own = arm(2)
+    rows = [
+        {"t": t, "state": {"q": q, "tau": tau}}
+        for t, q, tau in zip(T.tolist(), own.q.tolist(), own.tau.tolist(), strict=True)
+    ]
+    lists = {"note": "x", "gains": [1.0, 2.0], "t": T.tolist(), "state": {"q": own.q.tolist(), "tau": own.tau.tolist()}}
+    for name, text in (
+        ("rows", json.dumps(rows, indent=1)),
+        ("columns", json.dumps({"robot": "a", "samples": rows})),
+        ("lists", json.dumps(lists)),
+        ("lines", "\n".join(map(json.dumps, rows))),
+    ):
+        (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+        log, proposal = guessed(tmp_path / f"{name}.json")
+        assert 'format = "json"' in proposal
+        held(log, joints(own, own.tau))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"t": [0, 1], "q": [', "is no JSON that can be read"),
+        ('[{"name": "a"}, {"name": "b"}]', "has no two rows of numbers"),
+        ('[{"q": 1.0}]', "has no two rows of numbers"),
+        ('{"a": ' * 100_000, "is no JSON that can be read"),
+    ],
+)
+def test_json_without_rows_is_refused(tmp_path, capsys, text, said):
+    (tmp_path / "a.json").write_text(text, encoding="utf-8")
+    assert main(["import", "--guess", str(tmp_path / "a.json")]) == BAD_INPUT
+    assert said in " ".join(capsys.readouterr().err.split())
 
 
 def test_channels_are_named_like_the_devices_of_a_vehicle(tmp_path):
