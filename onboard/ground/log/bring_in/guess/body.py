@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.ground.log.bring_in.guess import magnitudes, text
+from onboard.ground.log.bring_in.guess import heading, magnitudes, text
 from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, NumberColumn, best
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 
+_LARGEST_LEVEL, _PER_CENT = 1.5, 100.0  # of a level that is 1 when it is on; of one in per cent
 _YAWS = ("yaw", "theta", "psi", "heading", "th", "phi")
 _POSITIONS = ("", "pos", "position", "pose", "p")
 
@@ -25,13 +26,15 @@ def of_a_body(table: ColumnGroup, wanted: BodyChannels, time: str) -> Iterator[t
     """Channel, column and table of the mapping of each that is found.
 
     Thrusters are columns that are called like them, or as many columns as there are, numbered, of which none is
-    commanded below 0 or above 1 (by times: below 0). The pose is x, y and yaw, without more in the name than that
-    they are a position, or a position and a quaternion.
+    commanded below 0 or above 1, or 100 (by times: below 0). The pose is x, y and yaw, without more in the name than
+    that they are a position, or a position and a quaternion.
     """
     columns = table.columns
-    for name, one in _thrusters(columns, wanted).items():
+    thrusters = _thrusters(columns, wanted)
+    full = max((float(np.nanmax(one.values, initial=0.0)) for one in thrusters.values()), default=1.0)
+    for name, one in thrusters.items():
         largest = float(np.nanmax(one.values, initial=0.0))
-        unit = Unit("1", "on is 1")
+        unit = Unit("%", f"up to {full:.4g}") if full > _LARGEST_LEVEL else Unit("1", "on is 1")
         if wanted.on_time:
             unit = Unit(one.of.unit, "by its name") if one.of.unit in ("s", "ms") else Unit("s", "as is usual")
             unit = unit if largest < 100.0 or one.of.unit else Unit("ms", f"up to {largest:.4g}")
@@ -48,15 +51,21 @@ def of_a_body(table: ColumnGroup, wanted: BodyChannels, time: str) -> Iterator[t
         called = [attitude.called[k] for k in order]
         yield name, attitude.columns[attitude.labels[0]], text.yaw(name, called, up, time)
     place = best(table.groups, "position")
+    way: list[magnitudes.FloatArray] = []
     for axis, recorded in (("x", "x"), ("y", "z" if up == "y" else "y")):
         found = next((named[f"{word}{recorded}"] for word in _POSITIONS if f"{word}{recorded}" in named), None)
         found = found or (place.columns.get(recorded) if place is not None else None)
         if found is not None:
             unit = magnitudes.of_others("position", _values(found), found.of.unit, ("m", "mm"), "m")
             name, sign = f"{wanted.pose}_{axis}", "-" if recorded == "z" else "+"
+            way.append(_values(found))
             yield name, found, text.scalar(name, found.name, _values(found), unit, time, sign=sign)
     if yaw is not None:
         unit, name = magnitudes.of_angles(_values(yaw), yaw.of.unit), f"{wanted.pose}_yaw"
+        if not yaw.of.unit and thrusters and len(way) == 2 and table.clock is not None and not wanted.on_time:
+            levels = np.hstack([_values(one) for one in thrusters.values()])
+            by_way = heading.unit_of(table.clock.seconds, np.hstack(way), _values(yaw)[:, 0], levels)
+            unit = Unit(by_way, "so it goes where its thrusters push it") if by_way else unit
         turn = magnitudes.turn_of(_values(yaw)[:, 0])
         yield name, yaw, text.scalar(name, yaw.name, _values(yaw), unit, time, "", turn)
 
@@ -72,7 +81,7 @@ def _thrusters(columns: Sequence[NumberColumn], wanted: BodyChannels) -> dict[st
     own = {name: by_name[_plain(name)] for name in wanted.thrusters if _plain(name) in by_name}
     if wanted.thrusters and len(own) == len(wanted.thrusters):
         return own
-    limit = np.inf if wanted.on_time else 1.0
+    limit = np.inf if wanted.on_time else _PER_CENT
     stems = dict.fromkeys(one.of.stem for one in columns if one.of.label.isdigit())
     for stem in stems:
         some = [one for one in columns if one.of.stem == stem and one.of.label.isdigit()]

@@ -232,6 +232,31 @@ def test_thrusters_and_the_pose_of_a_body_on_a_table(tmp_path, named, pose):
     assert '# not taken (no name that is known, or no number): "pressure"' in proposal.text
 
 
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+@pytest.mark.parametrize("largest", [0.15, 12.0])
+def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, unit, largest):
+    """A heading up to 12 rad, or 9 degrees, of which no name says the unit; thrusters in per cent. A body of 8 kg."""
+    rng = np.random.default_rng(3)
+    time, step = np.arange(0.0, 60.0, 0.01), 0.01
+    levels = np.repeat(rng.integers(0, 2, (4, 60)) * rng.uniform(0.3, 1.0, (4, 60)), 100, axis=1)
+    yaw = largest * np.sin(0.11 * time)
+    way = np.exp(1j * yaw) * ([1.0, -1.0, 1.0j, -1.0j] @ levels) * 0.5 / 8.0
+    place = np.cumsum(np.cumsum(way)) * step**2 + 0.05 * np.exp(1j * yaw)
+    noise = 3e-4 * rng.normal(size=(2, len(time)))
+    columns = [time, *(100.0 * levels), place.real + noise[0], place.imag + noise[1]]
+    columns.append(yaw if unit == "rad" else np.degrees(yaw))
+    path = made.text(tmp_path / "a.csv", ["t", "u1", "u2", "u3", "u4", "x", "y", "yaw"], columns)
+    names = Names(body=BodyChannels(("t1", "t2", "t3", "t4"), pose="tracker"))
+    proposal = propose(path, names)
+    assert proposal.doubts == ()
+    (tmp_path / "a.toml").write_text(proposal.text)
+    assert main(["import", str(tmp_path / "a.toml"), str(path), "-o", str(tmp_path / "logs")]) == OK
+    log = LogReader(tmp_path / "logs" / "a.mcap")
+    for name, truth in (("tracker_yaw", yaw), ("t2", levels[1])):
+        rows = log.read(name)
+        assert rows["value_raw"] * rows["scale"].astype(np.float64) == pytest.approx(truth, abs=1e-5)
+
+
 @pytest.mark.parametrize("up", ["z", "y"])
 @pytest.mark.parametrize(
     ("named", "w_first"),
