@@ -75,6 +75,11 @@ CAN_FRAME = np.dtype(  # sent by us; `host_ns`: when it was handed to the port
     [*_HEAD, ("cob_id", "<u2"), ("length", "u1"), ("data", "u1", (8,))], align=True
 )
 
+REGISTER_WRITE = np.dtype(  # likewise, to registers of a device
+    [*_HEAD, ("address", "<u2"), ("length", "u1"), ("data", "u1", (12,))], align=True
+)
+SENT = CAN_FRAME, REGISTER_WRITE  # what we send has no rate
+
 PULSE = np.dtype([*_HEAD, ("edge_ns", "<i8"), ("line_sequence", "<u4")], align=True)
 
 GAP = np.dtype(

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, PulseLine
@@ -87,7 +87,17 @@ def drive_of(motor: Motor | Wired, axis: Axis, start_ns: int, faults: DeviceFaul
     )
 
 
-def travels(drives: Mapping[str, ServoDrive402]) -> dict[str, dict[str, float | str]]:
+class ServoOnBus(Protocol):
+    """A drive, of whatever kind, and the axis that it moves."""
+
+    axis: Axis
+
+    @property
+    def drive_state(self) -> int:
+        """Of its state machine, or Torque Enable."""
+
+
+def travels(drives: Mapping[str, ServoOnBus]) -> dict[str, dict[str, float | str]]:
     """Where the joint of each drive has been (rad), how fast it was and is (rad/s), and the drive's state."""
     return {
         name: {

@@ -1,4 +1,4 @@
-"""A vehicle with all of its sensors and with CiA 402 servo drives in its joints, in one world.
+"""A vehicle with all of its sensors and with servo drives in its joints, in one world.
 
 What a flight computer commands moves the arm, the arm moves the base, and IMU, load cell and drives feel it. Base,
 arm, payload, release and posture are those that the same scenario and seed fly. No motion is known beforehand: MuJoCo
@@ -13,14 +13,13 @@ from collections.abc import Iterable, Mapping, Sequence
 import mujoco
 import numpy as np
 
-from hil_sim.arm_rig import Wired, drive_of
+from hil_sim.arm_rig import ServoOnBus, Wired, drive_of
 from hil_sim.arrays import FloatArray
 from hil_sim.buses.media import Bus, CanBus
-from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.mission import VIRTUAL_START_NS, Mission
 from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenJoint, DrivenVehicle
-from hil_sim.plants.drives.servo_axis import STEP_S, Controller
+from hil_sim.plants.drives.servo_axis import STEP_S, Axis, Controller
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
@@ -121,8 +120,9 @@ class DrivenFlight(Mission):
     Args:
         scenario: of a vehicle of one's own; of its motion only the posture and the length count.
         seed: of everything drawn.
-        wired: its drives, one for each joint that is driven; in place of the devices of their names.
+        wired: its CiA 402 drives, in place of the devices of their names.
         can: name of their bus.
+        driven: joints of its devices of other kinds that are drives, by device.
         faults: by the names of the devices, the drives among them, and of the buses.
 
     Attributes:
@@ -134,18 +134,33 @@ class DrivenFlight(Mission):
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int, wired: Sequence[Wired], can: str, faults: Iterable[Fault] = ()
+        self,
+        scenario: Scenario,
+        seed: int,
+        wired: Sequence[Wired],
+        can: str,
+        faults: Iterable[Fault] = (),
+        driven: Mapping[str, str] | None = None,
     ) -> None:
         self._wired, self._can, names = tuple(wired), can, {drive.name for drive in wired}
+        self._driven = driven or {}
         all_faults = tuple(faults)
         self._of_drives = [fault for fault in all_faults if fault.device in names]
         others = {name: table for name, table in scenario.device.items() if name not in names}
         rest = [fault for fault in all_faults if fault.device not in names]
         super().__init__(scenario.model_copy(update={"device": others}), seed, rest)
-        self.drives: dict[str, ServoDrive402] = {}
+        self.drives: dict[str, ServoOnBus] = {}
 
     def _plant(self) -> Plant:
         return DrivenPlant(self.scenario, self._rng("vehicle"))
+
+    def _axes(self) -> Mapping[str, Axis]:
+        return {name: self._axis(joint) for name, joint in self._driven.items()}
+
+    def _axis(self, joint: str) -> Axis:
+        assert isinstance(self.plant, DrivenPlant)
+        assert self.plant.vehicle is not None
+        return self.plant.vehicle.axes[joint]
 
     def ask(self, segment: str) -> bool:
         """See ``Mission``: the arm moves by its drives, which the flight computer commands itself."""
@@ -155,16 +170,18 @@ class DrivenFlight(Mission):
     def attach(self, buses: Mapping[str, Bus], start_ns: int = VIRTUAL_START_NS) -> None:
         """See ``Mission``; the drives are on their bus too."""
         super().attach(buses, start_ns)
-        assert isinstance(self.plant, DrivenPlant)
-        assert self.plant.vehicle is not None
-        bus, plan = buses[self._can], FaultPlan(self._of_drives, self.start_ns)
-        if not isinstance(bus, CanBus):
-            raise ScenarioError(f"bus.{self._can} is no CAN bus; drives are on one")
+        assert self._twins is not None
+        self.drives = {name: self._twins.devices[name] for name in self._driven}
+        plan = FaultPlan(self._of_drives, self.start_ns)
         for drive in self._wired:
-            axis = self.plant.vehicle.axes[drive.joint]
-            self.drives[drive.name] = drive_of(drive, axis, self.start_ns, plan.of(drive.name))
-            bus.add(self.drives[drive.name])
-            axis.controller = None if axis.controller is None else late(axis.controller)
+            bus = buses[self._can]
+            if not isinstance(bus, CanBus):
+                raise ScenarioError(f"bus.{self._can} is no CAN bus; drives are on one")
+            servo = drive_of(drive, self._axis(drive.joint), self.start_ns, plan.of(drive.name))
+            self.drives[drive.name] = servo
+            bus.add(servo)
+        for one in self.drives.values():
+            one.axis.controller = None if one.axis.controller is None else late(one.axis.controller)
         plan.check_all_taken()
 
     def advance(self, now_ns: int) -> None:

@@ -18,6 +18,7 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import NEVER, Fault, FaultError, FaultKind, FaultPlan
+from hil_sim.plants.drives.servo_axis import Axis
 from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
@@ -133,11 +134,16 @@ class Mission:
         self.start_ns = self.now_ns = start_ns
         plan = self._plan = FaultPlan(self.faults, start_ns)
         clocks = {name: dataclasses.replace(clock, start_ns=start_ns) for name, clock in self._clocks.items()}
-        self._twins = Twins(self.scenario, self._devices, buses, self.sensors, clocks, plan.of, start_ns, self.seed)
+        drawn = start_ns, self.seed
+        self._twins = Twins(self.scenario, self._devices, buses, self.sensors, clocks, plan.of, *drawn, self._axes())
         plan.check_all_taken()
         # the sync box first: what its pulse reaches may not be ahead of it
         can, lines = ([b for b in buses.values() if isinstance(b, kind)] for kind in (CanBus, PulseLine))
         self._buses = [*can, *lines, *(b for b in buses.values() if not isinstance(b, CanBus | PulseLine))]
+
+    def _axes(self) -> Mapping[str, Axis]:
+        """Joints of the drives that the flight computer commands, by device."""
+        return {}
 
     def known_ns(self) -> int:
         """``CLOCK_MONOTONIC`` ns before which the plant is computed."""

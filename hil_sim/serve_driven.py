@@ -2,7 +2,7 @@
 
     python -m hil_sim.serve_driven VEHICLE.toml --directory DIR [--over SCENARIO] [--segments NPZ] [--seed N] [...]
 
-What ``heft fly VEHICLE.toml --arm`` can be tried on, from the first set point to the answer: every cia402 device with
+What ``heft fly VEHICLE.toml --arm`` can be tried on, from the first set point to the answer: every device with
 ``driven = true`` is a servo drive, every other device what a rehearsal makes of it, and all of them feel one vehicle,
 which floats, slides or stands as its file says and holds its payload from the start. Joints stand where the motion of
 ``[drive]`` begins, else in the posture of the segments that the flight may ask for, else where the scenario says. The
@@ -20,13 +20,12 @@ from typing import Any
 
 from hil_sim.arm_rig import Wired, travels
 from hil_sim.buses.realtime import MissionServer
+from hil_sim.devices.registry import for_vehicle
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.driven_flight import DrivenFlight
 from hil_sim.faults import parse
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.serve import do_not_wait, motion_starts, open_sockets, say, stops_on_signals
-
-_DEVICE = {"kind": "cia402", "driven": True}
 
 
 def world(
@@ -48,14 +47,17 @@ def world(
     """
     file = tomllib.loads(path.read_text(encoding="utf-8"))
     devices = file.get("device", {})
-    wired = [_wired(name, device) for name, device in devices.items() if _DEVICE.items() <= device.items()]
-    if not wired:
-        raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
+    driven = {name: device for name, device in devices.items() if device.get("driven")}
+    if not driven:
+        raise ScenarioError(f"{path} has no device with driven = true; nothing could be driven")
+    turning = {name: device["joint"] for name, device in driven.items() if for_vehicle(device["kind"]).turns_axis}
+    wired = [_wired(name, device) for name, device in driven.items() if name not in turning]
     motion = _starts(path, file, segments)
     action = "asked" if "segments" in motion else "hold"
     lasts = {"sequence": [{"phase": 0, "action": action, "duration_s": seconds}], "motion": motion}
     scenario = rehearsal(path, over, lasts)
-    return DrivenFlight(scenario, seed, wired, devices[wired[0].name]["bus"], [parse(text) for text in faults])
+    can = devices[wired[0].name]["bus"] if wired else ""
+    return DrivenFlight(scenario, seed, wired, can, [parse(text) for text in faults], turning)
 
 
 def _wired(name: str, device: dict[str, Any]) -> Wired:

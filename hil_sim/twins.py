@@ -12,6 +12,7 @@ from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.faults import DeviceFaults, FaultError
+from hil_sim.plants.drives.servo_axis import Axis
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.bus_tables import CanBusTable, PulseLineTable
 from hil_sim.scenario.load import Scenario, ScenarioError
@@ -95,6 +96,10 @@ class Twins:
         faults: Gives the faults of a device.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
         seed: Of what a twin draws for itself.
+        axes: Joints of the drives that the flight computer commands, by device.
+
+    Attributes:
+        devices: What was plugged in, by name.
 
     Raises:
         ScenarioError: a device that cannot be as its table says.
@@ -111,6 +116,7 @@ class Twins:
         faults: Callable[[str], DeviceFaults],
         start_ns: int,
         seed: int,
+        axes: Mapping[str, Axis],
     ) -> None:
         self._scenario = scenario
         self._buses = buses
@@ -119,7 +125,8 @@ class Twins:
         for name, table in devices.items():
             place = None if table.bus is None else scenario.bus[table.bus]
             try:
-                twins[name] = table.build(Bench(name, sensors, clocks, faults(name), start_ns, seed, place))
+                bench = Bench(name, sensors, clocks, faults(name), start_ns, seed, place, axes.get(name))
+                twins[name] = table.build(bench)
                 self._plug(table, twins[name])
             except FaultError:
                 raise
@@ -131,6 +138,7 @@ class Twins:
                 for pin in (*(each.pin for each in twins.values()), self._bus(line, PulseLine).edge):
                     if pin is not None:
                         twin.drive_pin(pin)
+        self.devices = {name: twin.device for name, twin in twins.items()}
         for name, bus in buses.items():
             bus.inject(faults(name))
 

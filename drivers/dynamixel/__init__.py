@@ -1,4 +1,4 @@
-"""DYNAMIXEL X servos (protocol 2.0) on one TTL or RS-485 line, read and never commanded.
+"""DYNAMIXEL X servos (protocol 2.0) on one TTL or RS-485 line, read, and sent goals where the vehicle file says so.
 
 Sources: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0" and the control tables of the X series. Known limits: when a servo
 samples what it answers is not said there, and lies anywhere between the request and its own answer; Present Current

@@ -1,9 +1,11 @@
-"""The servos of one line as a polled device: one Sync Read is one sample of each."""
+"""The servos of one line as a polled device: one Sync Read is one sample of each; driven ones are sent goals."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from math import tau
+from typing import TYPE_CHECKING
 
+from drivers import transports
 from drivers.dynamixel import registers as table
 from drivers.dynamixel.packet import (
     ALERT,
@@ -15,58 +17,42 @@ from drivers.dynamixel.packet import (
     read_request,
     statuses,
     sync_read_request,
+    write_request,
 )
-from drivers.dynamixel.registers import DynamixelConfig, DynamixelTiming, Identity, decode_identity, decode_present
+from drivers.dynamixel.registers import (
+    BetweenRounds,
+    DynamixelConfig,
+    DynamixelTiming,
+    KnownServo,
+    decode_driven,
+    decode_identity,
+    decode_present,
+)
 from drivers.errors import ConfigurationError
 from drivers.ports import SerialPort, Station
-from drivers.position import Position
-from drivers.records import SampleStatus, Severity
+from drivers.records import Batch, SampleStatus, Severity
 from drivers.serial_poll import PolledDevice, Value
 from drivers.serial_stream import MS, Clock, OpenPort
+
+if TYPE_CHECKING:
+    from drivers.dynamixel.drive import DynamixelAxisConfig, ServoAxis
+    from drivers.dynamixel.driven import DrivenLine
+    from drivers.play.player import Player, PlayerConfig
 
 SILENT_AFTER = 5  # rounds in a row that a servo does not answer while others do
 LOOK_NS = 1_000 * MS  # between two looks at the temperature of a servo, or for one that is silent
 HOT_BELOW_LIMIT = 5  # degrees
 PING_S = 1.0  # each answers 3 ms after the ID before its own: the last of 253 has answered
-LARGEST_STEP = table.COUNTS // 4  # between two samples, counts of the horn
-
-
-class _Servo:
-    """What is known of one."""
-
-    def __init__(self, config: DynamixelConfig) -> None:
-        self.config = config
-        many_turns = abs(config.counts_per_revolution) > table.COUNTS
-        self.position = Position(LARGEST_STEP, config.zero_count, 32 if many_turns else 12)
-        self.is_there = False
-        self.missed = 0
-        self.identity = Identity(0, 0, 0)
-        self.faults: int | None = 0  # None: the alert bit is set, and what it means is not read yet
-        self.temperature_limit = 0
-        self.is_hot = False
-
-    @property
-    def is_fast(self) -> bool:
-        """Whether its firmware has Fast Sync Read."""
-        return self.identity.firmware >= self._model.fast_from
-
-    @property
-    def _model(self) -> table.Model:
-        return table.MODELS.get(self.identity.model, table.UNKNOWN)
-
-    @property
-    def ampere(self) -> float:
-        """Of a count of Present Current, in the joint's direction; 0: unknown."""
-        sign = 1.0 if self.config.counts_per_revolution > 0 else -1.0
-        return sign * (self.config.ampere_per_count or self._model.ampere)
+ASKED_AGAIN = table.HARDWARE_ERROR, table.TEMPERATURE_LIMIT
+REST_S, RESTS = 0.01, 350  # at the end, until the servos stand: half a second more than a stop may take
 
 
 class DynamixelBus(PolledDevice):
     """Servos on one TTL or RS-485 line, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
 
-    Only read: nothing is ever written to a control table. When the port is opened each servo is asked who it is; those
-    that answer are sampled together, by Fast Sync Read where all of them have it. A servo that does not answer
-    ``SILENT_AFTER`` rounds is left out, which its channels lack, and looked for once a second. After an
+    Without ``play`` nothing is ever written to a control table. When the port is opened each servo is asked who it
+    is; those that answer are sampled together, by Fast Sync Read where all of them have it. A servo that does not
+    answer ``SILENT_AFTER`` rounds is left out, which its channels lack, and looked for once a second. After an
     unanswered round the next one reads one byte more, so that a late answer has the wrong length and is rejected.
     ``device_status`` is the error byte: 80h (alert) is told with what Hardware Error Status says, and the current is
     not valid as long as it is set; the position is not if the encoder fails.
@@ -77,6 +63,11 @@ class DynamixelBus(PolledDevice):
         open_port: Opens the serial port.
         clock: CLOCK_MONOTONIC, ns.
         timing: How they are asked.
+        play: What those that are driven play. They are asked for more in each round, and sent goals after it.
+        rest: Waits for some seconds, when the drives are stopped at the end.
+
+    Attributes:
+        player: Of ``play``; None without.
 
     Raises:
         ConfigurationError: No servo, two with one ID, or a time out of range.
@@ -89,9 +80,11 @@ class DynamixelBus(PolledDevice):
         open_port: OpenPort,
         clock: Clock,
         timing: DynamixelTiming | None = None,
+        play: "PlayerConfig[DynamixelAxisConfig] | None" = None,
+        rest: Callable[[float], object] = transports.rest,
     ) -> None:
         self.timing = DynamixelTiming() if timing is None else timing
-        self._servos = {servo.id: _Servo(servo) for servo in servos}
+        self._servos = {servo.id: KnownServo(servo) for servo in servos}
         if not servos or len(self._servos) < len(servos):
             raise ConfigurationError(f"{name}: ids {[servo.id for servo in servos]}: give each servo one of its own")
         super().__init__(
@@ -103,8 +96,8 @@ class DynamixelBus(PolledDevice):
             self.timing.timeout_ms,
             0.0,
         )
-        self._asides: deque[tuple[int, int, int]] = deque()  # id, address, count
-        self._aside_open: tuple[int, int, int] | None = None
+        self._asides: deque[BetweenRounds] = deque()
+        self._aside_open: BetweenRounds | None = None
         self._next_look_ns = 0
         self._looked_at = 0
         self._extra = 0  # surplus bytes in the request, which mark it against a late answer
@@ -112,6 +105,19 @@ class DynamixelBus(PolledDevice):
         self._holds = False  # an aside was not answered: a round comes before the next one
         self._reply = Reply([servos[0].id], 1)
         self._stamp_ns = 0  # of its newest bytes
+        self._driven: DrivenLine | None = None
+        is_driven = any(servo.driven for servo in servos)
+        self._block = (table.DRIVEN, table.DRIVEN_BYTES) if is_driven else (table.PRESENT, table.PRESENT_BYTES)
+        if play is not None:
+            from drivers.dynamixel import driven  # noqa: PLC0415  (few flights drive)
+
+            self._driven = driven.DrivenLine(play, self.timing, self._report)
+        self._rest, self._now = rest, clock
+
+    @property
+    def player(self) -> "Player[ServoAxis] | None":
+        """What drives the servos; None where they are only read."""
+        return None if self._driven is None else self._driven.player
 
     def _value_channels(self) -> tuple[str, ...]:
         return tuple(channel for servo in self._servos.values() for channel in servo.config.channels)
@@ -122,8 +128,44 @@ class DynamixelBus(PolledDevice):
         self._aside_open = None
         for identifier, servo in self._servos.items():
             servo.is_there = False
-            self._asides.append((identifier, table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(BetweenRounds(identifier, table.IDENTITY, table.IDENTITY_BYTES))
         self._next_look_ns = now_ns + LOOK_NS
+
+    # What is driven
+
+    def _exchange(self, now_ns: int) -> None:
+        super()._exchange(now_ns)
+        self._drive(now_ns)
+
+    def _act(self, now_ns: int) -> bool:
+        self._drive(now_ns)
+        return super()._act(now_ns)
+
+    def _drive(self, now_ns: int) -> None:
+        """What is due by the answers that came; it goes out where no answer is awaited."""
+        if self._driven is None:
+            return
+        self._driven.player.step(max(now_ns, self._stamp_ns))
+        if not self._link.is_open:
+            self._driven.forget()
+        elif self._asked_ns is None:
+            for packet in self._driven.packets():
+                self._link.write(now_ns, packet)
+
+    def stop(self, now_ns: int) -> list[Batch]:
+        """See ``SerialDevice``; the servos are stopped, and looked after until they stand, or for a time."""
+        if self._driven is not None and self._running:
+            self._driven.player.step(now_ns)
+            self._driven.player.stop("the flight ends")
+            for _ in range(RESTS):
+                self._exchange(now_ns)
+                if not self._driven.player.is_moving:
+                    break
+                self._rest(REST_S)
+                before_ns, now_ns = now_ns, max(now_ns, self._now())
+                if now_ns == before_ns:  # a clock that stands
+                    break
+        return super().stop(now_ns)
 
     # What is asked
 
@@ -131,12 +173,17 @@ class DynamixelBus(PolledDevice):
         if not self._asides and now_ns >= self._next_look_ns:
             self._next_look_ns = now_ns + LOOK_NS
             self._look()
-        if not self._asides or (self._holds and any(servo.is_there for servo in self._servos.values())):
+        if self._holds and any(servo.is_there for servo in self._servos.values()):
             return b""
-        self._aside_open = self._asides.popleft()
-        identifier, address, count = self._aside_open
+        if self._driven is not None and (transfer := self._driven.transfer()) is not None:
+            self._aside_open = BetweenRounds(*transfer, is_driving=True)
+        elif self._asides:
+            self._aside_open = self._asides.popleft()
+        else:
+            return b""
+        identifier, address, count, data, _ = self._aside_open
         self._reply = Reply([identifier], count)
-        return read_request(identifier, address, count)
+        return write_request(identifier, address, data) if data else read_request(identifier, address, count)
 
     def _look(self) -> None:
         """Look at the next servo."""
@@ -144,21 +191,23 @@ class DynamixelBus(PolledDevice):
         self._looked_at = (self._looked_at + 1) % len(identifiers)
         absent = [identifier for identifier, servo in self._servos.items() if not servo.is_there]
         if absent and len(absent) < len(identifiers):  # where none is there, rounds ask all of them
-            self._asides.append((absent[self._looked_at % len(absent)], table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(
+                BetweenRounds(absent[self._looked_at % len(absent)], table.IDENTITY, table.IDENTITY_BYTES)
+            )
         identifier = identifiers[self._looked_at]
         if self._servos[identifier].is_there:
-            self._asides.append((identifier, table.HEALTH, table.HEALTH_BYTES))
+            self._asides.append(BetweenRounds(identifier, *self._servos[identifier].health))
             if self._servos[identifier].faults:
-                self._asides.append((identifier, table.HARDWARE_ERROR, 1))
+                self._asides.append(BetweenRounds(identifier, table.HARDWARE_ERROR, 1))
 
     def _question(self, retry: bool) -> bytes:
         self._extra = 1 - self._extra if retry or self._was_partial else 0
         self._aside_open, self._was_partial, self._holds = None, False, False
         there = {identifier: servo for identifier, servo in self._servos.items() if servo.is_there} or self._servos
         fast = self.timing.fast_sync_read and all(servo.is_fast for servo in there.values())
-        count = table.PRESENT_BYTES + self._extra
+        address, count = self._block[0], self._block[1] + self._extra
         self._reply = Reply(list(there), count, fast=fast)
-        return sync_read_request(list(there), table.PRESENT, count, fast=fast)
+        return sync_read_request(list(there), address, count, fast=fast)
 
     def _missing(self) -> int:
         return self._reply.missing
@@ -179,7 +228,9 @@ class DynamixelBus(PolledDevice):
         aside = self._aside_open
         if aside is not None:
             self._holds = True
-            if aside[1] in (table.HARDWARE_ERROR, table.TEMPERATURE_LIMIT) and self._servos[aside[0]].is_there:
+            if aside.is_driving and self._driven is not None:
+                self._driven.unanswered(aside.identifier)
+            elif aside.address in ASKED_AGAIN and self._servos[aside.identifier].is_there:
                 self._asides.append(aside)
             return now_ns, []
         came = {block.identifier for block in self._reply.blocks}
@@ -193,6 +244,8 @@ class DynamixelBus(PolledDevice):
         """Of the blocks of a round."""
         blocks = {block.identifier: block for block in self._reply.blocks}
         values: list[Value] = []
+        if blocks and self._driven is not None and self._asked_ns is not None:
+            self._driven.round(self._asked_ns, host_ns)
         for identifier, servo in self._servos.items():
             block = blocks.get(identifier)
             if block is None:
@@ -205,13 +258,13 @@ class DynamixelBus(PolledDevice):
                 values += self._of_servo(host_ns, servo, block)
         return values
 
-    def _of_servo(self, host_ns: int, servo: _Servo, block: Block) -> list[Value]:
-        config, present = servo.config, decode_present(block.data)
+    def _of_servo(self, host_ns: int, servo: KnownServo, block: Block) -> list[Value]:
+        config, present = servo.config, decode_present(block.data[table.PRESENT - self._block[0] :])
         if servo.is_there:
             servo.missed = 0
         else:  # all were asked, as none was there
             servo.is_there = True
-            self._asides.append((config.id, table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(BetweenRounds(config.id, table.IDENTITY, table.IDENTITY_BYTES))
         self._follow_alert(host_ns, servo, alert=bool(block.error & ALERT))
         encoder_fails = bool((servo.faults or 0) & table.ENCODER_ERROR)
         position, accepted = (present.position, False) if encoder_fails else servo.position.place(present.position)
@@ -222,50 +275,64 @@ class DynamixelBus(PolledDevice):
             return Value(config.name + of, count, scale, unit, block.error, int(status))
 
         velocity_rad_s = table.VELOCITY_RAD_S * table.COUNTS / config.counts_per_revolution
-        readings = (
+        readings = [
             told("", position, per_count, "rad", good=accepted),
             told("_velocity", present.velocity, velocity_rad_s, "rad/s", good=not encoder_fails),
             told("_torque", present.current, servo.ampere, "A", good=bool(servo.ampere) and not block.error),
-        )
+        ]
+        if config.driven:
+            said = decode_driven(block.data)
+            if self._driven is not None:
+                self._driven.on_block(config.id, host_ns, block.error, said)
+            ok = int(SampleStatus.OK)
+            readings.append(Value(f"{config.name}_status", said.moving, 1.0, "", said.watchdog, ok))
         return [one for one in readings if one.channel in config.channels]
 
-    def _missed(self, host_ns: int, servo: _Servo) -> None:
+    def _missed(self, host_ns: int, servo: KnownServo) -> None:
         servo.missed += 1
         if servo.missed >= SILENT_AFTER:
             servo.is_there = False
             text = f"id {servo.config.id} does not answer: check its cable and supply"
             self._tell(host_ns, servo, Severity.ERROR, "silent", text)
 
-    def _follow_alert(self, host_ns: int, servo: _Servo, *, alert: bool) -> None:
+    def _follow_alert(self, host_ns: int, servo: KnownServo, *, alert: bool) -> None:
         if alert and servo.faults == 0:
             servo.faults = None
-            self._asides.append((servo.config.id, table.HARDWARE_ERROR, 1))
+            self._asides.append(BetweenRounds(servo.config.id, table.HARDWARE_ERROR, 1))
         elif not alert and servo.faults != 0:
             servo.faults = 0
             self._tell(host_ns, servo, Severity.INFO, "hardware_error_over", "its hardware error is over")
 
     def _answered_aside(self, host_ns: int, block: Block) -> None:
-        servo, address = self._servos[block.identifier], (self._aside_open or (0, 0, 0))[1]
-        if block.error & ~ALERT:
+        assert self._aside_open is not None
+        servo, address = self._servos[block.identifier], self._aside_open.address
+        if self._aside_open.is_driving and self._driven is not None:
+            self._driven.answered(block)
+            self._holds = self._driven.player.is_active  # a round comes before the next one
+        elif block.error & ~ALERT:
             text = f"it refuses address {address} ({ERRORS.get(block.error & ~ALERT, 'unknown error')})"
             self._tell(host_ns, servo, Severity.WARNING, "refused", f"{text}: check that it is an X series servo")
         elif address == table.IDENTITY:
             self._identified(host_ns, servo, block.data)
         elif address == table.TEMPERATURE_LIMIT:
             servo.temperature_limit = block.data[0]
-        elif address == table.HEALTH:
-            self._judge_health(host_ns, servo, block.data)
+        elif address in (table.HEALTH, table.DRIVEN_HEALTH):
+            if self._driven is not None and address == table.DRIVEN_HEALTH:
+                self._driven.on_torque(block.identifier, bool(block.data[0]))
+            self._judge_health(host_ns, servo, block.data[table.HEALTH - address :])
         elif block.data[0] not in (0, servo.faults) and servo.faults != 0:
             servo.faults = block.data[0]
             said = "; ".join(text for bit, text in table.FAULTS.items() if servo.faults & bit) or "unknown"
             text = f"hardware error {servo.faults:02X}h: {said}. It stays until a reboot"
             self._tell(host_ns, servo, Severity.ERROR, "hardware_error", text)
 
-    def _identified(self, host_ns: int, servo: _Servo, data: bytes) -> None:
+    def _identified(self, host_ns: int, servo: KnownServo, data: bytes) -> None:
         who = decode_identity(data)
         if servo.missed >= SILENT_AFTER:
             self._tell(host_ns, servo, Severity.INFO, "recovered", f"id {servo.config.id} answers again")
         servo.is_there, servo.missed = True, 0
+        if self._driven is not None:
+            self._driven.found(servo.config.id)
         if who == servo.identity:
             return
         servo.identity = who
@@ -273,14 +340,14 @@ class DynamixelBus(PolledDevice):
         text = f"model {who.model}, firmware {who.firmware}: {how}, answers after {who.return_delay_us} us"
         hint = ": write 0 to address 9 for shorter rounds" if who.return_delay_us > 20 else ""
         self._tell(host_ns, servo, Severity.INFO, "identified", text + hint)
-        self._asides.append((servo.config.id, table.TEMPERATURE_LIMIT, 1))
+        self._asides.append(BetweenRounds(servo.config.id, table.TEMPERATURE_LIMIT, 1))
         if servo.config.torque and not servo.ampere:
             text = (
                 f"current of model {who.model} is not known, or it has none: give ampere_per_count, or torque = false"
             )
             self._tell(host_ns, servo, Severity.ERROR, "no_current", text)
 
-    def _judge_health(self, host_ns: int, servo: _Servo, data: bytes) -> None:
+    def _judge_health(self, host_ns: int, servo: KnownServo, data: bytes) -> None:
         decivolt, celsius = int.from_bytes(data[:2], "little"), data[2]
         hot = bool(servo.temperature_limit) and celsius > servo.temperature_limit - HOT_BELOW_LIMIT
         if hot and not servo.is_hot:
@@ -288,7 +355,7 @@ class DynamixelBus(PolledDevice):
             self._tell(host_ns, servo, Severity.WARNING, "hot", text)
         servo.is_hot = hot
 
-    def _tell(self, host_ns: int, servo: _Servo, severity: Severity, code: str, text: str) -> None:
+    def _tell(self, host_ns: int, servo: KnownServo, severity: Severity, code: str, text: str) -> None:
         self._report.event(host_ns, severity, code, text, servo.config.name)
 
 

@@ -5,14 +5,14 @@ Calculation". The CRC of each block of a Fast Sync Read is over all that stands 
 as its example shows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from drivers.errors import ConfigurationError, FrameError
 
 HEADER = b"\xff\xff\xfd"
 BROADCAST, LARGEST_ID = 0xFE, 0xFC
-PING, READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x01, 0x02, 0x82, 0x8A, 0x55
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, STATUS = 0x01, 0x02, 0x03, 0x82, 0x83, 0x8A, 0x55
 PING_BYTES = 3  # of its answer: model number and firmware
 ALERT = 0x80  # of the error byte: Hardware Error Status is not 0
 HEAD = 7  # header, reserved, id, length
@@ -64,6 +64,32 @@ def read_request(identifier: int, address: int, count: int) -> bytes:
     return _packet(identifier, READ, address.to_bytes(2, "little") + count.to_bytes(2, "little"))
 
 
+def write_request(identifier: int, address: int, data: bytes) -> bytes:
+    """Write one servo's control table from ``address`` on; it answers without data.
+
+    Raises:
+        ConfigurationError: An argument outside the range of the protocol.
+    """
+    _check([identifier], address, len(data))
+    return _packet(identifier, WRITE, address.to_bytes(2, "little") + data)
+
+
+def sync_write_request(address: int, blocks: Mapping[int, bytes]) -> bytes:
+    """Write as many bytes to each of several servos, which take them at once and do not answer.
+
+    Args:
+        address: Of the first byte.
+        blocks: Bytes by ID, of one length.
+
+    Raises:
+        ConfigurationError: An argument outside the range of the protocol.
+    """
+    (count,) = {len(data) for data in blocks.values()}
+    _check(list(blocks), address, count)
+    parameters = b"".join(bytes([identifier]) + data for identifier, data in blocks.items())
+    return _packet(BROADCAST, SYNC_WRITE, address.to_bytes(2, "little") + count.to_bytes(2, "little") + parameters)
+
+
 def ping_request() -> bytes:
     """Ask every servo who it is; each answers 3 ms later than the ID before its own."""
     return _packet(BROADCAST, PING, b"")
@@ -108,7 +134,7 @@ class Reply:
 
     Args:
         identifiers: Servos that were asked, in order.
-        count: Bytes that each was asked for.
+        count: Bytes that each was asked for; 0 of a write.
         fast: The request was a Fast Sync Read.
 
     Attributes:
@@ -173,7 +199,7 @@ class Reply:
         """Take error byte and data of a status packet."""
         if identifier not in self._pending:
             raise FrameError(f"id {identifier} answers and was not asked: give each servo an id of its own")
-        if len(content) not in (1, 1 + self._count) or (len(content) == 1 and not content[0] & ~ALERT):
+        if len(content) not in (1, 1 + self._count) or (len(content) == 1 and self._count and not content[0] & ~ALERT):
             raise FrameError(f"id {identifier} sent {len(content) - 1} bytes, not {self._count}: it is late")
         del self._pending[: self._pending.index(identifier) + 1]  # they answer in order: those before it are silent
         self.blocks.append(Block(identifier, content[0], content[1:]))

@@ -12,14 +12,25 @@ from typing import NamedTuple
 
 from drivers.dynamixel.packet import LARGEST_ID
 from drivers.errors import ConfigurationError, FrameError
+from drivers.position import Position
 
 IDENTITY, IDENTITY_BYTES = 0, 10  # Model Number, Model Information, Firmware Version, ID, Baud Rate, Return Delay Time
 TEMPERATURE_LIMIT = 31
 HARDWARE_ERROR = 70
+PRESENT_POSITION = 132
 PRESENT, PRESENT_BYTES = 126, 10  # Present Current (or Load), Velocity, Position: one block
 HEALTH, HEALTH_BYTES = 144, 3  # Present Input Voltage, Present Temperature
+DRIVEN_HEALTH, DRIVEN_HEALTH_BYTES = 64, 83  # from Torque Enable to them
+SETTINGS, SETTINGS_BYTES = 10, 61  # Drive Mode to Hardware Error Status
+DRIVE_MODE, OPERATING_MODE, HOMING_OFFSET, VELOCITY_LIMIT = 10, 11, 20, 44
+MAX_POSITION, MIN_POSITION, SHUTDOWN, TORQUE_ENABLE, STATUS_LEVEL = 48, 52, 63, 64, 68
+BUS_WATCHDOG, PROFILE_ACCELERATION, PROFILE_VELOCITY, GOAL_POSITION = 98, 108, 112, 116
+DRIVEN, DRIVEN_BYTES = 98, 38  # Bus Watchdog to Present Position: what a servo that is driven is asked in every round
+LARGEST_STEP = 1024  # between two samples, counts of the horn
 COUNTS = 4096  # in a revolution of the horn
 VELOCITY_RAD_S = 0.229 * tau / 60.0  # of a count
+VELOCITY_COUNTS_S = 0.229 / 60.0 * COUNTS  # of a count of a velocity: positions a second
+ACCELERATION_COUNTS_S2 = 214.577 / 3600.0 * COUNTS  # of a count of Profile Acceleration
 ENCODER_ERROR = 0x08
 FAULTS = {
     0x01: "input voltage out of its limits: check the supply",
@@ -51,6 +62,24 @@ MODELS = {
     **dict.fromkeys((1060, 1070, 1080), _X430_LOAD),  # XL430, XC430
     **dict.fromkeys((1090, 1160), _2X),  # 2XL430, 2XC430
 }
+
+
+class DrivenState(NamedTuple):
+    """What a servo that is driven says of itself in every round.
+
+    Attributes:
+        watchdog: Bus Watchdog: 0 off, FFh tripped, else as set.
+        goal: Goal Position, counts.
+        moving: Moving Status: bit 0 in position, bit 1 on a profile.
+        velocity: Present Velocity, its counts.
+        position: Present Position, counts.
+    """
+
+    watchdog: int
+    goal: int
+    moving: int
+    velocity: int
+    position: int
 
 
 class Identity(NamedTuple):
@@ -91,6 +120,17 @@ def decode_present(data: bytes) -> Present:
     return Present(*struct.unpack_from("<hii", data))
 
 
+def decode_driven(data: bytes) -> DrivenState:
+    """Addresses 98 to 135.
+
+    Raises:
+        FrameError: Fewer bytes.
+    """
+    if len(data) < DRIVEN_BYTES:
+        raise FrameError(f"{len(data)} bytes of a reading, {DRIVEN_BYTES} are needed: read addresses 98 to 135")
+    return DrivenState(*struct.unpack_from("<B17xi3xB4xii", data))
+
+
 @dataclass(frozen=True)
 class DynamixelConfig:
     """One servo.
@@ -102,6 +142,7 @@ class DynamixelConfig:
         zero_count: Reading at joint angle zero, counts.
         velocity: Record its velocity too.
         torque: Record its current too.
+        driven: It is sent goals: its Moving Status is recorded too, as ``NAME_status``.
         ampere_per_count: Unit of its current; by its model number where not given.
 
     Raises:
@@ -114,6 +155,7 @@ class DynamixelConfig:
     zero_count: int = 0
     velocity: bool = False
     torque: bool = False
+    driven: bool = False
     ampere_per_count: float | None = None
 
     def __post_init__(self) -> None:
@@ -126,6 +168,7 @@ class DynamixelConfig:
     def channels(self) -> tuple[str, ...]:
         """Position, and what else is recorded."""
         others = [f"{self.name}_velocity"] * self.velocity + [f"{self.name}_torque"] * self.torque
+        others += [f"{self.name}_status"] * self.driven
         return (self.name, *others)
 
 
@@ -144,3 +187,48 @@ class DynamixelTiming:
     timeout_ms: float = 30.0
     poll_period_ms: float = 1.0
     fast_sync_read: bool = True
+
+
+class BetweenRounds(NamedTuple):
+    """What one servo is asked between samples, or told (``data``)."""
+
+    identifier: int
+    address: int
+    size: int
+    data: bytes = b""
+    is_driving: bool = False
+
+
+class KnownServo:
+    """What is known of a servo on a line."""
+
+    def __init__(self, config: DynamixelConfig) -> None:
+        self.config = config
+        many_turns = abs(config.counts_per_revolution) > COUNTS
+        self.position = Position(LARGEST_STEP, config.zero_count, 32 if many_turns else 12)
+        self.is_there = False
+        self.missed = 0
+        self.identity = Identity(0, 0, 0)
+        self.faults: int | None = 0  # None: the alert bit is set, and what it means is not read yet
+        self.temperature_limit = 0
+        self.is_hot = False
+
+    @property
+    def is_fast(self) -> bool:
+        """Whether its firmware has Fast Sync Read."""
+        return self.identity.firmware >= self._model.fast_from
+
+    @property
+    def _model(self) -> Model:
+        return MODELS.get(self.identity.model, UNKNOWN)
+
+    @property
+    def health(self) -> tuple[int, int]:
+        """Address and bytes of what is looked at once in a while."""
+        return (DRIVEN_HEALTH, DRIVEN_HEALTH_BYTES) if self.config.driven else (HEALTH, HEALTH_BYTES)
+
+    @property
+    def ampere(self) -> float:
+        """Of a count of Present Current, in the joint's direction; 0: unknown."""
+        sign = 1.0 if self.config.counts_per_revolution > 0 else -1.0
+        return sign * (self.config.ampere_per_count or self._model.ampere)

@@ -110,7 +110,7 @@ class Axis(ABC):
         self.position: int | None = None
         self.now_ns = 0
         self._ticks = ticks
-        self._past: deque[tuple[int, int]] = deque()  # numbers of ticks, and positions
+        self._past: deque[tuple[float, int]] = deque()  # instants in periods, and positions
 
     # What it says
 
@@ -177,10 +177,10 @@ class Axis(ABC):
             return "is outside its limits"
         return self._too_fast()
 
-    def _is_at(self, position: int) -> None:
-        """Take a position that it has told."""
+    def _is_at(self, position: int, instant: float) -> None:
+        """Take a position that it has told, of an instant in periods."""
         self.position = position
-        self._past.append((self._ticks.tick or 0, position))
+        self._past.append((instant, position))
 
     def _forget(self) -> None:
         """Nothing is known of where it is."""

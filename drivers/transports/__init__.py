@@ -4,6 +4,7 @@ A port transfers bytes, stamps them with the given clock and turns its library's
 decisions. Bus libraries are imported when a port is opened.
 """
 
+import time
 from collections.abc import Callable
 
 from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort
@@ -130,6 +131,11 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
     from drivers.transports.gpio_reopen import ReopeningPulseOutput  # noqa: PLC0415
 
     return ReopeningPulseOutput(lambda: GpiodOutput.open(bus.path, line, clock), clock)
+
+
+def rest(seconds: float) -> None:
+    """Wait, while nothing has to be read."""
+    time.sleep(seconds)
 
 
 def open_serial(url: str) -> SerialPort:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import Pin
 from hil_sim.faults import DeviceFaults
+from hil_sim.plants.drives.servo_axis import Axis
 from hil_sim.scenario.bus_tables import SerialBusTable
 from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
 from hil_sim.scenario.sheets import Sheets
@@ -46,6 +47,7 @@ class Bench(NamedTuple):
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
         seed: Of what it draws for itself.
         bus: The table of its bus.
+        axis: The joint that it turns, where it is a drive that the flight computer commands.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Bench(NamedTuple):
     start_ns: int
     seed: int
     bus: Table | None
+    axis: Axis | None = None
 
     @property
     def clock(self) -> ChipClock:
@@ -127,6 +130,7 @@ class Emulator(Table):
     needs: ClassVar[str] = "serial"  # kind of its bus
     has_clock: ClassVar[bool] = True  # a CANopen node has that of its twin
     baud_rates: ClassVar[tuple[int, ...]] = ()  # on a serial line: those it can have, if it cannot have all
+    turns_axis: ClassVar[bool] = False  # it can be a drive that the flight computer commands: ``Bench.axis``
     vehicle_kind: ClassVar[str | None] = None  # kind of device in a vehicle file, where it is another than its own
 
     kind: str

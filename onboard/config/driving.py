@@ -76,12 +76,12 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig[A
     period_s = 1.0 / next(iter(driven.values())).rate_on(around)
     on_sync_s, on_sync = resampled(time_s, q, period_s)
     axes, columns = [], []
-    for column, (name, device) in enumerate(driven.items()):
+    for column, (drives, device) in enumerate(driven.items()):
         limits = _range(drive, device.joint, ranges)
         require_within(
             str(motion or name), device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2
         )
-        axes.append(device.axis(name, _limits(drive, name, device, limits), drive.master_node))
+        axes.append(device.axis(drives, _limits(drive, drives, device, limits), drive.master_node))
         columns.append(_counts(device, q[:, column] if drive.mode == "profile" else on_sync[:, column]))
     counts = np.stack(columns, 1)
     asked = {}

@@ -16,6 +16,8 @@ from drivers.dynamixel import (
     read_request,
     sync_read_request,
 )
+from drivers.dynamixel.packet import sync_write_request, write_request
+from drivers.dynamixel.registers import decode_driven
 from drivers.errors import ConfigurationError, FrameError
 from tests.drivers.dynamixel_model import crc, fast_status, status
 from tests.drivers.serial_script import bytewise, pieces
@@ -29,6 +31,9 @@ FAST = bytes.fromhex("FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2")
 FAST_ANSWER = bytes.fromhex(
     "FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08 00 07 1F 08 00 00 16 CA 00 04 FF 03 00 00 D1 9E"
 )
+WRITE = bytes.fromhex("FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89")  # Goal Position 512
+WRITE_ANSWER = bytes.fromhex("FF FF FD 00 01 04 00 55 00 A1 0C")
+SYNC_WRITE = bytes.fromhex("FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87")  # 150 and 170
 POSITIONS = [(166).to_bytes(4, "little"), (2079).to_bytes(4, "little"), (1023).to_bytes(4, "little")]
 FED = [repeat(1 << 20), bytewise(), *(pieces(seed, 9) for seed in range(8))]
 
@@ -54,6 +59,35 @@ def test_requests_of_the_manual():
     assert read_request(1, 132, 4) == READ
     assert sync_read_request([1, 2], 132, 4) == SYNC
     assert sync_read_request([3, 7, 4], 132, 4, fast=True) == FAST
+
+
+def test_writes_of_the_manual():
+    assert write_request(1, 116, (512).to_bytes(4, "little")) == WRITE
+    assert sync_write_request(116, {1: (150).to_bytes(4, "little"), 2: (170).to_bytes(4, "little")}) == SYNC_WRITE
+    for wrong in ({}, {1: b"ab", 2: b"a"}, {253: b"a"}):
+        with pytest.raises((ConfigurationError, ValueError)):
+            sync_write_request(116, wrong)
+
+
+@pytest.mark.parametrize("sizes", FED)
+@pytest.mark.parametrize("error", [0, 0x80, 7, 0x84])
+def test_the_answer_to_a_write_has_no_data(sizes, error):
+    reply = Reply([1], 0)
+    assert fed(reply, status(1, error, b""), sizes)
+    assert reply.blocks == [Block(1, error, b"")]
+    assert status(1, 0, b"") == WRITE_ANSWER
+    late = Reply([1], 0)
+    with pytest.raises(FrameError, match="it is late"):
+        late.receive(READ_ANSWER)
+
+
+def test_what_a_driven_servo_says():
+    block = bytearray(38)
+    block[0], block[25] = 0xFF, 2
+    block[18:22], block[30:34], block[34:38] = (one.to_bytes(4, "little", signed=True) for one in (-7, -50, 2000))
+    assert decode_driven(bytes(block)) == (0xFF, -7, 2, -50, 2000)
+    with pytest.raises(FrameError, match="37 bytes"):
+        decode_driven(bytes(block[1:]))
 
 
 @pytest.mark.parametrize("sizes", FED)

@@ -98,6 +98,8 @@ class Kept(Publisher):
 class Bench:
     """An arm, and an acquisition worker on it."""
 
+    bus = BUS
+
     def __init__(self, directory, faults=(), arm=True, motors=MOTORS, change=None, **said):
         self.directory = directory
         written(directory, **said)
@@ -109,7 +111,7 @@ class Bench:
 
     def start(self):
         vehicle = config.load(self.directory / "vehicle.toml").model_copy(update={"arm": self.arm})
-        self.opened = open_devices(vehicle.with_urls({BUS: self.rig.url}), lambda: self.rig.now_ns)
+        self.opened = open_devices(vehicle.with_urls({self.bus: self.rig.url}), lambda: self.rig.now_ns)
         self.kept.publish(self.opened.problems)
         self.worker = Acquisition(self.opened.devices, self.kept, Arming(vehicle, self.directory))
         self.worker.start(self.rig.now_ns)

@@ -153,7 +153,7 @@ class DriveAxis(Axis):
                 continue
             word = data[place.start : place.start + place.size]
             if entry == POSITION:
-                self._is_at(int.from_bytes(word, "little", signed=True))
+                self._is_at(int.from_bytes(word, "little", signed=True), self._sync.tick or 0)
             elif entry == STATUS:
                 self.status = int.from_bytes(word, "little")
             else:

@@ -1,17 +1,21 @@
 """A DYNAMIXEL X servo on a TTL or RS-485 line, protocol 2.0 (ROBOTIS e-manual: protocol 2.0, CRC, XM430-W350).
 
-Instructions: Ping, Read, Write, Reboot, Sync Read (82h), Fast Sync Read (8Ah, where the firmware has it). Others are
-answered by error 2. EEPROM (below 64) is kept without supply, and written with the torque off only.
+Instructions: Ping, Read, Write, Reboot, Sync Read (82h), Sync Write (83h), Fast Sync Read (8Ah, where the firmware has
+it). Others are answered by error 2. EEPROM (below 64) is kept without supply, and written with the torque off only.
 
 ======================  ==========================================================================================
 address (bytes)         here
 ======================  ==========================================================================================
 0 (2), 6, 7             model, firmware, ID
 8, 9                    baud rate (0 to 7), return delay of 2 us each
+10, 11, 20 (4)          drive mode, operating mode (3, 4), homing offset, without effect
 31, 63                  temperature limit, shutdown
+44, 48, 52 (4 each)     limits of velocity, and of position in mode 3
 64, 65, 68              torque enable (on from the start: an arm that moves is driven), LED, status return level
 70                      hardware error status: 1 voltage, 4 heat, 8 encoder, 10h shock, 20h overload; till a reboot
-116 (4)                 goal position, without effect: the plant moves the arm
+84 (2), 98              position P gain; bus watchdog
+108, 112, 116 (4 each)  profile acceleration, velocity; goal position: without effect where the plant moves the arm
+123                     moving status: 1 in position, 2 on the way
 120 (2)                 ms since power-up, modulo 32768
 126 (2)                 present current, 2.69 mA; 0 with the torque off
 128 (4), 132 (4)        present velocity, 0.229 rev/min; present position, 4096 a revolution, in the first at power-up
@@ -26,37 +30,33 @@ packet of more than 512 bytes, or with a pause of more than 100 ms inside, is vo
 
 import math
 import struct
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Final
 
 import numpy as np
-from pydantic import Field, PositiveFloat
 
-from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Signal, Twin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
-from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
-from hil_sim.sensing.controller_sensors import MotorTorqueSensor
-from hil_sim.sensing.sensors import EncoderSensor
 
 BAUD_RATES: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 _HEADER: Final = b"\xff\xff\xfd\x00"
 _EVERYBODY: Final = 0xFE
 _PING, _READ, _WRITE, _REBOOT, _STATUS, _SYNC_READ, _FAST_SYNC_READ = 0x01, 0x02, 0x03, 0x08, 0x55, 0x82, 0x8A
+_SYNC_WRITE: Final = 0x83
 _NO_INSTRUCTION, _BAD_CRC, _OUT_OF_RANGE, _BAD_LENGTH, _NO_ACCESS = 2, 3, 4, 5, 7
 _ALERT: Final = 0x80
 _TABLE_BYTES: Final = 662
 _EEPROM_BYTES: Final = 64
 _WRITABLE: Final = {  # bytes, lowest and highest value
     **{7: (1, 0, 252), 8: (1, 0, 7), 9: (1, 0, 254), 31: (1, 0, 100), 63: (1, 0, 255)},
-    **{64: (1, 0, 1), 65: (1, 0, 1), 68: (1, 0, 2), 116: (4, -1_048_575, 1_048_575)},
+    **{10: (1, 0, 13), 11: (1, 3, 4), 20: (4, -1_044_479, 1_044_479), 44: (4, 0, 1023)},
+    **{48: (4, 0, 4095), 52: (4, 0, 4095), 64: (1, 0, 1), 65: (1, 0, 1), 68: (1, 0, 2), 84: (2, 0, 16_383)},
+    **{98: (1, 0, 127), 108: (4, 0, 32_767), 112: (4, 0, 32_767), 116: (4, -1_048_575, 1_048_575)},
 }
 _FAST_FROM: Final = 45
-_COUNTS: Final = 4096
-_FINER: Final = 256  # steps of the sensor in a count: the servo rounds, after its noise
-_NOISE_COUNTS: Final = 0.03 / 360.0 * _COUNTS
+COUNTS: Final = 4096
+_NOISE_COUNTS: Final = 0.03 / 360.0 * COUNTS
 _WINDOW_S: Final = 0.02
 _VELOCITY_RAD_S: Final = 0.229 * math.tau / 60.0
 _HEAT, _OVERLOAD = 0x04, 0x20
@@ -135,6 +135,7 @@ class DynamixelTwin(SerialTwin):
         self._memory[:14] = struct.pack("<HIBBBBBBBB", 1020, 0, firmware, identifier, 0, return_delay, 0, 3, 255, 2)
         self._memory[8] = BAUD_RATES.index(line.baud_rate)
         self._memory[31], self._memory[63] = 80, 0x34
+        struct.pack_into("<III", self._memory, 44, 200, COUNTS - 1, 0)
         self._frame = bytearray()
         self._turn: int | None = None  # counts taken off, so that it began in the first revolution
         self._before: tuple[int, int, int, int] = 0, 0, 0, 0  # instruction, ID before it in a Sync Read; address, count
@@ -189,6 +190,7 @@ class DynamixelTwin(SerialTwin):
                 self._answer_later(_BAD_CRC, b"", now_ns)
             return
         body = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        self._heard_instruction(now_ns)
         if packet[4] in (self._memory[7], _EVERYBODY):
             self._obey(body[0], body[1:], packet[4] == _EVERYBODY, now_ns)
 
@@ -200,6 +202,9 @@ class DynamixelTwin(SerialTwin):
         elif instruction in (_SYNC_READ, _FAST_SYNC_READ):
             if everybody and level and (instruction == _SYNC_READ or self._memory[6] >= _FAST_FROM):
                 self._take_turn(instruction, content, now_ns)
+        elif instruction == _SYNC_WRITE:
+            if everybody and len(content) > 4:
+                self._take_block(content, now_ns)
         elif not everybody and instruction == _READ:
             if level and len(content) == 4:
                 address, count = struct.unpack("<HH", content)
@@ -207,7 +212,7 @@ class DynamixelTwin(SerialTwin):
         elif not everybody:
             error = _NO_INSTRUCTION
             if instruction == _WRITE and len(content) >= 3:
-                error = self._write(int.from_bytes(content[:2], "little"), content[2:])
+                error = self._write(int.from_bytes(content[:2], "little"), content[2:], now_ns)
             elif instruction == _REBOOT:
                 error = 0
             if level == 2:
@@ -215,18 +220,45 @@ class DynamixelTwin(SerialTwin):
             if instruction == _REBOOT:
                 self._at("reboot", self._due(now_ns) + 2_000_000, self.restart)
 
-    def _write(self, address: int, data: bytes) -> int:
-        """The error number."""
-        size, lowest, highest = _WRITABLE.get(address, (0, 0, 0))
-        if not size or (address < _EEPROM_BYTES and self._memory[64]):
-            return _NO_ACCESS
-        if len(data) != size:
-            return _BAD_LENGTH
-        if not lowest <= int.from_bytes(data, "little", signed=lowest < 0) <= highest:
-            return _OUT_OF_RANGE
-        self._memory[address : address + size] = data
+    def _take_block(self, content: bytes, now_ns: int) -> None:
+        """Its part of a Sync Write."""
+        address, count = struct.unpack("<HH", content[:4])
+        for at in range(4, len(content), 1 + count):
+            if content[at] == self._memory[7]:
+                self._write(address, content[at + 1 : at + 1 + count], now_ns)
+
+    def _write(self, address: int, data: bytes, now_ns: int) -> int:
+        """The error number; nothing is written where a part of it cannot be."""
+        values = {}
+        while data:
+            size, lowest, highest = _WRITABLE.get(address, (0, 0, 0))
+            if not size or (address < _EEPROM_BYTES and self._memory[64]):
+                return _NO_ACCESS
+            if len(data) < size:
+                return _BAD_LENGTH
+            value = int.from_bytes(data[:size], "little", signed=lowest < 0)
+            if not lowest <= value <= highest:
+                return _OUT_OF_RANGE
+            if error := self._refuses(address, value):
+                return error
+            values[address] = data[:size]
+            address, data = address + size, data[size:]
+        for at, one in values.items():
+            self._memory[at : at + len(one)] = one
+            self._changed(at, now_ns)
         self.line = LineFormat(BAUD_RATES[self._memory[8]])
         return 0
+
+    def _heard_instruction(self, now_ns: int) -> None:
+        """An instruction packet, to whomever. Subclasses with a watchdog override."""
+
+    def _refuses(self, address: int, value: int) -> int:
+        """Error number of a value that is in its range, and not taken now."""
+        del address, value
+        return 0
+
+    def _changed(self, address: int, now_ns: int) -> None:
+        """A register was written. Subclasses that move override."""
 
     # Answers
 
@@ -305,75 +337,11 @@ class DynamixelTwin(SerialTwin):
         if time_s > began_s and self._faults.within(now_ns, *INPUT_KINDS) is None:
             rate = self._turns * (angle - self._angle.value(began_s)) / (time_s - began_s)
         rng = np.random.default_rng([self._seed, 0x5045, int(time_s * 1e3)])
-        counts = round(_COUNTS * self._turns * angle / math.tau + _NOISE_COUNTS * rng.standard_normal()) + self._zero
+        counts = round(COUNTS * self._turns * angle / math.tau + _NOISE_COUNTS * rng.standard_normal()) + self._zero
         if self._turn is None:
-            self._turn = counts // _COUNTS * _COUNTS
+            self._turn = counts // COUNTS * COUNTS
         amperes = self._torque.value(time_s) / self._turns / self._torque_n_m_a if self._memory[64] else 0.0
         current = min(max(round(amperes / 2.69e-3), -32768), 32767)
         struct.pack_into("<H", self._memory, 120, int((now_ns - self._up_ns) // 1_000_000) % 32768)
         struct.pack_into("<hii", self._memory, 126, current, round(rate / _VELOCITY_RAD_S), counts - self._turn)
         struct.pack_into("<HB", self._memory, 144, 120, 81 if self._memory[70] & _HEAT else 38)
-
-
-class DynamixelTable(MeasuringEmulator):
-    """An XM430-W350 on a joint; ``torque`` names the sensor of its torque, ``channels``: recorded beside the angle."""
-
-    baud_rates: ClassVar[tuple[int, ...]] = BAUD_RATES
-    has_clock = False
-    quantities = ("joint_angle",)
-
-    kind: Literal["dynamixel"]
-    id: Annotated[int, Field(ge=0, le=252)] = 1
-    torque: str
-    turns: PositiveFloat = 1.0
-    zero_count: int = 2048
-    torque_N_m_A: PositiveFloat = 1.78  # noqa: N815  (the newton's own letter)
-    firmware: Annotated[int, Field(ge=1, le=255)] = 45
-    return_delay: Annotated[int, Field(ge=0, le=254)] = 250
-    channels: tuple[Literal["velocity", "torque"], ...] = ()
-
-    @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: its torque's errors are in shares of what the URDF allows the joint."""
-        counts = said.get("counts_per_revolution", _COUNTS)
-        table = {
-            "id": said.get("id", 1),
-            "measures": name,
-            "torque": f"{name}_torque",
-            "at": said["joint"],
-            "turns": counts / _COUNTS,
-            "zero_count": said.get("zero_count", 0),
-            "torque_N_m_A": said.get("gain_N_m_A", 1.78) / (counts / _COUNTS),
-            "channels": [channel for channel in ("velocity", "torque") if said.get(channel)],
-        }
-        own = {**said, "counts_per_revolution": counts * _FINER}
-        torque = sheets.torque(sheets.effort_n_m(said["joint"]), said)
-        return Equivalent(table, {name: sheets.encoder(name, own), f"{name}_torque": torque}, {})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"ID {self.id}"
-
-    def signals(self, name: str) -> dict[str, Signal]:
-        """See ``Emulator``."""
-        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
-
-    def build(self, bench: Bench) -> Twin:
-        """See ``Emulator``."""
-        twin = DynamixelTwin(
-            bench.sensor(EncoderSensor),
-            bench.sensor(MotorTorqueSensor, "torque"),
-            bench.start_ns,
-            identifier=self.id,
-            turns=self.turns,
-            zero_count=self.zero_count,
-            torque_n_m_a=self.torque_N_m_A,
-            firmware=self.firmware,
-            return_delay=self.return_delay,
-            line=bench.line,
-            seed=bench.seed,
-            faults=bench.faults,
-        )
-        recorded = (bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))
-        return Twin(twin, lambda: twin.answered, recorded, asks=asks)

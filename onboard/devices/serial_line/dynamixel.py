@@ -1,8 +1,8 @@
-"""DYNAMIXEL X servos, several on one serial line; read, never commanded."""
+"""DYNAMIXEL X servos, several on one serial line; read, and driven where the file says so."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,11 +10,20 @@ from drivers import transports
 from drivers.device import Device
 from drivers.dynamixel.device import DynamixelBus, answering
 from drivers.dynamixel.packet import answer_bytes, sync_read_request
-from drivers.dynamixel.registers import COUNTS, PRESENT, PRESENT_BYTES, DynamixelConfig, DynamixelTiming
-from drivers.records import SCALAR
+from drivers.dynamixel.registers import (
+    COUNTS,
+    DRIVEN,
+    DRIVEN_BYTES,
+    PRESENT,
+    PRESENT_BYTES,
+    DynamixelConfig,
+    DynamixelTiming,
+)
+from drivers.play.axis import AxisConfig
+from drivers.records import REGISTER_WRITE, SCALAR
 from onboard.devices.base import Answering, BusDevice, Channels, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import PollPeriod, SamplePeriod, SerialLineDevice
-from onboard.devices.driven import MotorDevice
+from onboard.devices.driven import DrivenDevice, MotorDevice
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
@@ -23,12 +32,13 @@ from onboard.timebase.specs import ChannelClock, PolledChannel
 RETURN_DELAY_S = 500e-6  # as it comes
 
 
-class DynamixelDevice(SerialLineDevice, MotorDevice):
+class DynamixelDevice(SerialLineDevice, MotorDevice, DrivenDevice):
     """DYNAMIXEL X servo (protocol 2.0) on a joint, with others on its line; all are asked at once.
 
-    It is read and never commanded. `torque`: its motor's current; with `gain_N_m_A` and `torque_sigma_N_m` it is the
-    joint's torque. `counts_per_revolution = -4096` where it counts against the joint. A hardware error is an event with
-    the remedy, and the current is not valid meanwhile. On the motor side of a gear its zero is lost with the supply.
+    It is read; with `driven` it is sent goals too (docs/driving.md). `torque`: its motor's current;
+    with `gain_N_m_A` and `torque_sigma_N_m` it is the joint's torque. `counts_per_revolution = -4096` where it counts
+    against the joint. A hardware error is an event with the remedy, and the current is not valid meanwhile. On the
+    motor side of a gear its zero is lost with the supply.
     """
 
     about_clock = (
@@ -72,7 +82,8 @@ torque_scale_sigma = 0.1       # yours: of that, relative
         servos = {name: device for name, device in bus.devices.items() if isinstance(device, cls)}
         timing = next(iter(servos.values())).timing
         settings = [servo.settings(name) for name, servo in servos.items()]
-        return [DynamixelBus(bus.name, settings, partial(transports.open_serial, bus.url), bus.clock, timing)]
+        opens, play = partial(transports.open_serial, bus.url), bus.around.play(bus.name)
+        return [DynamixelBus(bus.name, settings, opens, bus.clock, timing, play, transports.rest)]
 
     @classmethod
     def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
@@ -100,8 +111,16 @@ torque_scale_sigma = 0.1       # yours: of that, relative
         return self._settings(DynamixelConfig, name=name)
 
     def channels(self, name: str) -> Channels:
-        """Position, velocity, current."""
-        return dict.fromkeys(self.settings(name).channels, SCALAR)
+        """Position, velocity, current; of a driven one Moving Status and what was written."""
+        sent: Channels = {f"{name}_sent": REGISTER_WRITE} if self.driven else {}
+        return {**dict.fromkeys(self.settings(name).channels, SCALAR), **sent}
+
+    def axis(self, name: str, limits: Mapping[str, Any], master_node: int) -> AxisConfig:
+        """See ``DrivenDevice``; there are no node numbers."""
+        from drivers.dynamixel.drive import DynamixelAxisConfig  # noqa: PLC0415  (few flights drive)
+
+        del master_node
+        return DynamixelAxisConfig(self.settings(name), **limits)
 
     @property
     def torque_units(self) -> Mapping[bytes, float]:
@@ -111,13 +130,14 @@ torque_scale_sigma = 0.1       # yours: of that, relative
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         question_s, answer_s = self._on_wire_s(around, self._place(name, around))
-        return dict.fromkeys(self.channels(name), PolledChannel(1e9 * question_s, 1e9 * answer_s))
+        return dict.fromkeys(self.settings(name).channels, PolledChannel(1e9 * question_s, 1e9 * answer_s))
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""
         cause = "its answer and those after it on the wire; the sample lies between it and the question's end"
         _, answer_s = self._on_wire_s(around, self._place(name, around))
-        return [Delay(channel, "", answer_s, 1e-3 * self.delay_sigma_ms, cause) for channel in self.channels(name)]
+        found = self.settings(name).channels
+        return [Delay(channel, "", answer_s, 1e-3 * self.delay_sigma_ms, cause) for channel in found]
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
@@ -145,7 +165,9 @@ torque_scale_sigma = 0.1       # yours: of that, relative
 
     def _on_wire_s(self, around: Surroundings, before: int) -> tuple[float, float]:
         """Times of the question, and of the answer less those of the first ``before`` servos, at the least."""
-        servos, baud = len(around.devices_on(self.bus)), around.baud(self.bus)
-        question = len(sync_read_request(range(servos), PRESENT, PRESENT_BYTES))
-        whole, first = (answer_bytes(n, PRESENT_BYTES, fast=self.fast_sync_read) for n in (servos, before))
+        others, baud = around.devices_on(self.bus).values(), around.baud(self.bus)
+        servos, is_driven = len(others), any(isinstance(one, DrivenDevice) and one.driven for one in others)
+        block = (DRIVEN, DRIVEN_BYTES) if is_driven else (PRESENT, PRESENT_BYTES)
+        question = len(sync_read_request(range(servos), *block))
+        whole, first = (answer_bytes(n, block[1], fast=self.fast_sync_read) for n in (servos, before))
         return on_wire_s(question, baud), on_wire_s(whole - (first if before else 0), baud)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.records import CAN_FRAME, CHANGES_UNHEARD, Batch, Rows, SampleStatus, gap
+from drivers.records import CHANGES_UNHEARD, SENT, Batch, Rows, SampleStatus, gap
 from onboard.ring import RingWriter
 
 SHARED_CHANNELS = ("event", "gap")
@@ -95,7 +95,7 @@ class Publisher:
             for name, ring in rings.items():
                 if name not in SHARED_CHANNELS and len(rows := ring.newest()):
                     left = _left(rows)
-                    if rows.dtype == CAN_FRAME:  # what we send has no rate
+                    if rows.dtype in SENT:
                         left = left._replace(period_ns=0.0)
                     if name in changes:
                         left = left._replace(period_ns=0.0, value=int(rows["value_raw"][-1]))

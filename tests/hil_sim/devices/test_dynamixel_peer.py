@@ -8,8 +8,10 @@ import pytest
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
+from hil_sim.devices.serial_line.dynamixel_servo import DynamixelServo
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
+from hil_sim.plants.drives.servo_axis import ServoAxis
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import Analog
 
@@ -99,3 +101,63 @@ def test_it_reads_all_at_once(arm, fast):
         assert abs(group.getData(identifier, 132, 4) - position) <= 2
         current = group.getData(identifier, 126, 2)
         assert current == (0 if identifier == 7 else (1 << 16) + round(-0.5 / 2.69e-3))
+
+
+@pytest.fixture
+def driven(tmp_path):
+    """Two servos that turn what they are told to, and a master."""
+    start_ns = time.monotonic_ns()
+    terminal = PtySerial(tmp_path / "tty")
+    bus = SerialBus(terminal)
+    axes = {identifier: ServoAxis(0.0, inertia_kg_m2=0.02, torque_n_m=4.1, brake_n_m=0.0) for identifier in (1, 2)}
+    for identifier, axis in axes.items():
+        bus.add(DynamixelServo(axis, start_ns, identifier=identifier, line=LineFormat(1_000_000)), asks=asks)
+    bus.advance(start_ns)
+    with RealTime(bus):
+        master = Master(str(tmp_path / "tty"))
+        yield master, axes
+        master.port.closePort()
+    terminal.close()
+
+
+def reached(master, identifier, goal, seconds=8.0):
+    """Whether a servo says that it is at its goal within a time."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        position, _ = master.call("read4ByteTxRx", identifier, 132)
+        if abs(position - goal) <= 20:
+            return True
+    return False
+
+
+def test_it_drives_servos_by_sync_write_within_their_limits(driven):
+    master, axes = driven
+    for identifier in axes:
+        assert master.call("write4ByteTxRx", identifier, 48, 2400) == (0,)
+        assert master.call("write4ByteTxRx", identifier, 112, 60) == (0,)
+        assert master.call("write1ByteTxRx", identifier, 64, 1) == (0,)
+        assert master.call("write4ByteTxRx", identifier, 48, 3000) == (7,)  # the EEPROM is locked
+        assert master.call("write4ByteTxRx", identifier, 116, 2401) == (6,)
+    group = sdk.GroupSyncWrite(master.port, master.packets, 116, 4)
+    for identifier, goal in ((1, 2300), (2, 1800)):
+        assert group.addParam(identifier, list(goal.to_bytes(4, "little")))
+    for _ in range(3):
+        assert group.txPacket() == sdk.COMM_SUCCESS
+    assert reached(master, 1, 2300)
+    assert reached(master, 2, 1800)
+    assert 0.1 < axes[1].fastest_rad_s < 2.0
+    assert master.call("write1ByteTxRx", 1, 64, 0) == (0,)
+    assert master.call("read1ByteTxRx", 1, 64) == (0, 0)
+
+
+def test_it_is_stopped_by_the_watchdog_of_a_servo_and_clears_it(driven):
+    master, _ = driven
+    assert master.call("write1ByteTxRx", 1, 64, 1) == (0,)
+    assert master.call("write1ByteTxRx", 1, 98, 5) == (0,)
+    time.sleep(0.4)
+    assert master.call("read1ByteTxRx", 1, 98) == (255, 0)
+    assert master.call("write4ByteTxRx", 1, 116, 2200) == (4,)
+    assert master.call("read1ByteTxRx", 1, 64) == (1, 0)  # it holds
+    assert master.call("write1ByteTxRx", 1, 98, 0) == (0,)
+    assert master.call("write4ByteTxRx", 1, 116, 2200) == (0,)
+    assert reached(master, 1, 2200)

@@ -1,0 +1,102 @@
+"""An arm that its own DYNAMIXEL servos move, with every other device of its file, in one world: T0 and real time."""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil_sim.serve_driven import world
+from onboard import cli, config
+from onboard.flight import hil
+from onboard.recording.reader import LogReader
+from tests.flight.test_driven_flight import _await, plugged
+
+SECONDS = 7.0  # of the motion
+NEW = ("--base", "free", "--joints", "2", "--encoder", "dynamixel")  # a free-flyer: nothing pulls at its arm
+
+
+def written(directory: Path, seconds: float = SECONDS) -> Path:
+    """An arm of ``heft init`` whose servos are driven, and a motion for it."""
+    path = directory / "it" / "vehicle.toml"
+    assert cli.main(["init", str(path.parent), *NEW]) == cli.OK
+    text = path.read_text().replace('kind = "dynamixel"', 'kind = "dynamixel"\ndriven = true\ntimeout_ms = 10')
+    text = text.replace("gain_N_m_A = 1.78 ", "gain_N_m_A = 13.0 ")  # 30 N m, as the URDF says
+    drive = 'armed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\nfollowing_error_rad = 0.4\nafter_stop = "hold"'
+    path.write_text(f"{text}\n[drive]\n{drive}\n")
+    time_s = np.linspace(0.0, seconds, round(50 * seconds) + 1)
+    size = np.sin(np.pi * time_s / seconds) ** 2
+    one, two = 0.2 + 0.4 * size * np.sin(1.57 * time_s), 0.4 + 0.35 * size * np.sin(1.95 * time_s)
+    rows = "\n".join(f"{t:.4f},{a:.9f},{b:.9f}" for t, a, b in zip(time_s, one, two, strict=True))
+    (path.parent / "motion.csv").write_text(f"time_s,joint_1,joint_2\n{rows}\n")
+    return path
+
+
+def test_an_arm_of_driven_servos_tells_what_it_holds(tmp_path: Path) -> None:
+    vehicle = written(tmp_path)
+    mission, log = world(vehicle, None, 8, SECONDS + 4.0), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
+    reader = LogReader(log)
+    codes = reader.read("event")["code"].tolist()
+    drives = [code.decode() for code in codes if code.startswith(b"drive_")]
+    assert drives[:3] == ["drive_armed", "drive_started", "drive_done"]
+    assert np.ptp(reader.read("joint_1")["value_raw"]) > 250
+    assert len(reader.read("joint_1_sent")) > 1000
+    truth, rows = mission.truth()["quantities"], reader.read("quantity")
+    [mass] = [row for row in rows[-20:] if row["name"] == b"m_payload"]
+    assert abs(mass["value"] - truth["m_payload"]) < 3.0 * mass["sigma"]
+    assert mass["sigma"] < 0.4 * truth["m_payload"]
+    assert {drive.drive_state for drive in mission.drives.values()} == {1}
+
+
+def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:
+    vehicle = written(tmp_path)
+    mission, log = world(vehicle, None, 8, SECONDS, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
+    reader = LogReader(log)
+    events = reader.read("event")
+    codes = events["code"].tolist()
+    assert b"drive_stopped" in codes
+    assert b"drive_done" not in codes
+    assert b"bus_recovered" in codes
+    rows = reader.read("joint_1")
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 6e9
+    after = rows["value_raw"][rows["host_ns"] > rows["host_ns"][0] + int(5.2e9)]
+    assert np.ptp(after) < 6  # it stands where its watchdog stopped it
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+@pytest.mark.usefixtures("own_rings")
+def test_on_the_real_clock_servos_are_driven_unplugged_and_read_again(tmp_path: Path) -> None:
+    """A computer too busy for the rounds stops the arm before that, which is told; either way it stands at the end."""
+    vehicle = written(tmp_path, 20.0)
+    log, directory = tmp_path / "flight.mcap", tmp_path / "served"
+    serve = [sys.executable, "-m", "hil_sim.serve_driven", str(vehicle), "--directory", str(directory), "--seed", "8"]
+    fly = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--arm", "--log", str(log)]
+    with subprocess.Popen([*serve, "--fault", "unplug:tty_servos:22:24"], stdout=subprocess.PIPE, text=True) as devices:
+        try:
+            assert devices.stdout is not None
+            urls = json.loads(devices.stdout.readline())
+            flight = subprocess.Popen([*fly, *(f"--url={bus}={url}" for bus, url in urls.items() if bus != "start_ns")])
+            try:
+                _await(log, 60.0)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    flight.wait(6.0)
+                flight.send_signal(signal.SIGTERM)
+                assert flight.wait(60) == 0
+            finally:
+                flight.kill()
+        finally:
+            devices.terminate()
+        said = json.loads(devices.stdout.readline())
+    codes = LogReader(log).read("event")["code"].tolist()
+    assert b"drive_armed" in codes
+    assert b"drive_stopped" in codes
+    assert all(abs(said["joints"][name]["rate_rad_s"]) < 0.05 for name in ("joint_1", "joint_2"))
