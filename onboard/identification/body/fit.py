@@ -19,7 +19,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.estimation.policy import ODDS_OF_PART
-from onboard.identification.body.start import PoseWindow, guess
+from onboard.identification.body.start import PoseWindow, guess, state
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
 from onboard.identification.windows import Part, WindowedFit, judged, total
@@ -226,28 +226,27 @@ class BodyModel:
         ux, uy = np.cos(thrusters.direction), np.sin(thrusters.direction)
         arm = thrusters.place_m[:, 0] * uy - thrusters.place_m[:, 1] * ux
         full = thrusters.force_N[:, None] * np.stack([ux, uy, arm], axis=1)  # (j, 3)
-        grid_s = windows.grid_s[:_SEARCHED]
-        forces = np.zeros((len(delays_s), *grid_s[:, 1:].shape, 3))
-        for d, delay_s in enumerate(delays_s.tolist()):
+        grid_s = windows.grid_s
+
+        def forces(grid_s: FloatArray, delay_s: float) -> FloatArray:
+            """In base axes, (k, steps, 3)."""
+            found = np.zeros((*grid_s[:, 1:].shape, 3))
             for valve, own in zip(thrusters.valves, full, strict=True):
                 level = np.diff(valve.impulse_s(grid_s, Opening(delay_s, 0.0, 0.0)), axis=1) / windows.period_s
-                forces[d] += level[..., None] * own
-        series = [
-            PoseWindow(*poses, grid, forces[:, k])
-            for k, (poses, grid) in enumerate(zip(windows.poses, grid_s, strict=False))
-        ]
-        first = guess(series, tracker.place_m, tracker.yaw_rad, tracker.noise)
+                found += level[..., None] * own
+            return found
+
+        searched = np.array([forces(grid_s[:_SEARCHED], delay_s) for delay_s in delays_s.tolist()])
+        series = [PoseWindow(*poses, grid, np.zeros(0)) for poses, grid in zip(windows.poses, grid_s, strict=True)]
+        some = [one._replace(force=searched[:, k]) for k, one in enumerate(series[:_SEARCHED])]
+        first = guess(some, tracker.place_m, tracker.yaw_rad, tracker.noise)
         x = np.zeros(p + STATE * len(windows.poses))
         x[:BODY] = np.log(first.mass_kg / self._drawn[0]), *first.centre_m, np.log(first.inertia_kg_m2)
         x[1:BODY] -= *self._drawn[1], np.log(self._drawn[2])
         x[self.names.index("delay")] = delays_s[first.which]
-        for state, (time_s, measured) in zip(x[p:].reshape(-1, STATE), windows.poses, strict=True):
-            some = slice(0, max(5, len(time_s) // 10))
-            line = np.polyfit(time_s[some] - time_s[0], measured[some], 1)
-            yaw = line[1, 2] - tracker.yaw_rad
-            lever = _rotation(yaw) @ (tracker.place_m - first.centre_m)
-            state[:2], state[2] = line[1, :2] - lever, yaw
-            state[3:5], state[5] = line[0, :2] - line[0, 2] * np.array([-lever[1], lever[0]]), line[0, 2]
+        states = x[p:].reshape(-1, STATE)
+        for own, window, force in zip(states, series, forces(grid_s, float(delays_s[first.which])), strict=True):
+            own[:6] = state(window, force, first, tracker.place_m, tracker.yaw_rad)
         return x
 
     def _descend(
@@ -351,8 +350,3 @@ class BodyModel:
         each = [*[1e-4] * j, *[1e-5] * j, *[1e-5] * j, *[1e-4] * j, *[1e-4] * j]
         others = [1e-4, 1e-4, *[1e-5] * 2, *[1e-4] * 2, *[1e-5] * 3, 1e-4]
         return np.array([1e-4, 1e-5, 1e-5, 1e-4, *each, *others, *[1e-5] * STATE])
-
-
-def _rotation(yaw: float) -> FloatArray:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s], [s, c]])

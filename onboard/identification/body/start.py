@@ -8,6 +8,7 @@ With all forces F_j at level one along u_j at p_j, and D f the double integral o
 p the place of the tracked frame. The delay is that which leaves least, of a list.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -109,26 +110,59 @@ def _add(
     noise: FloatArray,
 ) -> None:
     time_s, measured = window.time_s[part], window.measured[part]
-    grid, t = window.grid_s, time_s - time_s[0]
-    middle = 0.5 * (grid[1:] + grid[:-1])
-
-    def twice(values: FloatArray) -> FloatArray:
-        """Double integral of means of steps, at the poses; a line in time more or less."""
-        h = np.diff(grid)
-        rate = np.append(0.0, np.cumsum(values * h))
-        twice_s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * h))
-        found: FloatArray = np.interp(time_s, grid, twice_s)
-        return found
-
+    t, twice = time_s - time_s[0], partial(_twice, window.grid_s, time_s)
     fx, fy, moment = window.force[d].T
     one = np.ones_like(t)
     turning = np.stack([twice(moment), -twice(fy), twice(fx)], axis=1)
     yaw.add(np.stack([one, t], axis=1) / noise[2], turning / noise[2], (measured[:, 2] - yaw_rad) / noise[2])
-    theta = np.interp(middle, window.time_s, window.measured[:, 2]) - yaw_rad
-    c, s = np.cos(theta), np.sin(theta)
-    pushed = twice(c * fx - s * fy), twice(s * fx + c * fy)
+    pushed = [twice(one) for one in _pushes(window, window.force[d], yaw_rad)]
     c, s = np.cos(measured[:, 2] - yaw_rad), np.sin(measured[:, 2] - yaw_rad)
     nuisance = np.stack([one, t, t * t], axis=1)
     for k, (push, of_x, of_y) in enumerate(((pushed[0], c, -s), (pushed[1], s, c))):
         values = measured[:, k] - of_x * place_m[0] - of_y * place_m[1]
         place.add(nuisance / noise[k], np.stack([push, -of_x, -of_y], axis=1) / noise[k], values / noise[k])
+
+
+def state(window: PoseWindow, force: FloatArray, first: Guess, place_m: FloatArray, yaw_rad: float) -> FloatArray:
+    """Place and yaw of the centre of mass and their rates, (6,), at the first pose, by all poses of the window.
+
+    A line through the first poses would do for a body that its thrusters hardly turn meanwhile.
+
+    Args:
+        window: its poses.
+        force: (steps, 3), by the delay of the guess.
+        first: the guess.
+        place_m: of the tracked frame, (2,).
+        yaw_rad: of its axes in the base's.
+    """
+    t, twice = window.time_s - window.time_s[0], partial(_twice, window.grid_s, window.time_s)
+    fx, fy, moment = force.T
+    about = moment - first.centre_m[0] * fy + first.centre_m[1] * fx
+    yaw = window.measured[:, 2] - yaw_rad
+    c, s = np.cos(yaw), np.sin(yaw)
+    lever = place_m - first.centre_m
+    pushed = [twice(one) / first.mass_kg for one in _pushes(window, force, yaw_rad)]
+    ways = (
+        window.measured[:, 0] - c * lever[0] + s * lever[1] - pushed[0],
+        window.measured[:, 1] - s * lever[0] - c * lever[1] - pushed[1],
+        yaw - twice(about) / first.inertia_kg_m2,
+    )
+    rate, begun = np.polyfit(t, np.stack(ways, axis=1), 1)
+    return np.concatenate([begun, rate])
+
+
+def _pushes(window: PoseWindow, force: FloatArray, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Forces along the table's x and y, by the yaw that was tracked."""
+    fx, fy, _ = force.T
+    middle = 0.5 * (window.grid_s[1:] + window.grid_s[:-1])
+    theta = np.interp(middle, window.time_s, window.measured[:, 2]) - yaw_rad
+    c, s = np.cos(theta), np.sin(theta)
+    return c * fx - s * fy, s * fx + c * fy
+
+
+def _twice(grid_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Double integral of means of steps, at the poses; a line in time more or less."""
+    h = np.diff(grid_s)
+    rate = np.append(0.0, np.cumsum(values * h))
+    twice_s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * h))
+    return np.asarray(np.interp(time_s, grid_s, twice_s), np.float64)
