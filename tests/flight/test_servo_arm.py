@@ -16,7 +16,7 @@ from onboard.flight import hil
 from onboard.recording.reader import LogReader
 from tests.flight.test_driven_flight import _await, plugged
 
-SECONDS = 7.0  # of the motion
+SECONDS = 6.0  # of the motion
 NEW = ("--base", "free", "--joints", "2", "--encoder", "dynamixel")  # a free-flyer: nothing pulls at its arm
 
 
@@ -38,7 +38,7 @@ def written(directory: Path, seconds: float = SECONDS) -> Path:
 
 def test_an_arm_of_driven_servos_tells_what_it_holds(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
-    mission, log = world(vehicle, None, 8, SECONDS + 4.0), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 8, SECONDS + 2.5), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
     reader = LogReader(log)
@@ -56,7 +56,7 @@ def test_an_arm_of_driven_servos_tells_what_it_holds(tmp_path: Path) -> None:
 
 def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
-    mission, log = world(vehicle, None, 8, SECONDS, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 8, SECONDS + 0.5, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
     reader = LogReader(log)
