@@ -42,6 +42,7 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
     "heft_moments": (_INT, _ARRAY),
     "heft_tick_means": (_ARRAY, _FLOAT, _FLOAT),
+    "heft_predict_table": (_ARRAY,),
     "heft_scaled": (_INT, *[_ARRAY] * 3),
     "heft_scaled_derive": (_INT, *[_ARRAY] * 4, _INT),
 }

@@ -95,3 +95,10 @@ class Samples(_Structure):
 
     NUMBERS = 4
     _fields_ = _fields("count ticks columns gap", "times_s at_s values delays_s noise wrong")
+
+
+class AirBearingRun(_Structure):
+    """``heft_table``."""
+
+    NUMBERS = 3
+    _fields_ = _fields("ticks free pucks", "inverse known growth over columns puck others")

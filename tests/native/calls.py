@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from onboard.dynamics.air_bearing import predict_planar
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import (
@@ -28,7 +29,7 @@ from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.timebase import polygon
-from tests.native.vehicles import PERIOD_s, random_case
+from tests.native.vehicles import PERIOD_s, on_table, random_case
 
 REFUSALS = ArrayError, SignalError, ValueError, IndexError, MemoryError
 
@@ -59,8 +60,22 @@ def outcomes(seed):
         *rng.normal(size=(2, 3))[:1], rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=(2, 7))
     )
     more = plus.plus(rng.normal(size=7), np.array([0, 3]))
+    table = predict_planar(*on_table(case, seed))
+    slid = table.velocity, table.base.specific_force, table.base.along
     parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
-    return [*parts, gain_of(errors), *cut, bodies.parts, *momentum, by, corners, wide, *polygon.moments(wide), *more]
+    return [
+        *parts,
+        gain_of(errors),
+        *cut,
+        *slid,
+        bodies.parts,
+        *momentum,
+        by,
+        corners,
+        wide,
+        *polygon.moments(wide),
+        *more,
+    ]
 
 
 def _spoiled(rng, array):
@@ -142,6 +157,9 @@ def fuzz_once(seed):
     )
     plus = TickPrediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
     attempt(plus.plus, spoiled(np.ones(7)), np.array([0, 3]))
+    run, start, chi, drag, tilt, unknown = on_table(case, seed)
+    wrong = drag._replace(viscous=spoiled(drag.viscous), place=spoiled(drag.place))
+    attempt(predict_planar, run, spoiled(start), chi, wrong, spoiled(tilt), unknown)
 
 
 def main(path, seconds):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.dynamics import free_flight
+from onboard.dynamics.air_bearing import predict_planar
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
@@ -15,9 +16,10 @@ from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import imu as of_imu
+from tests.native.oracle import table as of_table
 from tests.native.oracle.bodies import Bodies as OracleBodies
 from tests.native.oracle.chain import chain_motion as oracle_chain
-from tests.native.vehicles import PERIOD_s, random_case
+from tests.native.vehicles import PERIOD_s, on_table, random_case
 
 CASES = range(24)
 TOLERANCE = 1e-13  # of the largest of an array
@@ -140,6 +142,22 @@ def test_a_momentum_alone(case):
     same(rate, np.einsum("nij,nj->ni", J, eta) - still)
     nothing = np.zeros((n, 3, 0))
     same(slope, J @ oracle._integrate_sensitivity(rate, eta, J, nothing, np.eye(3), PERIOD_s))
+
+
+@pytest.mark.parametrize("seed", CASES)
+def test_a_base_on_an_air_bearing(seed):
+    given = on_table(random_case(seed), seed)
+    found, (states, a, along) = predict_planar(*given), of_table.predict(*given)
+    same(found.velocity, states, SOLVED)
+    same(np.column_stack([found.base.specific_force[:, :2], found.base.acceleration[:, 2]]), a, SOLVED)
+    same(found.base.along, along, SOLVED)
+
+
+def test_a_base_on_an_air_bearing_that_runs_away_is_no_number_from_there():
+    run, _, *given = on_table(random_case(3), 3)
+    found = predict_planar(run, np.array([0.0, 0.0, 1e3 - 1e-9]), *given).velocity
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[-1]).all()
 
 
 @pytest.mark.parametrize("bodies", [0, 1, 3])

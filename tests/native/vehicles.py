@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun
 from onboard.dynamics.free_flight import Push
 from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.dynamics.ticks import FlightSignals
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 PERIOD_s = 0.01
@@ -54,3 +56,23 @@ def random_case(seed: int) -> Case:
     push = Push(rng.normal(size=(n, 6, k)), rng.normal(size=k) if rng.random() < 0.7 else np.zeros(k))
     multiples = 1e-3 * rng.normal(size=int(rng.integers(0, m + 1)))
     return Case(vehicle, readings, errors, of_joints, multiples, free, bases, push, 0.1 * rng.normal(size=3))
+
+
+class OnTable(NamedTuple):
+    """What :func:`onboard.dynamics.air_bearing.predict_planar` takes."""
+
+    run: PlanarRun
+    start: np.ndarray
+    chi: np.ndarray
+    drag: PlanarDrag
+    tilt: np.ndarray
+    free: tuple[int, ...]
+
+
+def on_table(case: Case, seed: int) -> OnTable:
+    """The vehicle on none to four pucks."""
+    rng, n = np.random.default_rng(seed), len(case.rate)
+    k, motion = seed % 5, case.corrected[:3]
+    run = PlanarRun(case.vehicle, FlightSignals(PERIOD_s, *motion, *np.ones((2, n, 3)), *np.ones((2, 3)), 1))
+    drag = PlanarDrag(rng.normal(size=(k, 2)), *rng.uniform(0.0, 1.0, (2, k)), 2e-3, tuple(rng.normal(size=3).tolist()))
+    return OnTable(run, 0.3 * rng.normal(size=3), case.vehicle.chi, drag, 0.1 * rng.normal(size=2), case.free)
