@@ -17,7 +17,7 @@ from onboard.ground.log.bring_in.guess.magnitudes import Unit
 from onboard.ground.log.bring_in.guess.wheels import WheelChannels, of_wheels
 from onboard.ground.log.bring_in.mapping import Csv
 from onboard.ground.log.bring_in.messages import read_messages
-from onboard.ground.log.bring_in.text_rows import Recording
+from onboard.ground.log.bring_in.text_rows import Recording, Values
 
 MOST_ROWS = 200_000  # that are looked at
 _RATE_Hz = 100.0  # where nothing says when
@@ -89,7 +89,7 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     notes = [truncated] if truncated else []
     notes += layout.notes if layout is not None else ()
     notes += [f"{_of(one)}{said(made.clocks[one.name])}" for one in some if one.name in made.clocks]
-    bad = _bad(some, ragged)
+    bad = _bad(some, ragged, made.of_vehicle)
     head = text.head(re.sub(r"\W+", "_", path.stem) or "recording", path.name, kind, bad, layout and layout.csv, notes)
     whole = head + _time(main, made) + "".join(made.parts) + text.not_taken(made.others)
     return Proposal(whole, tuple(re.findall(r"^# doubtful: (.*)$", whole, re.MULTILINE)), tuple(made.names))
@@ -120,11 +120,12 @@ def _read(path: Path, kind: sniff.Kind, layout: sniff.Layout | None) -> Recordin
     return foreign.read(path, Csv(), kind)
 
 
-def _bad(some: Sequence[ColumnGroup], ragged: int) -> str:
+def _bad(some: Sequence[ColumnGroup], ragged: int, of_vehicle: Sequence[tuple[str, Values]]) -> str:
     """What has to be skipped, in words; "" of nothing."""
     said_of = [f"{ragged} rows have another number of cells"] if ragged else []
     for one in some:
         taken = [group.values for group in one.groups]
+        taken += [np.asarray(values, np.float64)[:, None] for name, values in of_vehicle if name == one.name]
         rows = ~np.isfinite(np.hstack(taken)).all(axis=1) if taken else np.zeros(0, np.bool_)
         late = np.isnan(one.clock.seconds) if one.clock is not None else np.zeros(0, np.bool_)
         for count, why in ((rows.sum(), "a cell that is no number"), (late.sum(), "a time that does not rise")):
@@ -160,6 +161,7 @@ class _Maker:
     def __init__(self, vehicle: Names) -> None:
         self.parts: list[str] = []
         self.names: list[str] = []
+        self.of_vehicle: list[tuple[str, Values]] = []  # table and numbers of columns that go to its channels
         self.others: list[tuple[str, str]] = []  # columns that are not taken, and why
         self.clocks: dict[str, Clock] = {}  # by table, with the unit that rates and angles agree on
         self._vehicle = vehicle
@@ -187,6 +189,7 @@ class _Maker:
         for name, column, part in of_vehicle:
             self.names.append(name)
             self.parts.append(part)
+            self.of_vehicle.append((one.name, column.values))
             one = one.without(column.name)
         groups = [group for group in one.groups if not group.commanded]
         quaternion = best(groups, "quaternion")

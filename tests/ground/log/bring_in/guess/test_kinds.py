@@ -1,6 +1,7 @@
 """A mapping that is proposed brings the recording in as it is, for each kind of recording: numbers, units and times."""
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -249,6 +250,11 @@ def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, uni
     names = Names(body=BodyChannels(("t1", "t2", "t3", "t4"), pose="tracker"))
     proposal = propose(path, names)
     assert proposal.doubts == ()
+    assert "bad_rows" not in proposal.text
+    lost = made.text(tmp_path / "b.csv", ["t", "u1", "u2", "u3", "u4", "x", "y", "yaw"], columns)
+    lines = lost.read_text().splitlines()
+    lost.write_text("\n".join([*lines[:9], re.sub(r",[^,]*$", ",nan", lines[9]), *lines[10:]]))
+    assert 'bad_rows = "skip"    # 1 rows have a cell that is no number' in propose(lost, names).text
     (tmp_path / "a.toml").write_text(proposal.text)
     assert main(["import", str(tmp_path / "a.toml"), str(path), "-o", str(tmp_path / "logs")]) == OK
     log = LogReader(tmp_path / "logs" / "a.mcap")
