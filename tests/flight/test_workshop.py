@@ -44,6 +44,8 @@ def identified(run: Result, directory: Path) -> tuple[int, dict[str, Any]]:
 def test_a_tool_is_weighed_on_board_and_from_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = flown(tmp_path)
     assert run.table["accounted"]
+    answered_ns = np.unique(run.log.read("quantity")["host_ns"])
+    assert set(np.diff(answered_ns[:-1])) == {100_000_000}  # of steps of 50 ms
     on_board = {row["quantity"]: row for key in ("masses", "centres", "inertias") for row in run.table[key]}
     code, told = identified(run, tmp_path)
     assert code == cli.OK

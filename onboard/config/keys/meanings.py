@@ -98,7 +98,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             'noise; "exiddm": predicts the base IMU of a free vehicle, finds payload, capture and ejection.',
             'a free base: "exiddm"; "instrumental" where it must be linear',
         ),
-        "step_ms": _M("The estimator runs this often.", "the computer is slow"),
+        "step_ms": _M("The estimator runs this often; answers come at 10 Hz at most.", "the computer is slow"),
         "row_rate_hz": _M("Rows of the regression a second.", "the motion is faster than a tenth of it"),
         "lag_ms": _M(
             "Rows are made this long after the fact, when every channel has arrived.",

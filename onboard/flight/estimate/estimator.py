@@ -38,6 +38,8 @@ from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints
 
+_ANSWERED_NS = 75_000_000  # since the last answers: at 10 Hz in steps of 50 ms, at each of 100 ms that comes early
+
 
 class _Base(NamedTuple):
     """What is known of the base at n ticks."""
@@ -86,6 +88,7 @@ class Estimator:
         self._next_ns: int | None = None
         self._now_ns = 0
         self._in_use = False  # any row
+        self._told_ns = 0  # when the last answers were made
         self._left_out_ns: list[tuple[int, int]] = []  # where no rows are made
         self.inflation = correlation_inflation(
             settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
@@ -237,7 +240,8 @@ class Estimator:
                 self._phases.reject_release()
             made.append(change_event(now_ns, change))
         told = self.online.rows_used or self._sequence["quantity"]  # an answer that no longer holds does not stand
-        if told and (final or not self._at_the_end):
+        if told and (final or not (self._at_the_end or now_ns < self._told_ns + _ANSWERED_NS)):
+            self._told_ns = now_ns
             made += self._answered(now_ns, int(at_ns[-1]))
         if self._asking is not None:
             said = self._asking.step(now_ns, float(time_s[-1]), joints[:2, -1], measured[-1, :3], self.online)
