@@ -96,8 +96,8 @@ def _findings(answer: Answer) -> Findings:
         )
     if answer.wrong is not None and not against:
         against.append(f"{answer.wrong.what}: so the readings agree, {times_text(answer.wrong.nats)} times likelier")
-    mass, *centre = answer.quantities[:4]
-    far = float(np.linalg.norm([one.mean for one in centre]))
+    mass = answer.quantities[0]
+    far = _far_m(answer)
     if mass.supported and far > FARTHEST_m:
         against.append(
             f"the centre of mass would be {far:.3g} m from the sensor: its moments are in another unit than N m"
@@ -151,13 +151,18 @@ def _unnamed(answer: Answer) -> Findings:
         return Findings()
     taken = " and ".join(f"{what}s as {'N' if what == 'force' else 'N m'}" for what in answer.unnamed)
     options = " ".join(f"--{what}-unit {'N' if what == 'force' else 'Nm'}" for what in answer.unnamed)
-    return Findings((), (f"no unit is named: {taken} ({options} says so){_others(answer)}",))
+    others = "" if _far_m(answer) > FARTHEST_m else _others(answer)  # else they are said with the refusal
+    return Findings((), (f"no unit is named: {taken} ({options} says so){others}",))
+
+
+def _far_m(answer: Answer) -> float:
+    """Centre of mass from the sensor."""
+    return float(np.linalg.norm([one.mean for one in answer.quantities[1:4]]))
 
 
 def _others(answer: Answer) -> str:
     """Units that are likelier than those taken; empty where none are, or where they are named."""
-    mass, *centre = (one.mean for one in answer.quantities[:4])
-    said = likelier(mass, float(np.linalg.norm(centre)), answer.unnamed) if answer.unnamed else ""
+    said = likelier(answer.quantities[0].mean, _far_m(answer), answer.unnamed) if answer.unnamed else ""
     return f"; it would be {said}" if said else ""
 
 

@@ -52,7 +52,11 @@ def likelier(mass_kg: float, far_m: float, unnamed: tuple[str, ...]) -> str:
             factor = FORCE_UNITS[force.lower()]
             mass, far = mass_kg * factor, far_m * MOMENT_UNITS[moment.lower()] / factor
             if radius_m(mass) / _HELD < far < radius_m(mass) * _HELD:
-                found.append(f"in {force} and {moment} {mass:.3g} kg at {1e3 * far:.3g} mm")
+                found.append(f"in {force} and {moment} {mass:.3g} kg at {_length(far)}")
                 if (force, moment) == _PAIRS[0]:
                     return ""
     return ", ".join(found[:3])
+
+
+def _length(value_m: float) -> str:
+    return f"{value_m:.3g} m" if value_m >= 1.0 else f"{1e3 * value_m:.3g} mm"

@@ -167,7 +167,8 @@ def spoilt(wrench, what):
 def test_wrong_axes_and_units_are_refused_by_name(one, tmp_path, what, said):
     code, answer = weighed(tmp_path, np.hstack([one.rows[:, :4], spoilt(one.wrench, what)]))
     assert (code, answer["verdict"]["level"]) == (FAILED, "do not use")
-    assert said in answer["verdict"]["text"]
+    assert answer["verdict"]["text"].count(said) == 1
+    assert answer["verdict"]["text"].count("it would be in") == (what == "N mm")
 
 
 @pytest.mark.usefixtures("axes_as_they_are")
