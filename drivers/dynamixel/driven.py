@@ -22,7 +22,7 @@ class DrivenLine:
         player: Their master.
 
     Raises:
-        ConfigurationError: RequestRounds without a period, or that wait too long.
+        ConfigurationError: The line has no period, or waits too long for an answer.
     """
 
     def __init__(self, play: PlayerConfig[DynamixelAxisConfig], timing: DynamixelTiming, report: Reporter) -> None:

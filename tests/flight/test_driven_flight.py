@@ -23,6 +23,7 @@ from onboard import cli, config
 from onboard.flight import hil
 from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
+from tests.flight.driven_bench import swings_csv
 
 SECONDS = 9.0  # of the motion
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
@@ -37,11 +38,7 @@ def written(directory: Path, seconds: float = SECONDS, torque: bool = False) -> 
         text = re.sub(r"torque_\w+ = .*\n", "", text)
         text = text[: text.index("[estimation.prior.absolute]")]
     path.write_text(f'{text}\n[drive]\narmed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\n')
-    time_s = np.linspace(0.0, seconds, round(100 * seconds) + 1)
-    size = np.sin(np.pi * time_s / seconds) ** 2
-    one, two = 0.2 + 0.4 * size * np.sin(1.57 * time_s), 0.4 + 0.35 * size * np.sin(1.95 * time_s)
-    rows = "\n".join(f"{t:.4f},{a:.9f},{b:.9f}" for t, a, b in zip(time_s, one, two, strict=True))
-    (path.parent / "motion.csv").write_text(f"time_s,joint_1,joint_2\n{rows}\n")
+    (path.parent / "motion.csv").write_text(swings_csv(seconds, 100))
     return path
 
 

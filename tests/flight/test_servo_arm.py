@@ -14,6 +14,7 @@ from hil_sim.serve_driven import world
 from onboard import cli, config
 from onboard.flight import hil
 from onboard.recording.reader import LogReader
+from tests.flight.driven_bench import swings_csv
 from tests.flight.test_driven_flight import _await, plugged
 
 SECONDS = 6.0  # of the motion
@@ -28,11 +29,7 @@ def written(directory: Path, seconds: float = SECONDS) -> Path:
     text = text.replace("gain_N_m_A = 1.78 ", "gain_N_m_A = 13.0 ")  # 30 N m, as the URDF says
     drive = 'armed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\nfollowing_error_rad = 0.4\nafter_stop = "hold"'
     path.write_text(f"{text}\n[drive]\n{drive}\n")
-    time_s = np.linspace(0.0, seconds, round(50 * seconds) + 1)
-    size = np.sin(np.pi * time_s / seconds) ** 2
-    one, two = 0.2 + 0.4 * size * np.sin(1.57 * time_s), 0.4 + 0.35 * size * np.sin(1.95 * time_s)
-    rows = "\n".join(f"{t:.4f},{a:.9f},{b:.9f}" for t, a, b in zip(time_s, one, two, strict=True))
-    (path.parent / "motion.csv").write_text(f"time_s,joint_1,joint_2\n{rows}\n")
+    (path.parent / "motion.csv").write_text(swings_csv(seconds, 50))
     return path
 
 
