@@ -126,36 +126,40 @@ def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
         world(path, over, 1, 10.0)
 
 
-def _await(log: Path, seconds: float) -> None:
-    """Wait until the drives have played their motion, or were stopped."""
+def _await(log: Path, seconds: float, flight: "subprocess.Popen[bytes]") -> None:
+    """Wait until the drives have played their motion, or were stopped, or the flight is over."""
     deadline, codes = time.monotonic() + seconds, set[bytes]()
-    while not codes & {b"drive_done", b"drive_stopped"} and time.monotonic() < deadline:
+    while not codes & {b"drive_done", b"drive_stopped"} and time.monotonic() < deadline and flight.poll() is None:
         time.sleep(0.5)
         if log.exists():
             with contextlib.suppress(ChannelError, LogFormatError):  # of a log that has just begun
                 codes = set(LogReader(log).read("event")["code"].tolist())
 
 
-def flown(vehicle: Path, seed: int, seconds: float) -> tuple[Path, dict[str, Any]]:
-    """A flight on the real clock, and what was true."""
+def flown(
+    vehicle: Path, seed: int, seconds: float, longer_s: float = 0.0, *fault: str
+) -> tuple[int, Path, dict[str, Any]]:
+    """Exit status and log of a flight on the real clock, ``longer_s`` beyond its drives' stop, and what was true."""
     log, directory = vehicle.parent / f"{seed}.mcap", vehicle.parent / f"served_{seed}"
     serve = [sys.executable, "-m", "hil_sim.serve_driven", str(vehicle), "--directory", str(directory)]
     fly = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--arm", "--log", str(log)]
-    with subprocess.Popen([*serve, "--seed", str(seed)], stdout=subprocess.PIPE, text=True) as devices:
+    with subprocess.Popen([*serve, "--seed", str(seed), *fault], stdout=subprocess.PIPE, text=True) as devices:
         try:
             assert devices.stdout is not None
             urls = json.loads(devices.stdout.readline())
             flight = subprocess.Popen([*fly, *(f"--url={bus}={url}" for bus, url in urls.items() if bus != "start_ns")])
             try:
-                _await(log, seconds)
+                _await(log, seconds, flight)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    flight.wait(longer_s)
                 flight.send_signal(signal.SIGTERM)
-                assert flight.wait(60) == 0
+                status = flight.wait(60)
             finally:
                 flight.kill()
             time.sleep(0.5)
         finally:
             devices.terminate()
-        return log, json.loads(devices.stdout.readline())
+        return status, log, json.loads(devices.stdout.readline())
 
 
 @pytest.mark.realtime
@@ -164,7 +168,8 @@ def test_on_the_real_clock_the_base_moves_as_the_drives_do(tmp_path: Path) -> No
     """The motion is played; on a computer too busy for that the drives are stopped, with the reason, and hold."""
     vehicle = written(tmp_path, 4.0)
     for seed in range(3):
-        log, said = flown(vehicle, seed, 50.0)
+        status, log, said = flown(vehicle, seed, 50.0)
+        assert status == cli.OK
         events = LogReader(log).read("event")
         codes = events["code"].tolist()
         if b"drive_done" in codes:

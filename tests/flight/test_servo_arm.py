@@ -1,10 +1,5 @@
 """An arm that its own DYNAMIXEL servos move, with every other device of its file, in one world: T0 and real time."""
 
-import contextlib
-import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +7,22 @@ import pytest
 
 from hil_sim.serve_driven import world
 from onboard import cli, config
+from onboard.cli.common import NOT_READY
 from onboard.flight import hil
 from onboard.recording.reader import LogReader
 from tests.flight.driven_bench import swings_csv
-from tests.flight.test_driven_flight import _await, plugged
+from tests.flight.test_driven_flight import flown, plugged
 
 SECONDS = 6.0  # of the motion
+REAL_TIMING = "sample_period_ms = 10\ntimeout_ms = 20"  # two processes a round: a busy computer may hold up each
 NEW = ("--base", "free", "--joints", "2", "--encoder", "dynamixel")  # a free-flyer: nothing pulls at its arm
 
 
-def written(directory: Path, seconds: float = SECONDS) -> Path:
+def written(directory: Path, seconds: float = SECONDS, timing: str = "timeout_ms = 10") -> Path:
     """An arm of ``heft init`` whose servos are driven, and a motion for it."""
     path = directory / "it" / "vehicle.toml"
     assert cli.main(["init", str(path.parent), *NEW]) == cli.OK
-    text = path.read_text().replace('kind = "dynamixel"', 'kind = "dynamixel"\ndriven = true\ntimeout_ms = 10')
+    text = path.read_text().replace('kind = "dynamixel"', f'kind = "dynamixel"\ndriven = true\n{timing}')
     text = text.replace("gain_N_m_A = 1.78 ", "gain_N_m_A = 13.0 ")  # 30 N m, as the URDF says
     drive = 'armed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\nfollowing_error_rad = 0.4\nafter_stop = "hold"'
     path.write_text(f"{text}\n[drive]\n{drive}\n")
@@ -72,28 +69,14 @@ def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Pa
 @pytest.mark.timeout(180)
 @pytest.mark.usefixtures("own_rings")
 def test_on_the_real_clock_servos_are_driven_unplugged_and_read_again(tmp_path: Path) -> None:
-    """A computer too busy for the rounds stops the arm before that, which is told; either way it stands at the end."""
-    vehicle = written(tmp_path, 20.0)
-    log, directory = tmp_path / "flight.mcap", tmp_path / "served"
-    serve = [sys.executable, "-m", "hil_sim.serve_driven", str(vehicle), "--directory", str(directory), "--seed", "8"]
-    fly = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--arm", "--log", str(log)]
-    with subprocess.Popen([*serve, "--fault", "unplug:tty_servos:22:24"], stdout=subprocess.PIPE, text=True) as devices:
-        try:
-            assert devices.stdout is not None
-            urls = json.loads(devices.stdout.readline())
-            flight = subprocess.Popen([*fly, *(f"--url={bus}={url}" for bus, url in urls.items() if bus != "start_ns")])
-            try:
-                _await(log, 60.0)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    flight.wait(6.0)
-                flight.send_signal(signal.SIGTERM)
-                assert flight.wait(60) == 0
-            finally:
-                flight.kill()
-        finally:
-            devices.terminate()
-        said = json.loads(devices.stdout.readline())
+    """A computer too busy for the rounds is not ready, or stops the arm earlier; either way it stands at the end."""
+    vehicle = written(tmp_path, 20.0, REAL_TIMING)
+    for seed in range(8, 11):
+        status, log, said = flown(vehicle, seed, 60.0, 6.0, "--fault", "unplug:tty_servos:22:24")
+        assert all(abs(said["joints"][name]["rate_rad_s"]) < 0.05 for name in ("joint_1", "joint_2"))
+        if status != NOT_READY:
+            break
+    assert status == cli.OK
     codes = LogReader(log).read("event")["code"].tolist()
     assert b"drive_armed" in codes
     assert b"drive_stopped" in codes
-    assert all(abs(said["joints"][name]["rate_rad_s"]) < 0.05 for name in ("joint_1", "joint_2"))
