@@ -80,7 +80,13 @@ class Wrong:
     late_s: float = 0.0  # of the poses' stamps
 
 
-def fly(seed: int, seconds: float = 60.0, delay_s: float | None = None, wrong: Wrong | None = None) -> Bed:
+def fly(
+    seed: int,
+    seconds: float = 60.0,
+    delay_s: float | None = None,
+    wrong: Wrong | None = None,
+    period_s: float = 0.02,
+) -> Bed:
     """A run; forces off by 2 %, directions by 0.01 rad, places by 2 mm, valves late by 0 to 0.5 s and shut below 20 to
     70 ms, the table tilted by 0.5 mrad; poses with noise of 0.3 mm and 0.6 mrad.
 
@@ -89,6 +95,7 @@ def fly(seed: int, seconds: float = 60.0, delay_s: float | None = None, wrong: W
         seconds: of the run.
         delay_s: of the valves; drawn where not given.
         wrong: besides.
+        period_s: of the commands; poses come every 10 ms.
     """  # noqa: D205
     wrong = wrong or Wrong()
     rng = np.random.default_rng(seed)
@@ -104,14 +111,13 @@ def fly(seed: int, seconds: float = 60.0, delay_s: float | None = None, wrong: W
     angle = np.arctan2(toward[:, 1], toward[:, 0]) + rng.normal(0.0, 0.01, 8)
     aside = rng.normal(0.0, 0.002, 8)
     place = place + aside[:, None] * np.stack([-np.sin(angle), np.cos(angle)], 1)
-    levels = commands(rng, seconds)
-    period = 0.02
+    levels = commands(rng, seconds, period_s)
     n = round(seconds / STEP_s)
     acting = np.zeros((n, 8))
     for j in range(8):
         edges = np.flatnonzero(np.diff(np.append(np.append(0.0, levels[:, j]), 0.0)))
         own = delay + rng.normal(0.0, 0.003)
-        for on, off in edges.reshape(-1, 2) * period:
+        for on, off in edges.reshape(-1, 2) * period_s:
             if off - on < least:
                 continue
             acting[round((on + own + loss) / STEP_s) : round((off + own) / STEP_s), j] = 1.0
@@ -127,7 +133,7 @@ def fly(seed: int, seconds: float = 60.0, delay_s: float | None = None, wrong: W
     shown = np.column_stack([seen, yaw])[::10]
     shown += rng.normal(0.0, 1.0, shown.shape) * [3e-4, 3e-4, 6e-4]
     time_s = np.arange(n)[::10] * STEP_s
-    time = np.arange(len(levels)) * period
+    time = np.arange(len(levels)) * period_s
     return Bed(
         float(mass),
         (float(centre[0]), float(centre[1])),

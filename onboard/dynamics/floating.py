@@ -19,6 +19,7 @@ class Floating(NamedTuple):
 
     force: FloatArray  # (n, 2, b, k) mean over each step, over the mass, body axes, m/s^2
     turning: FloatArray  # (n, b, k) moment over inertia, rad/s^2
+    ahead: FloatArray  # (n, 3, b, k) of x, y (body axes) and yaw, after each step beyond what the means make: m, rad
     steady: FloatArray  # (3, b, k) a, of the table's axes, and e
     drag: FloatArray  # (2, b, 1) b and s, 1/s
 
@@ -26,7 +27,9 @@ class Floating(NamedTuple):
 def predict_floating(body: Floating, state: FloatArray, period_s: float) -> FloatArray:
     """States after none to n steps, (n + 1, 6, b, k): x, y, yaw and their rates.
 
-    The acceleration is that at the middle of each step, which is exact to the square of the step.
+    The acceleration is that at the middle of each step, which is exact to the square of the step. Forces that change
+    within a step leave the body elsewhere than their means do; without ``ahead`` a state would have a kink where the
+    time of such a change comes to the end of a step.
 
     Args:
         body: what moves it.
@@ -44,6 +47,8 @@ def predict_floating(body: Floating, state: FloatArray, period_s: float) -> Floa
         fx, fy = body.force[i]
         pushed = np.stack([c * fx - s * fy, s * fx + c * fy]) + body.steady[:2] - body.drag[0] * now[3:5]
         rates = np.concatenate([pushed, turned[None]])
-        states[i + 1, :3] = now[:3] + h * now[3:] + 0.5 * h * h * rates
+        ax, ay, turned = body.ahead[i]
+        ahead = np.stack([c * ax - s * ay, s * ax + c * ay, turned])
+        states[i + 1, :3] = now[:3] + h * now[3:] + 0.5 * h * h * rates + ahead
         states[i + 1, 3:] = now[3:] + h * rates
     return states

@@ -4,7 +4,8 @@ Unknown are mass, moment of inertia (both as logarithms) and centre of mass; of 
 leak and delay; delay and loss of all valves; tilt of the table and drag; place, direction and scale of the tracker. For
 every window of :data:`WINDOW_s` there are the state at its first pose, and steady accelerations within the stated
 sigmas: what drives the body besides its thrusters does not add up. The pulse below which a valve does not open is
-the one of those commanded that explains the poses best.
+the one of those commanded that explains the poses best; so is whether commands came when they are written, or at any
+time since the sample before (:mod:`onboard.identification.body.sampling`).
 
 Forces set the scale of mass and inertia; a stated mass sets that of the forces.
 """
@@ -18,17 +19,16 @@ from onboard.dynamics.floating import Floating, predict_floating
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
-from onboard.estimation.policy import ODDS_OF_PART
+from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
+from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
 from onboard.identification.body.start import PoseWindow, guess, state
 from onboard.identification.body.valves import Opening, Valve
+from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
 from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
-WINDOW_s, SHORTEST = 5.0, 20  # and fewest poses in one
 STATE = 9  # unknowns of a window: x, y, yaw, their rates, steady accelerations
 BODY = 4  # unknowns of the body
-_MOST_WINDOWS = 240
-_STEP_s = 0.02  # of the prediction
 _UNKNOWN = 3.0  # sigma of the logarithm of a mass or moment of inertia of which nothing is known
 _SEARCHED, _SEARCH_s = 24, 0.025  # windows, and step of the delays that a fit begins from
 _TOLERANCE, _MOST, _LOOKS = (
@@ -40,6 +40,7 @@ _LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how
 _BETTER = -2.0 * np.log(ODDS_OF_PART)  # squares by which valves that stay shut explain the poses
 _WORSE = 3.0  # times the squares: longer pulses opened the valves
 _SENSORS = 3
+_AS_WRITTEN = Opening(0.0, 0.0, 0.0)
 
 
 class Thrusters(NamedTuple):
@@ -81,25 +82,6 @@ class Tracker(NamedTuple):
     noise: FloatArray  # (3,) of one pose: m, m, rad
 
 
-class TrackedPoses(NamedTuple):
-    """Poses of the tracked frame, (n,) and (n, 3): x, y, yaw, which goes on beyond half a turn."""
-
-    time_s: FloatArray
-    measured: FloatArray
-
-
-class _Windows(NamedTuple):
-    start_s: FloatArray  # (k,)
-    steps: int
-    period_s: float
-    poses: list[TrackedPoses]
-
-    @property
-    def grid_s(self) -> FloatArray:
-        """(k, steps + 1)."""
-        return self.start_s[:, None] + self.period_s * np.arange(self.steps + 1)
-
-
 class BodyFit(NamedTuple):
     """A fit."""
 
@@ -107,6 +89,7 @@ class BodyFit(NamedTuple):
     least_s: float  # pulses shorter than this did not open a valve
     start_s: FloatArray  # of the windows
     settled: bool  # it is the minimum
+    lateness: Lateness  # of commands and poses, which is in the delay
 
     @property
     def x(self) -> FloatArray:
@@ -179,7 +162,7 @@ class BodyModel:
         Raises:
             EstimationError: too few poses, or no minimum.
         """
-        windows = self._windows_of(poses, known_s, unknown)
+        windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
         begun, least_s = self._descend(windows, 0.0, self._begun(windows), 1.0, _LOOKS)[0], 0.0
         for tried_s in self._leasts():
             other, _ = self._descend(windows, tried_s, begun.x, 1.0, _LOOKS)
@@ -188,8 +171,16 @@ class BodyModel:
             if other.residual_sum < begun.residual_sum - _BETTER * (least_s == 0.0):
                 begun, least_s = other, tried_s
         found, settled = self._descend(windows, least_s, begun.x, _TOLERANCE, _MOST)
-        parts = self._parts(found.x, windows, least_s)
-        return BodyFit(judged(found, parts, len(self.names), _SENSORS), least_s, windows.start_s, settled)
+        white = self._whiteners(found.x, windows, least_s)
+        other, also = self._descend(windows, least_s, found.x, _TOLERANCE, _MOST, white)
+        rows, spread = sum(noise.size for noise in windows.noise), sum(one.log_determinant for one in white)
+        likelier = rows * float(np.log(found.residual_sum / other.residual_sum)) > spread  # the noise's scale unknown
+        scattered = likelier and other.residual_sum < MISFIT_REFUSED * rows
+        found, settled, white = (other, also, white) if scattered else (found, settled, ())
+        parts = self._parts(found.x, windows, least_s, white)
+        late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self._thrusters.valves]).mean())
+        told = judged(found, parts, len(self.names), _SENSORS)
+        return BodyFit(told, least_s, windows.start_s, settled, lateness(late_s, scattered, poses.late_s))
 
     def _leasts(self) -> list[float]:
         """Lengths just above those pulses that may not open a valve."""
@@ -199,27 +190,7 @@ class BodyModel:
             lengths = np.quantile(lengths, np.linspace(0.0, 1.0, _LEAST_TRIED))
         return [float(length) + 1e-4 for length in lengths]
 
-    def _windows_of(
-        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]]
-    ) -> _Windows:
-        """Windows of poses, at all of which the commands are known, the largest delay earlier too."""
-        longest_s = self._stated.delay_s[1]
-        starts, kept = [], list[TrackedPoses]()
-        at_s, end_s = max(float(poses.time_s[0]), known_s[0] + longest_s), min(float(poses.time_s[-1]), known_s[1])
-        while at_s < end_s and len(kept) < _MOST_WINDOWS:
-            until_s = min(at_s + WINDOW_s, end_s)
-            inside = slice(*np.searchsorted(poses.time_s, [at_s, until_s]).tolist())
-            lost = any(a < until_s and b > at_s - longest_s for a, b in unknown)
-            if inside.stop - inside.start >= SHORTEST and not lost:
-                kept.append(TrackedPoses(poses.time_s[inside], poses.measured[inside]))
-                starts.append(float(poses.time_s[inside][0]))
-            at_s = until_s
-        if not kept:
-            text = f"no {WINDOW_s:g} s with {SHORTEST} poses and known commands"
-            raise ConvergenceError(f"{text}: check that both are on one clock")
-        return _Windows(np.array(starts), int(np.ceil(WINDOW_s / _STEP_s)) + 1, _STEP_s, kept)
-
-    def _begun(self, windows: _Windows) -> FloatArray:
+    def _begun(self, windows: PoseWindows) -> FloatArray:
         """Where a fit begins: a body by :func:`guess`, states by the first poses of each window."""
         p, tracker, thrusters = len(self.names), self._tracker, self._thrusters
         delays_s = np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s)
@@ -237,7 +208,7 @@ class BodyModel:
             return found
 
         searched = np.array([forces(grid_s[:_SEARCHED], delay_s) for delay_s in delays_s.tolist()])
-        series = [PoseWindow(*poses, grid, np.zeros(0)) for poses, grid in zip(windows.poses, grid_s, strict=True)]
+        series = [PoseWindow(*poses[:2], grid, np.zeros(0)) for poses, grid in zip(windows.poses, grid_s, strict=True)]
         some = [one._replace(force=searched[:, k]) for k, one in enumerate(series[:_SEARCHED])]
         first = guess(some, tracker.place_m, tracker.yaw_rad, tracker.noise)
         x = np.zeros(p + STATE * len(windows.poses))
@@ -250,14 +221,20 @@ class BodyModel:
         return x
 
     def _descend(
-        self, windows: _Windows, least_s: float, x: FloatArray, tolerance: float, most: int
+        self,
+        windows: PoseWindows,
+        least_s: float,
+        x: FloatArray,
+        tolerance: float,
+        most: int,
+        white: Sequence[Whitener] = (),
     ) -> tuple[Fit, bool]:
         """The minimum, or the best point after so many predictions; whether it is the minimum."""
         descent = Descent(x, np.zeros_like(x), self._prior(x.size), most + 1, tolerance)
         for _ in range(most):
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    descent.take(total(self._parts(descent.at, windows, least_s), len(self.names), x.size))
+                    descent.take(total(self._parts(descent.at, windows, least_s, white), len(self.names), x.size))
             except ConvergenceError:
                 if not descent.iteration:
                     raise
@@ -269,7 +246,9 @@ class BodyModel:
     def _prior(self, size: int) -> FloatArray:
         return np.diag(np.concatenate([self.sigma**-2, np.zeros(size - len(self.names))]))
 
-    def _parts(self, x: FloatArray, windows: _Windows, least_s: float) -> Iterator[Part]:
+    def _parts(
+        self, x: FloatArray, windows: PoseWindows, least_s: float, white: Sequence[Whitener] = ()
+    ) -> Iterator[Part]:
         """Of each window: positions, yaw, and what is steady in it against the stated sigma: sensors 0, 1, 2."""
         p, steps = len(self.names), self._steps
         kept, b = self._layout.kept, 1 + len(self._layout.kept) + STATE
@@ -277,27 +256,68 @@ class BodyModel:
         moving[1 + np.arange(p), kept] += steps[kept]
         begin = np.tile(x[p:].reshape(-1, STATE), (b, 1, 1))
         begin[1 + p :] += np.diag(steps[-STATE:])[:, None]
-        states = self._states(moving, begin, windows, least_s)  # (n, 3, b, k)
+        body = self._moved(moving, begin, windows, least_s)
+        states = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, :3]  # (n, 3, b, k)
         every = np.append(steps[kept], steps[-STATE:])
-        noise, sigma = self._tracker.noise, self.steady_sigma
-        for k, (time_s, measured) in enumerate(windows.poses):
+        sigma = self.steady_sigma
+        for k, ((time_s, measured, _), noise) in enumerate(zip(windows.poses, windows.noise, strict=True)):
             at = (time_s - windows.start_s[k]) / windows.period_s
             first = np.minimum(at.astype(np.int64), windows.steps - 1)
             part = (at - first)[:, None, None]
             shown = self._shown((1.0 - part) * states[first, :, :, k] + part * states[first + 1, :, :, k], moving)
-            r = (shown[:, :, 0] - measured) / noise  # (u, 3)
-            r[:, 2] = np.remainder(r[:, 2] + np.pi / noise[2], 2.0 * np.pi / noise[2]) - np.pi / noise[2]
-            J = (shown[:, :, 1:] - shown[:, :, :1]) / every / noise[:, None]  # (u, 3, p + state)
+            r = shown[:, :, 0] - measured  # (u, 3)
+            r[:, 2] = np.remainder(r[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+            J = (shown[:, :, 1:] - shown[:, :, :1]) / every / noise[:, :, None]  # (u, 3, p + state)
+            lines = np.concatenate([(r / noise)[:, :, None], J], axis=2).reshape(-1, 1 + p + STATE)
+            if white:
+                lines = white[k].of(lines)
             steady = np.zeros((3, p + STATE))
             steady[:, -3:] = np.diag(1.0 / sigma)
             sensor = np.concatenate([np.tile([0, 0, 1], len(time_s)), [2] * 3])
-            residuals = np.concatenate([r.ravel(), begin[0, k, 6:] / sigma])
-            yield Part(residuals, np.concatenate([J.reshape(-1, p + STATE), steady]), sensor)
+            residuals = np.concatenate([lines[:, 0], begin[0, k, 6:] / sigma])
+            yield Part(residuals, np.concatenate([lines[:, 1:], steady]), sensor)
+
+    def _whiteners(self, x: FloatArray, windows: PoseWindows, least_s: float) -> tuple[Whitener, ...]:
+        """Of each window, if commands came at any time since the sample before."""
+        moving = self._layout.whole(x[: len(self.names)])[None]
+        begin = x[len(self.names) :].reshape(1, -1, STATE)
+        body = self._moved(moving, begin, windows, least_s)
+        yaw = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, 2, 0]  # (n + 1, k)
+        scale = np.append(np.exp(-moving[0, [0, 0]]) / self._drawn[0], np.exp(-moving[0, 3]) / self._drawn[2])
+        each = np.array([self._full(j, moving)[0] for j in range(len(self._thrusters.names))]) * scale
+        hows = [self._opening(j, moving)[0].tolist() for j in range(len(each))]
+        valves = zip(self._thrusters.valves, hows, strict=True)
+        steps = [valve.edges(Opening(delay_s, loss_s, least_s)) for valve, (delay_s, loss_s) in valves]
+        lever, found = self._lever(moving)[0], list[Whitener]()
+        for k, ((time_s, _, _), noise) in enumerate(zip(windows.poses, windows.noise, strict=True)):
+            window = DrivenWindow(windows.grid_s[k], yaw[:, k], body.force[:, :, 0, k], lever)
+            found.append(whitener(by_steps(window, steps, each, time_s) / noise[:, :, None]))
+        return tuple(found)
+
+    def _lever(self, moving: FloatArray) -> FloatArray:
+        """Of the tracked frame from the centre of mass, body axes, (b, 2)."""
+        place = self._tracker.place_m + moving[:, self._layout["tracker"]][:, 1:3]
+        return np.asarray(place - self._drawn[1] - moving[:, 1:3], np.float64)
+
+    def _full(self, j: int, moving: FloatArray) -> FloatArray:
+        """Force of a thruster at level one, body axes, and its moment about the centre of mass, (b, 3)."""
+        of, thrusters, centre = self._layout, self._thrusters, self._drawn[1] + moving[:, 1:3]
+        scale, turn, lever = (moving[:, of[name]][:, j] for name in ("scale", "turn", "lever"))
+        toward = thrusters.direction[j] + turn
+        ux, uy = np.cos(toward), np.sin(toward)
+        arm = (thrusters.place_m[j, 0] - centre[:, 0]) * uy - (thrusters.place_m[j, 1] - centre[:, 1]) * ux
+        force = thrusters.force_N[j] * (1.0 + scale)
+        return np.stack([force * ux, force * uy, force * (arm + lever)], axis=1)
+
+    def _opening(self, j: int, moving: FloatArray) -> FloatArray:
+        """Delay and loss of a valve, (b, 2)."""
+        delay_s, loss_s = moving[:, self._layout["valves"]].T
+        return np.stack([moving[:, self._layout["each"]][:, j] + delay_s, loss_s], axis=1)
 
     def _shown(self, state: FloatArray, moving: FloatArray) -> FloatArray:
         """Poses of the tracked frame, (u, 3, b), by those of the centre of mass."""
         own = moving[:, self._layout["tracker"]]
-        lever = self._tracker.place_m + own[:, 1:3] - self._drawn[1] - moving[:, 1:3]  # (b, 2)
+        lever = self._lever(moving)
         c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
         x = state[:, 0] + c * lever[:, 0] - s * lever[:, 1]
         y = state[:, 1] + s * lever[:, 0] + c * lever[:, 1]
@@ -305,8 +325,8 @@ class BodyModel:
             [(1.0 + own[:, 3]) * x, (1.0 + own[:, 3]) * y, state[:, 2] + self._tracker.yaw_rad + own[:, 0]], 1
         )
 
-    def _states(self, moving: FloatArray, begin: FloatArray, windows: _Windows, least_s: float) -> FloatArray:
-        """Pose of the centre of mass at the grid, (n, 3, b, k).
+    def _moved(self, moving: FloatArray, begin: FloatArray, windows: PoseWindows, least_s: float) -> Floating:
+        """What moves the body.
 
         Args:
             moving: all unknowns of b variants, (b, size).
@@ -314,34 +334,27 @@ class BodyModel:
             windows: k of them.
             least_s: pulses shorter than this do nothing.
         """
-        of, thrusters, h = self._layout, self._thrusters, windows.period_s
-        mass_kg, centre_m, inertia = self._drawn
-        centre = centre_m + moving[:, 1:3]
-        fx, fy, turning = np.zeros((3, windows.steps, len(moving), len(windows.start_s)))
-        grid = windows.grid_s
-        for j, valve in enumerate(thrusters.valves):
-            own = {name: moving[:, of[name]][:, j] for name in ("scale", "turn", "lever", "leak", "each")}
-            how = np.stack([own["each"] + moving[:, of["valves"]][:, 0], moving[:, of["valves"]][:, 1]], axis=1)
-            different, which = np.unique(how, axis=0, return_inverse=True)
-            impulses = [
-                valve.impulse_s(grid, Opening(delay_s, loss_s, least_s)) for delay_s, loss_s in different.tolist()
+        of, h = self._layout, windows.period_s
+        forces, ahead = np.zeros((2, 3, windows.steps, len(moving), len(windows.start_s)))
+        for j, valve in enumerate(self._thrusters.valves):
+            different, which = np.unique(self._opening(j, moving), axis=0, return_inverse=True)
+            each = [
+                valve.integrals(windows.grid_s, Opening(delay_s, loss_s, least_s))
+                for delay_s, loss_s in different.tolist()
             ]
-            level = np.diff(np.array(impulses), axis=2)[which.ravel()].transpose(2, 0, 1) / h  # (steps, b, k)
-            force = (thrusters.force_N[j] * (1.0 + own["scale"]))[:, None]
-            push = force * (level + own["leak"][:, None] * (1.0 - level))
-            toward = thrusters.direction[j] + own["turn"]
-            ux, uy = np.cos(toward), np.sin(toward)
-            arm = (thrusters.place_m[j, 0] - centre[:, 0]) * uy - (thrusters.place_m[j, 1] - centre[:, 1]) * ux
-            fx += ux[:, None] * push
-            fy += uy[:, None] * push
-            turning += (arm + own["lever"])[:, None] * push
-        m, inertia_of = mass_kg * np.exp(moving[:, :1]), inertia * np.exp(moving[:, 3:4])
+            once, twice = np.array(each).transpose(1, 3, 0, 2)[:, :, which.ravel()]  # (steps + 1, b, k)
+            level = np.diff(once, axis=0) / h
+            leak = moving[:, of["leak"]][:, j][:, None]
+            full = self._full(j, moving).T[:, None, :, None]
+            forces += full * (level + leak * (1.0 - level))
+            ahead += full * (1.0 - leak) * (np.diff(twice, axis=0) - 0.5 * h * (once[1:] + once[:-1]))
+        m, inertia = self._drawn[0] * np.exp(moving[:, :1]), self._drawn[2] * np.exp(moving[:, 3:4])
+        over = np.stack([m, m, inertia])[:, None]
         state = begin.transpose(2, 0, 1)
-        tilt = moving[:, of["table"]].T[:, :, None]
+        tilt, drag = (moving[:, of[name]].T[:, :, None] for name in ("table", "drag"))
         steady = np.concatenate([state[6:8] + tilt, state[8:]])
-        drag = moving[:, of["drag"]].T[:, :, None]
-        body = Floating(np.stack([fx / m, fy / m], 1), turning / inertia_of, steady, drag)
-        return predict_floating(body, state[:6], h)[:, :3]
+        (fx, fy, turning), ahead = forces / over, (ahead / over).swapaxes(0, 1)
+        return Floating(np.stack([fx, fy], 1), turning, ahead, steady, drag)
 
     @property
     def _steps(self) -> FloatArray:

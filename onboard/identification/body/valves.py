@@ -15,21 +15,31 @@ class Opening(NamedTuple):
     least_s: float  # shorter pulses do not open it
 
 
+class Edges(NamedTuple):
+    """Steps of the level that a valve has, in the order of their times, (m,)."""
+
+    time_s: FloatArray
+    change: FloatArray
+    late_s: FloatArray  # by how much earlier it may have been commanded
+
+
 class Valve:
     """Commands of one thruster: levels, each held until the next.
 
     Args:
         time_s: of the commands, rising, (n,).
         level: its share of the force, (n,).
+        exact: changes came at these times; otherwise each came since the sample before.
 
     Attributes:
         pulses_s: lengths of the times that it is on, in their order.
     """
 
-    def __init__(self, time_s: FloatArray, level: FloatArray) -> None:
+    def __init__(self, time_s: FloatArray, level: FloatArray, exact: bool = False) -> None:
         change = np.diff(level, prepend=0.0)
         at = np.flatnonzero(change)
         self._time_s, self._change = time_s[at], change[at]
+        self._late_s = np.zeros(len(at)) if exact else np.diff(time_s, prepend=time_s[:1])[at]
         self._begins: BoolArray = np.asarray((level[at] != 0.0) & (level[at] == change[at]), np.bool_)
         begins = np.flatnonzero(self._begins)
         ends = np.flatnonzero(level[at] == 0.0)
@@ -39,16 +49,27 @@ class Valve:
         pulse = np.cumsum(self._begins) - 1
         self._length_s = self.pulses_s[pulse] if len(begins) else np.zeros(len(at))
 
-    def impulse_s(self, time_s: FloatArray, how: Opening) -> FloatArray:
-        """Integral of the level that the valve has from the start until some times, in any shape."""
+    def edges(self, how: Opening) -> Edges:
+        """Steps of the level that the valve has."""
         kept = self._length_s >= how.least_s
         late = np.where(self._begins, np.minimum(how.loss_s, self._length_s), 0.0)
-        edges, change = (self._time_s + how.delay_s + late)[kept], self._change[kept]
+        edges = (self._time_s + how.delay_s + late)[kept]
         order = np.argsort(edges, kind="stable")
-        edges, change = edges[order], change[order]
-        level, moment = (np.append(0.0, np.cumsum(of)) for of in (change, change * edges))
+        return Edges(edges[order], self._change[kept][order], self._late_s[kept][order])
+
+    def impulse_s(self, time_s: FloatArray, how: Opening) -> FloatArray:
+        """Integral of the level that the valve has from the start until some times, in any shape."""
+        return np.asarray(self.integrals(time_s, how)[0], np.float64)
+
+    def integrals(self, time_s: FloatArray, how: Opening) -> FloatArray:
+        """That, in s, and its integral, in s^2: (2, ...)."""
+        edges, change, _ = self.edges(how)
+        level, moment, second = (
+            np.append(0.0, np.cumsum(of)) for of in (change, change * edges, 0.5 * change * edges * edges)
+        )
         before = np.searchsorted(edges, time_s)
-        return np.asarray(level[before] * time_s - moment[before], np.float64)
+        once = level[before] * time_s - moment[before]
+        return np.stack([once, 0.5 * time_s * (once - moment[before]) + second[before]])
 
 
 def valve_of_on_times(time_s: FloatArray, on_s: FloatArray) -> Valve:
@@ -60,4 +81,4 @@ def valve_of_on_times(time_s: FloatArray, on_s: FloatArray) -> Valve:
     level = np.clip(np.cumsum(change[order]), 0.0, 1.0)
     start, end = time_s[:1], time_s[-1:]
     edges = np.concatenate([start, edges[order], np.maximum(end, edges.max(initial=-np.inf))])
-    return Valve(edges, np.concatenate([[0.0], level, [0.0]]))
+    return Valve(edges, np.concatenate([[0.0], level, [0.0]]), exact=True)

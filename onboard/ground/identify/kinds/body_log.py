@@ -11,13 +11,14 @@ from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import HALF, INTERVAL, MISFIT_DOUBTED, MISFIT_REFUSED
+from onboard.estimation.policy import HALF, INTERVAL, MISFIT_DOUBTED, MISFIT_REFUSED, MOST_CONTRADICTED
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
-from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, TrackedPoses, WINDOW_s
+from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
 from onboard.identification.body.valves import Valve, valve_of_on_times
+from onboard.identification.body.windows import SHORTEST, TrackedPoses, WINDOW_s
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
@@ -82,8 +83,7 @@ def _recorded(
         values.append((one["value_raw"] * one["scale"])[np.isin(one["host_ns"], common)])
     values[2] = np.unwrap(values[2])
     time_s, measured = 1e-9 * (common - start_ns).astype(np.float64), np.stack(values, axis=1)
-    fresh = np.append(True, (np.diff(measured, axis=0) != 0.0).any(axis=1)) | tracker.repeats
-    poses = TrackedPoses(time_s[fresh], measured[fresh])
+    poses = _fresh(time_s, measured) if not tracker.repeats else TrackedPoses(time_s, measured)
     valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, list[tuple[float, float]]()
     for thruster, own in thrusters_of(vehicle).items():
         commands = _usable(log.read(thruster))
@@ -96,6 +96,24 @@ def _recorded(
             missed = np.flatnonzero(np.diff(time_s) > _MISSED * 1e-3 * own.period_ms)
             unknown += [(float(time_s[k]), float(time_s[k + 1])) for k in missed]
     return poses, valves, (begin_s, end_s), unknown
+
+
+def _fresh(time_s: FloatArray, measured: FloatArray) -> TrackedPoses:
+    """Poses without those that repeat the one before.
+
+    A recorder that is faster than the tracker repeats poses while the body moves: each came at any time since the row
+    before, in the mean half of that earlier. Poses repeat at rest, too, by rounding, and by frames that are lost.
+    """
+    fresh = np.append(True, (np.diff(measured, axis=0) != 0.0).any(axis=1))
+    poses = TrackedPoses(time_s[fresh], measured[fresh])
+    if fresh.all() or len(poses.time_s) < SHORTEST:
+        return poses
+    speed = np.abs(np.gradient(poses.measured, poses.time_s, axis=0)) / np.ptp(poses.measured, axis=0)
+    moving = np.interp(time_s, poses.time_s, fast := speed.max(axis=1)) > np.median(fast)
+    if np.mean(~fresh[moving]) < MOST_CONTRADICTED:
+        return poses
+    late_s = float(np.median(np.diff(time_s)))
+    return TrackedPoses(poses.time_s - 0.5 * late_s, poses.measured, late_s)
 
 
 def _usable(rows: Rows) -> Rows:
@@ -128,13 +146,17 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[I
     at = [*range(BODY), *(model.names.index(one) for one in ("delay", "tilt_x", "tilt_y") if one in model.names)]
     scale = np.array([mass_kg, 1.0, 1.0, inertia] + [1.0] * (len(at) - BODY))
     values = np.array([mass_kg, *centre_m, inertia, *fit.x[at[BODY:]]])
+    shift_s, low_s, high_s, sigma_s = fit.lateness
+    values[BODY] += shift_s
     half = float(stdtrit(found.noise.freedom, 0.5 + 0.5 * INTERVAL))
     own = np.sqrt(found.variances(model.sigma)[at])
     sigma = half / HALF * own
+    sigma[BODY] = np.hypot(sigma[BODY], sigma_s)
     stretch = np.array([True, False, False, True] + [False] * (len(at) - BODY))  # logarithms
     low = np.where(stretch, values * np.exp(-half * own), values - half * own)
     high = np.where(stretch, values * np.exp(half * own), values + half * own)
     causes = Causes([key_of(name, vehicle) for name in model.names], model.sigma)
+    low[BODY], high[BODY] = low[BODY] - low_s, high[BODY] + high_s
     leans = causes.said(causes.effects(scale[:, None] * P[at]), scale * sigma, np.abs(values))
     told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
     if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:

@@ -50,6 +50,38 @@ def test_mass_centre_and_inertia_are_told(tmp_path):
     assert found["I_zz"]["sigma"] < 0.01 * bed.inertia_kg_m2
 
 
+def test_commands_of_another_clock_are_late_by_up_to_a_sample(tmp_path):
+    """Refused before, and the delay was 5 ms short: each change is written at the first pose after it."""
+    bed = fly(97, 40.0, delay_s=0.1, period_s=0.0203)
+    told = identified(tmp_path, bed)
+    assert told["verdict"]["level"] == "good", told["verdict"]
+    found = {one["name"]: one for one in told["quantities"]}
+    for name, true in bed.truth.items():
+        assert found[name]["low"] < true < found[name]["high"], name
+    assert found["delay"]["value"] == pytest.approx(0.1, abs=2e-3)
+
+
+def test_commands_that_come_with_the_poses_may_all_be_late_by_one_part_of_a_sample(tmp_path):
+    delay = next(
+        one for one in identified(tmp_path, fly(92, 40.0, delay_s=0.1))["quantities"] if one["name"] == "delay"
+    )
+    assert delay["value"] == pytest.approx(0.1, abs=1e-3)
+    assert delay["low"] < 0.1
+    assert delay["high"] > 0.109
+
+
+def test_a_recorder_that_repeats_poses_writes_them_late(tmp_path):
+    """Refused before: 4 ms between rows, 10 ms between poses, each of which is late by 0 or 2 ms."""
+    bed = fly(93, 40.0, delay_s=0.1)
+    row_s = np.arange(0.0, bed.pose_s[-1], 0.004)
+    of = np.floor(row_s / 0.01 + 1e-9).astype(int)
+    told = identified(tmp_path, bed._replace(pose_s=row_s, poses=bed.poses[of]))
+    assert told["verdict"]["level"] == "good", told["verdict"]
+    found = {one["name"]: one for one in told["quantities"]}
+    for name, true in bed.truth.items():
+        assert found[name]["low"] < true < found[name]["high"], name
+
+
 def turned(bed):
     """The tracker's x and y exchanged: its axes are left-handed."""
     return bed._replace(poses=bed.poses[:, [1, 0, 2]])
