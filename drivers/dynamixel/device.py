@@ -127,7 +127,7 @@ class DynamixelBus(PolledDevice):
         self._asides.clear()
         self._aside_open = None
         for identifier, servo in self._servos.items():
-            servo.is_there = False
+            self._lost(servo)
             self._asides.append(BetweenRounds(identifier, table.IDENTITY, table.IDENTITY_BYTES))
         self._next_look_ns = now_ns + LOOK_NS
 
@@ -191,9 +191,8 @@ class DynamixelBus(PolledDevice):
         self._looked_at = (self._looked_at + 1) % len(identifiers)
         absent = [identifier for identifier, servo in self._servos.items() if not servo.is_there]
         if absent and len(absent) < len(identifiers):  # where none is there, rounds ask all of them
-            self._asides.append(
-                BetweenRounds(absent[self._looked_at % len(absent)], table.IDENTITY, table.IDENTITY_BYTES)
-            )
+            looked_for = absent[self._looked_at % len(absent)]
+            self._asides.append(BetweenRounds(looked_for, table.IDENTITY, table.IDENTITY_BYTES))
         identifier = identifiers[self._looked_at]
         if self._servos[identifier].is_there:
             self._asides.append(BetweenRounds(identifier, *self._servos[identifier].health))
@@ -228,9 +227,7 @@ class DynamixelBus(PolledDevice):
         aside = self._aside_open
         if aside is not None:
             self._holds = True
-            if aside.is_driving and self._driven is not None:
-                self._driven.unanswered(aside.identifier)
-            elif aside.address in ASKED_AGAIN and self._servos[aside.identifier].is_there:
+            if aside.address in ASKED_AGAIN and self._servos[aside.identifier].is_there:
                 self._asides.append(aside)
             return now_ns, []
         came = {block.identifier for block in self._reply.blocks}
@@ -291,9 +288,14 @@ class DynamixelBus(PolledDevice):
     def _missed(self, host_ns: int, servo: KnownServo) -> None:
         servo.missed += 1
         if servo.missed >= SILENT_AFTER:
-            servo.is_there = False
+            self._lost(servo)
             text = f"id {servo.config.id} does not answer: check its cable and supply"
             self._tell(host_ns, servo, Severity.ERROR, "silent", text)
+
+    def _lost(self, servo: KnownServo) -> None:
+        servo.is_there = False
+        if self._driven is not None:
+            self._driven.lost(servo.config.id)
 
     def _follow_alert(self, host_ns: int, servo: KnownServo, *, alert: bool) -> None:
         if alert and servo.faults == 0:
@@ -342,9 +344,7 @@ class DynamixelBus(PolledDevice):
         self._tell(host_ns, servo, Severity.INFO, "identified", text + hint)
         self._asides.append(BetweenRounds(servo.config.id, table.TEMPERATURE_LIMIT, 1))
         if servo.config.torque and not servo.ampere:
-            text = (
-                f"current of model {who.model} is not known, or it has none: give ampere_per_count, or torque = false"
-            )
+            text = f"current of model {who.model} is unknown, or it has none: give ampere_per_count, or torque = false"
             self._tell(host_ns, servo, Severity.ERROR, "no_current", text)
 
     def _judge_health(self, host_ns: int, servo: KnownServo, data: bytes) -> None:

@@ -25,6 +25,7 @@ from drivers.dynamixel.packet import ALERT, ERRORS, Block
 from drivers.dynamixel.registers import DrivenState, DynamixelConfig
 from drivers.errors import ConfigurationError
 from drivers.play.axis import RATE_SLACK, Axis, AxisConfig
+from drivers.play.player import LATENCY
 from drivers.records import REGISTER_WRITE, Severity
 from drivers.reporter import Reporter
 
@@ -35,9 +36,6 @@ NOT_IN_DRIVE_MODE: Final = 0x0C  # Torque On by Goal Update, Time-based Profile
 SHUTS_DOWN: Final = 0x34  # Overload, Electrical Shock, Overheating: the defaults of all X servos
 EVERY_INSTRUCTION: Final = 2  # of Status Return Level
 IN_POSITION, ON_PROFILE = 0x01, 0x02  # of Moving Status
-STANDSTILL: Final = 1  # count of Present Velocity
-UNANSWERED: Final = 5  # transfers in a row
-TAKEN: Final = 4  # goals, of which the servo has one
 
 
 class RegisterTransfer(NamedTuple):
@@ -130,9 +128,8 @@ class ServoAxis(Axis):
         self._heard_ns = 0
         self._script: Script | None = None
         self._transfer: RegisterTransfer | None = None
-        self._tries = 0
         self._pending: tuple[int, bytes] | None = None
-        self._goals: deque[int] = deque(maxlen=TAKEN)
+        self._goals: deque[int] = deque(maxlen=LATENCY + 1)  # the servo has one of them
         self._stop_goal: int | None = None
         self._rows: list[tuple[int, int, int, int, list[int]]] = []
         self._sequence = 0
@@ -158,7 +155,6 @@ class ServoAxis(Axis):
 
     def answered(self, block: Block) -> None:
         """The answer to its transfer."""
-        self._tries = 0
         error = block.error & ~ALERT
         if error and self._transfer is not None:
             why = f"it refuses address {self._transfer.address} ({ERRORS.get(error, 'unknown error')})"
@@ -166,14 +162,12 @@ class ServoAxis(Axis):
         else:
             self._go_on(block.data)
 
-    def unanswered(self) -> None:
-        """Nothing, or no valid answer, came; the transfer is repeated some times."""
-        self._tries += 1
-        if self._tries >= UNANSWERED:
-            self._begin(None)
+    def lost(self) -> None:
+        """It is silent: a transfer, which is repeated as long as it is there, is given up."""
+        self._begin(None)
 
     def _begin(self, script: Script | None) -> None:
-        self._script, self._transfer, self._tries = script, None, 0
+        self._script, self._transfer = script, None
         if script is not None:
             self._go_on(None)
 
@@ -335,7 +329,7 @@ class ServoAxis(Axis):
             yield "has no torque"
         if self._said.watchdog != self._watchdog:
             yield f"has {self._said.watchdog} for a watchdog (98), not {self._watchdog}: it rebooted"
-        if len(self._goals) == TAKEN and self._said.goal not in self._goals:
+        if len(self._goals) == self._goals.maxlen and self._said.goal not in self._goals:
             yield f"takes no goals: it has {self._said.goal}"
 
     # What it is told
@@ -369,7 +363,7 @@ class ServoAxis(Axis):
             speed = self._said.velocity * table.VELOCITY_COUNTS_S
             way = round(0.5 * speed * abs(speed) / self.config.quick_stop)
             self._stop_goal = self._held((self.position or 0) + way)
-        elif abs(self._said.velocity) <= STANDSTILL or self._alert or self._said.watchdog == TRIPPED:
+        elif not self._said.velocity or self._alert or self._said.watchdog == TRIPPED:
             self._stands = self.config.holds and not self._alert
             if not self._stands and self._script is None:
                 self._begin(self._releasing())

@@ -80,9 +80,10 @@ class DrivenLine:
         """The answer to a servo's transfer."""
         self._axes[block.identifier].answered(block)
 
-    def unanswered(self, identifier: int) -> None:
-        """A servo's transfer was not answered."""
-        self._axes[identifier].unanswered()
+    def lost(self, identifier: int) -> None:
+        """A servo is silent."""
+        if identifier in self._axes:
+            self._axes[identifier].lost()
 
     def on_torque(self, identifier: int, is_on: bool) -> None:
         """A servo's Torque Enable."""

@@ -297,6 +297,35 @@ def test_a_goal_that_is_not_taken_stops_the_arm(bench):
     assert "elbow takes no goals" in flown.text("drive_stopped")
 
 
+@pytest.mark.parametrize(("lost", "stopped"), [(2, False), (3, True)])
+def test_goals_that_are_lost_in_a_row_stop_the_arm(bench, lost, stopped):
+    """As many as a joint may be behind its targets may be lost: nobody acknowledges them."""
+    flown = bench().run(MIDWAY_S)
+    left = iter([4] * lost)
+    flown.rig.drives["elbow"]._refuses = lambda address, value: next(left, 0) if address == 116 else 0
+    flown.run(0.1)
+    assert next(left, None) is None
+    assert ("drive_stopped" in flown.codes) == stopped
+
+
+def test_a_servo_that_falls_silent_in_its_set_up_is_set_up_when_it_is_back(bench):
+    flown = bench(faults=[Fault("silent", "elbow", 0.08, 0.5)]).run(0.2)
+    assert 0 < len(flown.kept.of("elbow_sent")) < len(flown.kept.of("shoulder_sent"))
+    flown.run(5.0)
+    assert flown.codes == PLAYED
+
+
+def test_a_servo_is_let_go_when_it_stands(bench):
+    flown = bench(drive="quick_stop_rad_s2 = 0.5").run(MIDWAY_S)
+    servo, rates = flown.rig.drives["shoulder"], []
+    changed = servo._changed
+    servo._changed = lambda at, now: (rates.append(servo.axis.rate_rad_s) if at == 64 else None, changed(at, now))
+    assert abs(servo.axis.rate_rad_s) > 0.2
+    flown.stop()
+    (rate,) = rates
+    assert abs(rate) < 2.0 * 0.229 * 2.0 * np.pi / 60.0  # two of its units of speed: it read 0 two rounds before
+
+
 def test_a_torque_that_another_master_takes_away_stops_the_arm(bench):
     flown = bench().run(3.5)
     flown.rig.drives["elbow"]._memory[64] = 0
