@@ -24,9 +24,12 @@ class MotorTorqueSensor:
         """Torque at ``time_s`` [N m], about the joint."""
         self._plant.require(time_s)
         position = time_s / self._plant.step_s
-        torque = interpolate_one(self._torque_n_m, position)
-        noise = float(self._noise[min(max(round(position), 0), self._plant.rows - 1)])
-        return float(self.gain * torque + self.offset_Nm + noise)
+        return self.measured(float(interpolate_one(self._torque_n_m, position)), time_s)
+
+    def measured(self, torque_n_m: float, time_s: float) -> float:
+        """What it makes of a torque at ``time_s`` [N m]."""
+        row = min(max(round(time_s / self._plant.step_s), 0), self._plant.rows - 1)
+        return float(self.gain * torque_n_m + self.offset_Nm + self._noise[row])
 
     def truth(self) -> dict[str, Any]:
         """The errors drawn."""

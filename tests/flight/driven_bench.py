@@ -38,12 +38,12 @@ def csv_of(time_s, q, head="time_s,j1,j2"):
     return "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in np.column_stack([time_s, q]))])
 
 
-def swings_csv(seconds, rate_hz):
-    """A motion of joint_1 and joint_2 that begins and ends at rest."""
+def swings_csv(seconds, rate_hz, start=(0.2, 0.4)):
+    """A motion of joint_1 and joint_2 from ``start`` and back."""
     time_s = np.linspace(0.0, seconds, round(rate_hz * seconds) + 1)
     size = np.sin(np.pi * time_s / seconds) ** 2
-    one, two = 0.2 + 0.4 * size * np.sin(1.57 * time_s), 0.4 + 0.35 * size * np.sin(1.95 * time_s)
-    return csv_of(time_s, np.stack([one, two], 1), "time_s,joint_1,joint_2")
+    swings = np.stack([0.4 * size * np.sin(1.57 * time_s), 0.35 * size * np.sin(1.95 * time_s)], 1)
+    return csv_of(time_s, start + swings, "time_s,joint_1,joint_2")
 
 
 def written(directory, drive="", elbow="gain = -1.0", csv=None, **limits):

@@ -16,18 +16,20 @@ from tests.flight.test_driven_flight import flown, plugged
 SECONDS = 6.0  # of the motion
 TIMEOUT_MS = 50  # in real time each round crosses two processes, which a busy computer may hold up
 REAL_TIMING = f"sample_period_ms = 10\ntimeout_ms = {TIMEOUT_MS}"
-NEW = ("--base", "free", "--joints", "2", "--encoder", "dynamixel")  # a free-flyer: nothing pulls at its arm
+NEW = ("--joints", "2", "--encoder", "dynamixel")
 
 
-def written(directory: Path, seconds: float = SECONDS, timing: str = "timeout_ms = 10") -> Path:
-    """An arm of ``heft init`` whose servos are driven, and a motion for it."""
+def written(
+    directory: Path, seconds: float = SECONDS, timing: str = "timeout_ms = 10", base: str = "free", elbow: float = 0.4
+) -> Path:
+    """An arm of ``heft init`` whose servos are driven, and a motion for it that begins with this elbow."""
     path = directory / "it" / "vehicle.toml"
-    assert cli.main(["init", str(path.parent), *NEW]) == cli.OK
+    assert cli.main(["init", str(path.parent), "--base", base, *NEW]) == cli.OK
     text = path.read_text().replace('kind = "dynamixel"', f'kind = "dynamixel"\ndriven = true\n{timing}')
     text = text.replace("gain_N_m_A = 1.78 ", "gain_N_m_A = 13.0 ")  # 30 N m, as the URDF says
     drive = 'armed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\nfollowing_error_rad = 0.4\nafter_stop = "hold"'
     path.write_text(f"{text}\n[drive]\n{drive}\n")
-    (path.parent / "motion.csv").write_text(swings_csv(seconds, 50))
+    (path.parent / "motion.csv").write_text(swings_csv(seconds, 50, (0.2, elbow)))
     return path
 
 
@@ -47,6 +49,26 @@ def test_an_arm_of_driven_servos_tells_what_it_holds(tmp_path: Path) -> None:
     assert abs(mass["value"] - truth["m_payload"]) < 3.0 * mass["sigma"]
     assert mass["sigma"] < 0.4 * truth["m_payload"]
     assert {drive.drive_state for drive in mission.drives.values()} == {1}
+
+
+def test_an_arm_that_hangs_in_gravity_tells_what_its_drives_and_payload_are(tmp_path: Path) -> None:
+    """Without torque it would fall: the motion begins where it hangs. docs/servos.md says why no Fv is compared."""
+    vehicle = written(tmp_path, base="fixed", elbow=np.pi / 2)
+    urdf = vehicle.with_suffix(".urdf")
+    urdf.write_text(urdf.read_text().replace('upper="1.5"', 'upper="2.5"'))
+    mission, log = world(vehicle, None, 8, SECONDS + 2.5), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
+    reader, truth = LogReader(log), mission.truth()
+    assert b"drive_done" in reader.read("event")["code"].tolist()
+    last = {row["name"].decode(): row for row in reader.read("quantity")}
+    payload, drives = truth["quantities"], truth["drives"]
+    wanted = {"MZ_payload": payload["m_payload"] * payload["c_z_payload"]}
+    for joint, drive in drives.items():
+        wanted |= {f"Fc_{joint}": drive["coulomb_n_m"], f"bias_{joint}_torque": truth[f"{joint}_torque"]["offset_Nm"]}
+    errors = {name: (last[name]["value"] - true) / last[name]["sigma"] for name, true in wanted.items()}
+    assert max(map(abs, errors.values())) < 3.0, errors
+    assert last["Fc_joint_1"]["sigma"] < 0.2 * wanted["Fc_joint_1"]
 
 
 def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ and goals are read-only until 0 is written to it.
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, PositiveFloat
@@ -46,6 +46,7 @@ class DynamixelServo(DynamixelTwin):
     Args:
         axis: What it turns.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        sensed: What its current tells of the motor's torque at a time [N m], [s]; None: that torque.
         faults: What breaks.
         options: Of :class:`DynamixelTwin`.
 
@@ -53,10 +54,18 @@ class DynamixelServo(DynamixelTwin):
         FaultError: a fault that it cannot have.
     """
 
-    def __init__(self, axis: Axis, start_ns: int, *, faults: DeviceFaults = NO_FAULTS, **options: Any) -> None:
+    def __init__(
+        self,
+        axis: Axis,
+        start_ns: int,
+        *,
+        sensed: Callable[[float, float], float] | None = None,
+        faults: DeviceFaults = NO_FAULTS,
+        **options: Any,
+    ) -> None:
         self.axis = axis
         self._loop = ServoLoop(axis, axis.angle_rad)
-        super().__init__(AxisAngle(axis), AxisTorque(axis), start_ns, faults=faults, **options)
+        super().__init__(AxisAngle(axis), AxisTorque(axis, sensed), start_ns, faults=faults, **options)
         axis.controller = self._control
 
     @property
@@ -211,12 +220,11 @@ class DynamixelTable(MeasuringEmulator):
             "seed": bench.seed,
             "faults": bench.faults,
         }
+        torque = bench.sensor(MotorTorqueSensor, "torque")
         if bench.axis is None:
-            twin = DynamixelTwin(
-                bench.sensor(EncoderSensor), bench.sensor(MotorTorqueSensor, "torque"), bench.start_ns, **options
-            )
+            twin = DynamixelTwin(bench.sensor(EncoderSensor), torque, bench.start_ns, **options)
         else:
             options["turns"] *= -1.0 if self.reversed_count else 1.0
-            twin = DynamixelServo(bench.axis, bench.start_ns, **options)
+            twin = DynamixelServo(bench.axis, bench.start_ns, sensed=torque.measured, **options)
         recorded = (bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))
         return Twin(twin, lambda: twin.answered, recorded, asks=asks)

@@ -166,11 +166,12 @@ class AxisAngle:
 
 
 class AxisTorque:
-    """Torque of an axis's motor, at the joint, as an input of a device."""
+    """Torque of an axis's motor, at the joint, as an input of a device; ``sensed``: with what it makes of that."""
 
-    def __init__(self, axis: Axis) -> None:
-        self._axis = axis
+    def __init__(self, axis: Axis, sensed: Callable[[float, float], float] | None = None) -> None:
+        self._axis, self._sensed = axis, sensed
 
     def value(self, time_s: float) -> float:
         """See ``ScalarAnalog``."""
-        return self._axis.motor_n_m(time_s)
+        torque = self._axis.motor_n_m(time_s)
+        return torque if self._sensed is None else self._sensed(torque, time_s)
