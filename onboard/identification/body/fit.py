@@ -21,7 +21,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
-from onboard.identification.body.start import PoseWindow, guess, state
+from onboard.identification.body.start import Guess, PoseWindow, guess, state
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
 from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
@@ -144,6 +144,15 @@ class BodyModel:
         self.weighed = stated.mass is not None
         self.steady_sigma = np.array([*[stated.uneven_m_s2] * 2, stated.turning_rad_s2])
 
+    @property
+    def thrusters(self) -> Thrusters:
+        """Of it."""
+        return self._thrusters
+
+    def with_thrusters(self, thrusters: Thrusters) -> "BodyModel":
+        """The same with others."""
+        return BodyModel(self._drawn, thrusters, self._tracker, self._stated)
+
     def body(self, x: FloatArray) -> tuple[float, FloatArray, float]:
         """Mass, kg, centre of mass, (2,) m, and moment of inertia about it, kg m^2."""
         mass_kg, centre_m, inertia = self._drawn
@@ -172,11 +181,13 @@ class BodyModel:
                 begun, least_s = other, tried_s
         found, settled = self._descend(windows, least_s, begun.x, _TOLERANCE, _MOST)
         white = self._whiteners(found.x, windows, least_s)
-        other, also = self._descend(windows, least_s, found.x, _TOLERANCE, _MOST, white)
         rows, spread = sum(noise.size for noise in windows.noise), sum(one.log_determinant for one in white)
+        other, _ = self._descend(windows, least_s, found.x, 1.0, _LOOKS, white)
         likelier = rows * float(np.log(found.residual_sum / other.residual_sum)) > spread  # the noise's scale unknown
         scattered = likelier and other.residual_sum < MISFIT_REFUSED * rows
-        found, settled, white = (other, also, white) if scattered else (found, settled, ())
+        if scattered:
+            found, settled = self._descend(windows, least_s, other.x, _TOLERANCE, _MOST, white)
+        white = white if scattered else ()
         parts = self._parts(found.x, windows, least_s, white)
         late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self._thrusters.valves]).mean())
         told = judged(found, parts, len(self.names), _SENSORS)
@@ -190,33 +201,46 @@ class BodyModel:
             lengths = np.quantile(lengths, np.linspace(0.0, 1.0, _LEAST_TRIED))
         return [float(length) + 1e-4 for length in lengths]
 
-    def _begun(self, windows: PoseWindows) -> FloatArray:
-        """Where a fit begins: a body by :func:`guess`, states by the first poses of each window."""
-        p, tracker, thrusters = len(self.names), self._tracker, self._thrusters
-        delays_s = np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s)
+    def left(self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]]) -> float:
+        """Sum of squares that a first guess leaves; infinite where there is none. Arguments as of :meth:`fit`."""
+        try:
+            windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
+            return self._guess(windows)[0].left
+        except ConvergenceError:
+            return np.inf
+
+    def _guess(self, windows: PoseWindows) -> tuple[Guess, float]:
+        """A body by :func:`guess`, and the delay."""
+        delays_s = np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s).tolist()
+        searched = np.array([self._forces(windows, delay_s, _SEARCHED) for delay_s in delays_s])
+        series = zip(windows.poses, windows.grid_s, searched.swapaxes(0, 1), strict=False)
+        some = [PoseWindow(time_s, measured, grid_s, force) for (time_s, measured, _), grid_s, force in series]
+        found = guess(some, self._tracker.place_m, self._tracker.yaw_rad, self._tracker.noise)
+        return found, delays_s[found.which]
+
+    def _forces(self, windows: PoseWindows, delay_s: float, most: int | None = None) -> FloatArray:
+        """Force and moment about the base's origin, base axes, means of each step of so many windows, (k, steps, 3)."""
+        thrusters, grid_s = self._thrusters, windows.grid_s[:most]
         ux, uy = np.cos(thrusters.direction), np.sin(thrusters.direction)
         arm = thrusters.place_m[:, 0] * uy - thrusters.place_m[:, 1] * ux
         full = thrusters.force_N[:, None] * np.stack([ux, uy, arm], axis=1)  # (j, 3)
-        grid_s = windows.grid_s
+        how = Opening(delay_s, 0.0, 0.0)
+        levels = [np.diff(valve.impulse_s(grid_s, how), axis=1) / windows.period_s for valve in thrusters.valves]
+        return np.asarray(np.stack(levels, axis=2) @ full, np.float64)
 
-        def forces(grid_s: FloatArray, delay_s: float) -> FloatArray:
-            """In base axes, (k, steps, 3)."""
-            found = np.zeros((*grid_s[:, 1:].shape, 3))
-            for valve, own in zip(thrusters.valves, full, strict=True):
-                level = np.diff(valve.impulse_s(grid_s, Opening(delay_s, 0.0, 0.0)), axis=1) / windows.period_s
-                found += level[..., None] * own
-            return found
-
-        searched = np.array([forces(grid_s[:_SEARCHED], delay_s) for delay_s in delays_s.tolist()])
-        series = [PoseWindow(*poses[:2], grid, np.zeros(0)) for poses, grid in zip(windows.poses, grid_s, strict=True)]
-        some = [one._replace(force=searched[:, k]) for k, one in enumerate(series[:_SEARCHED])]
-        first = guess(some, tracker.place_m, tracker.yaw_rad, tracker.noise)
+    def _begun(self, windows: PoseWindows) -> FloatArray:
+        """Where a fit begins: a body by :func:`guess`, states by the poses of each window."""
+        p, tracker = len(self.names), self._tracker
+        first, delay_s = self._guess(windows)
         x = np.zeros(p + STATE * len(windows.poses))
         x[:BODY] = np.log(first.mass_kg / self._drawn[0]), *first.centre_m, np.log(first.inertia_kg_m2)
         x[1:BODY] -= *self._drawn[1], np.log(self._drawn[2])
-        x[self.names.index("delay")] = delays_s[first.which]
-        states = x[p:].reshape(-1, STATE)
-        for own, window, force in zip(states, series, forces(grid_s, float(delays_s[first.which])), strict=True):
+        x[self.names.index("delay")] = delay_s
+        forces = self._forces(windows, delay_s)
+        for own, poses, grid_s, force in zip(
+            x[p:].reshape(-1, STATE), windows.poses, windows.grid_s, forces, strict=True
+        ):
+            window = PoseWindow(*poses[:2], grid_s, force[None])
             own[:6] = state(window, force, first, tracker.place_m, tracker.yaw_rad)
         return x
 

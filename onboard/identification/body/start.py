@@ -35,6 +35,7 @@ class Guess(NamedTuple):
     mass_kg: float
     centre_m: FloatArray  # (2,)
     inertia_kg_m2: float
+    left: float = 0.0  # sum of squares
 
 
 def guess(windows: list[PoseWindow], place_m: FloatArray, yaw_rad: float, noise: FloatArray) -> Guess:
@@ -49,7 +50,7 @@ def guess(windows: list[PoseWindow], place_m: FloatArray, yaw_rad: float, noise:
     Raises:
         ConvergenceError: under none of them the body moves as its thrusters push it.
     """
-    found = list[tuple[float, Guess]]()
+    found = list[Guess]()
     against = set[str]()
     for d in range(len(windows[0].force)):
         yaw, place = _Normal(3), _Normal(3)
@@ -66,11 +67,11 @@ def guess(windows: list[PoseWindow], place_m: FloatArray, yaw_rad: float, noise:
             against.add("turns against its thrusters" if by_yaw[0] <= 0.0 else "goes against its thrusters")
             continue
         inertia = 1.0 / by_yaw[0]
-        found.append((left, Guess(d, 1.0 / by_place[0], inertia * by_yaw[1:], inertia)))
+        found.append(Guess(d, 1.0 / by_place[0], inertia * by_yaw[1:], inertia, left))
     if not found:
         why = f"the body {' or '.join(sorted(against))}" if against else "the commands move nothing"
         raise ConvergenceError(f"{why}: check the axes of thrusters and tracker, and the sign of the yaw")
-    return min(found, key=lambda one: one[0])[1]
+    return min(found, key=lambda one: one.left)
 
 
 class _Normal:

@@ -1,6 +1,7 @@
 """``heft identify`` of a body without joints: its commands and its tracked pose, fitted in one batch."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 from scipy.special import stdtrit
@@ -17,6 +18,7 @@ from onboard.flight.estimate.body import body_model, key_of, thrusters_of, track
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
+from onboard.identification.body.misread import Reading, likelier
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import SHORTEST, TrackedPoses, WINDOW_s
 from onboard.identification.corrections import contradicted, doubtful, together
@@ -27,6 +29,7 @@ from onboard.identification.windows import against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
+_MISTAKES = 3  # in reading one recording
 _MISSED = 3.5  # periods without a command: what was commanded then is not known
 _TOLD = "of what the motion tells"
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
@@ -45,18 +48,22 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     names = (*model.names[:BODY], "delay")
+    reading = Reading((), model, poses)
     try:
         fit = model.fit(poses, known_s, unknown)
     except EstimationError as error:
-        nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=f"the fit failed: {error}")
+        failure = _misread(reading, known_s, unknown) or f"the fit failed: {error}"
+        nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=failure)
         return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
-    answers = _answers(vehicle, model, fit)
+    answers, findings = _answers(vehicle, model, fit), _findings(model, fit)
+    if findings.against and (misread := _misread(reading, known_s, unknown)):
+        findings = Findings((misread,), ())
     evidence = Evidence(
         fit.found.rows,
         {},
         {one.name: one.supported for one in answers if one.name in names},
         None,
-        findings=_findings(model, fit),
+        findings=findings,
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
@@ -168,6 +175,19 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[I
         IdentifiedQuantity(*one)
         for one in zip([model.names[k] for k in at], units[: len(at)], *numbers, leans, strict=True)
     )
+
+
+def _misread(reading: Reading, known_s: tuple[float, float], unknown: list[tuple[float, float]]) -> str:
+    """As what a recording is to be read so that nothing refuses it; empty where that is not found."""
+    for _ in range(_MISTAKES):
+        other = likelier(reading, known_s, unknown)
+        if other is None:
+            break
+        reading = other
+        with suppress(EstimationError):
+            if not _findings(reading.model, reading.model.fit(reading.poses, known_s, unknown)).against:
+                return f"the poses are as predicted if {' and '.join(reading.said)}: correct the mapping, or the URDF"
+    return ""
 
 
 def _findings(model: BodyModel, fit: BodyFit) -> Findings:

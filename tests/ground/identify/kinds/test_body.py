@@ -82,17 +82,34 @@ def test_a_recorder_that_repeats_poses_writes_them_late(tmp_path):
         assert found[name]["low"] < true < found[name]["high"], name
 
 
-def turned(bed):
-    """The tracker's x and y exchanged: its axes are left-handed."""
-    return bed._replace(poses=bed.poses[:, [1, 0, 2]])
+def turned(bed, sign=(1.0, 1.0, 1.0), order=(0, 1, 2)):
+    """Axes of the tracker of another sign, in another order."""
+    return bed._replace(poses=(bed.poses * sign)[:, order])
+
+
+def exchanged(bed, first, second):
+    """Columns of two thrusters, counted from 0."""
+    levels = bed.levels.copy()
+    levels[:, [first, second]] = levels[:, [second, first]]
+    return bed._replace(levels=levels)
 
 
 SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
 WRONG = {
-    "sign": (lambda: fly(71, 30.0, wrong=Wrong(force=SIGN)), "scale_t3"),
+    "sign": (lambda: fly(71, 30.0, wrong=Wrong(force=SIGN)), "if t3 pushes the other way:"),
     "stuck": (lambda: fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
     "place": (lambda: fly(73, 30.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
-    "turned": (lambda: turned(fly(74, 30.0)), "against its thrusters|axes"),
+    "turned": (lambda: turned(fly(74, 30.0), order=(1, 0, 2)), "if the tracker's x and y are exchanged:"),
+    "mirrored": (lambda: turned(fly(77, 30.0), (1, -1, 1)), "if the tracker's y counts the other way:"),
+    "below": (
+        lambda: turned(fly(78, 30.0), (-1, 1, -1)),
+        "if the tracker's x counts the other way and its yaw counts the other way:",
+    ),
+    "exchanged": (lambda: exchanged(fly(79, 30.0), 3, 6), "if t4 and t7 are exchanged:"),
+    "cycle": (
+        lambda: exchanged(exchanged(fly(80, 30.0), 0, 1), 1, 2),
+        r"if (t\d and t\d are exchanged( and )?){2}:",
+    ),
 }
 
 
