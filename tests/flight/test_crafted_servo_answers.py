@@ -1,0 +1,65 @@
+"""Servos that are driven, one of which answers anything: well-formed packets with other contents, and damaged ones."""
+
+import random
+import tempfile
+from contextlib import closing
+from pathlib import Path
+
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from tests.flight.servo_bench import ServoBench
+
+BEFORE, WITHIN = 0.0, 1.6  # s: before anything is armed, in mid-motion
+KINDS = ("contents", "byte", "error", "packet")
+
+
+def crafted(servo, kind, share, rng):
+    """A servo of whose answers a share is crafted."""
+    read, send = servo._read, servo._send
+
+    def other(data):
+        return rng.randbytes(len(data)) if kind == "contents" else changed(data)
+
+    def changed(data):
+        at = rng.randrange(max(len(data), 1))
+        return data[:at] + rng.randbytes(1) + data[at + 1 :]
+
+    def damaged(packet):
+        at = rng.randrange(len(packet))
+        return rng.choice([changed(packet), packet[:at], packet + packet[at:], rng.randbytes(at)])
+
+    def is_meant():
+        return rng.random() < share
+
+    if kind == "error":
+        own = {"_alert": property(lambda _: rng.randrange(1, 256) if is_meant() else 0)}  # the byte, of every answer
+        servo.__class__ = type("Crafted", (type(servo),), own)
+    elif kind == "packet":
+        servo._send = lambda packet, now: send(damaged(packet) if is_meant() else packet, now)
+    else:
+        servo._read = lambda *asked: other(read(*asked)) if is_meant() else read(*asked)
+
+
+@settings(max_examples=12)
+@given(st.sampled_from(KINDS), st.sampled_from([0.02, 0.2, 1.0]), st.sampled_from([BEFORE, WITHIN]), st.integers(0))
+@example("contents", 1.0, BEFORE, 0)
+@example("byte", 1.0, BEFORE, 0)
+@example("error", 1.0, WITHIN, 0)
+@example("error", 0.2, BEFORE, 0)
+@example("packet", 1.0, WITHIN, 0)
+def test_no_answer_raises_or_moves_an_arm_and_drives_stand_at_the_end(kind, share, begin_s, seed):
+    with tempfile.TemporaryDirectory() as directory, closing(ServoBench(Path(directory))) as flown:
+        flown.run(begin_s)
+        crafted(flown.rig.drives["elbow"], kind, share, random.Random(seed))
+        flown.run(3.0)
+        if share == 1.0 and begin_s == BEFORE:
+            assert "drive_started" not in flown.codes
+            assert max(axis.fastest_rad_s for axis in flown.rig.axes.values()) < 0.05
+        if share == 1.0 and begin_s == WITHIN:
+            assert "drive_stopped" in flown.codes
+            assert flown.is_at_rest()
+        flown.stop()
+        assert flown.is_at_rest()
+        assert flown.codes.count("drive_started") <= 1
+        assert flown.codes[-1:] != ["drive_started"]
