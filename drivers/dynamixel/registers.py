@@ -99,36 +99,25 @@ class Present(NamedTuple):
 
 
 def decode_identity(data: bytes) -> Identity:
-    """Addresses 0 to 9.
-
-    Raises:
-        FrameError: Fewer bytes.
-    """
-    if len(data) < IDENTITY_BYTES:
-        raise FrameError(f"{len(data)} bytes of an identity, {IDENTITY_BYTES} are needed: read addresses 0 to 9")
-    return Identity(int.from_bytes(data[:2], "little"), data[6], 2 * data[9])
+    """Addresses 0 to 9. Raises FrameError: fewer bytes."""
+    model, firmware, return_delay = _decoded("<H4xB2xB", data, IDENTITY)
+    return Identity(model, firmware, 2 * return_delay)
 
 
 def decode_present(data: bytes) -> Present:
-    """Addresses 126 to 135, and more.
-
-    Raises:
-        FrameError: Fewer bytes.
-    """
-    if len(data) < PRESENT_BYTES:
-        raise FrameError(f"{len(data)} bytes of a reading, {PRESENT_BYTES} are needed: read addresses 126 to 135")
-    return Present(*struct.unpack_from("<hii", data))
+    """Addresses 126 to 135, and more. Raises FrameError: fewer bytes."""
+    return Present(*_decoded("<hii", data, PRESENT))
 
 
 def decode_driven(data: bytes) -> DrivenState:
-    """Addresses 98 to 135.
+    """Addresses 98 to 135. Raises FrameError: fewer bytes."""
+    return DrivenState(*_decoded("<B17xi3xB4xii", data, DRIVEN))
 
-    Raises:
-        FrameError: Fewer bytes.
-    """
-    if len(data) < DRIVEN_BYTES:
-        raise FrameError(f"{len(data)} bytes of a reading, {DRIVEN_BYTES} are needed: read addresses 98 to 135")
-    return DrivenState(*struct.unpack_from("<B17xi3xB4xii", data))
+
+def _decoded(form: str, data: bytes, first: int) -> tuple[int, ...]:
+    if len(data) < (needed := struct.calcsize(form)):
+        raise FrameError(f"{len(data)} bytes, {needed} are needed: read addresses {first} to {first + needed - 1}")
+    return struct.unpack_from(form, data)
 
 
 @dataclass(frozen=True)

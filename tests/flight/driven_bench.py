@@ -46,15 +46,17 @@ def swings_csv(seconds, rate_hz, start=(0.2, 0.4)):
     return csv_of(time_s, start + swings, "time_s,joint_1,joint_2")
 
 
-def written(directory, drive="", elbow="gain = -1.0", csv=None, **limits):
+def files(directory, devices, csv=None, **limits):
+    """Vehicle file of a two-joint arm on a bench with these tables, its URDF and its motion."""
     (directory / "arm.urdf").write_text(urdf(**limits))
     (directory / "motion.csv").write_text(csv_of(*swing()) if csv is None else csv)
-    (directory / "vehicle.toml").write_text(f"""
-[vehicle]
-name = "arm"
-urdf = "arm.urdf"
-base = "fixed"
-base_link = "base"
+    vehicle = 'name = "arm"\nurdf = "arm.urdf"\nbase = "fixed"\nbase_link = "base"'
+    (directory / "vehicle.toml").write_text(f"[vehicle]\n{vehicle}\n{devices}")
+    return directory / "vehicle.toml"
+
+
+def written(directory, drive="", elbow="gain = -1.0", **said):
+    devices = f"""
 [bus.{BUS}]
 url = "can+virtual://arm"
 [device.can_sync]
@@ -84,8 +86,8 @@ driven = true
 armed = true
 motion = "motion.csv"
 {drive}
-""")
-    return directory / "vehicle.toml"
+"""
+    return files(directory, devices, **said)
 
 
 class Kept(Publisher):

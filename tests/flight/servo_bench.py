@@ -13,21 +13,14 @@ from hil_sim.devices.serial_line.dynamixel_servo import DynamixelServo
 from hil_sim.faults import FaultPlan
 from hil_sim.plants.drives.servo_axis import ServoAxis
 from hil_sim.scenario.bus_tables import SerialBusTable
-from tests.flight.driven_bench import MS, Bench, Kept, csv_of, swing, urdf
+from tests.flight.driven_bench import MS, Bench, Kept, files
 
 LINE = "tty_servos"
 SERVOS = {"shoulder": {"identifier": 1}, "elbow": {"identifier": 2, "turns": -1.0, "zero_count": 1777}}
 
 
-def written(directory, drive="", servo="timeout_ms = 10", csv=None, zero=1777, **limits):
-    (directory / "arm.urdf").write_text(urdf(**limits))
-    (directory / "motion.csv").write_text(csv_of(*swing()) if csv is None else csv)
-    (directory / "vehicle.toml").write_text(f"""
-[vehicle]
-name = "arm"
-urdf = "arm.urdf"
-base = "fixed"
-base_link = "base"
+def written(directory, drive="", servo="timeout_ms = 10", zero=1777, **said):
+    devices = f"""
 [bus.{LINE}]
 url = "serial:///dev/{LINE}?baud=1000000"
 [device.shoulder]
@@ -55,8 +48,8 @@ armed = true
 motion = "motion.csv"
 following_error_rad = 0.25
 {drive}
-""")
-    return directory / "vehicle.toml"
+"""
+    return files(directory, devices, **said)
 
 
 class ServoRig:
