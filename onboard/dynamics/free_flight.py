@@ -27,8 +27,9 @@ from onboard.dynamics.bodies import Bodies, motion_size, moving_frames
 from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.spatial import Columns, hat
+from onboard.dynamics.spatial import Columns
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.calibration.rotations import hat
 from onboard.native import library, structures
 
 

@@ -10,12 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.calibration.rotations import hat
 from onboard.native import library, structures
 
 
 def _maps() -> tuple[FloatArray, ...]:
     """Constant maps of a vector's elements to its matrices, and of a twist's to a link's momentum columns."""
-    hats = np.cross(np.eye(3), np.eye(3)[:, None])  # (3, 3, 3)
+    hats = hat(np.eye(3))
     crm, coad, momentum = np.zeros((6, 6, 6)), np.zeros((6, 6, 6)), np.zeros((6, 6, 10))
     crm[:3, :3, 3:] = crm[3:, :3, :3] = crm[3:, 3:, 3:] = hats
     coad[:3, :3, 3:] = coad[:3, 3:, :3] = coad[3:, 3:, 3:] = -hats
@@ -23,16 +24,10 @@ def _maps() -> tuple[FloatArray, ...]:
     momentum[3:, :3, 1:4], momentum[:3, 3:, 1:4] = hats, -hats
     of, to = np.repeat([3, 4, 5], 3), np.tile([3, 4, 5], 3)
     momentum[of, to, [4, 5, 7, 5, 6, 8, 7, 8, 9]] = 1.0  # XX XY YY XZ YZ ZZ
-    return hats.reshape(3, 9), crm.reshape(6, 36), -crm.swapaxes(1, 2).reshape(6, 36), coad.reshape(6, 36), momentum
+    return crm.reshape(6, 36), -crm.swapaxes(1, 2).reshape(6, 36), coad.reshape(6, 36), momentum
 
 
-_HAT, _CRM, _CRF, _COAD, MOMENTUM = _maps()
-
-
-def hat(a: FloatArray) -> FloatArray:
-    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
-    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
-    return out
+_CRM, _CRF, _COAD, MOMENTUM = _maps()
 
 
 def crm(V: FloatArray) -> FloatArray:

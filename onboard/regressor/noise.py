@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.regressor.rows import BaseMotion, RowFold, RowModel, skew
+from onboard.estimation.calibration.rotations import hat
+from onboard.regressor.rows import BaseMotion, RowFold, RowModel
 from onboard.regressor.signals import SignalNoise, Signals
 
 _NOISE_TICKS = 8
@@ -79,7 +79,7 @@ class RowNoise:
             (R_BS * of[at][:, None]).swapaxes(1, 2) for of in (noise.acceleration, noise.rate, noise.specific_force)
         )
         # Errors of rate and angular acceleration also enter the lever-arm part of f.
-        arm, turning = skew(p_BS), hat(w[:, -1])
+        arm, turning = hat(p_BS), hat(w[:, -1])
         f[:, rate] -= w_noise @ hat(turning @ p_BS) - w_noise @ arm @ turning
         f[:, acceleration] -= dw_noise @ arm
         f[:, force] += f_noise

@@ -29,6 +29,7 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.calibration.rotations import hat
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
 
@@ -159,13 +160,7 @@ def base_motion(
     w, dw, f = (part @ R_BS.T for part in parts)
     # f_S = f_B + dw x p + w x (w x p), and w x (w x p) = w (w.p) - p (w.w)
     centripetal = w * (w @ p_BS)[:, None] - p_BS * np.einsum("ni,ni->n", w, w)[:, None]
-    return BaseMotion(w, dw, f - dw @ skew(p_BS) - centripetal)
-
-
-def skew(v: FloatArray) -> FloatArray:
-    """Cross-product matrix, (3, 3): ``skew(v) @ x = v x x``."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.float64)
+    return BaseMotion(w, dw, f - dw @ hat(p_BS) - centripetal)
 
 
 class RowFold(NamedTuple):

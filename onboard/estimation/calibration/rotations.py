@@ -1,4 +1,4 @@
-"""Cross products and rotation vectors as matrices, of one (3,) at a time, without the overhead of general libraries."""
+"""Cross products and rotation vectors as matrices, without the overhead of general libraries."""
 
 import math
 
@@ -6,18 +6,13 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 
-
-def hat(v: FloatArray) -> FloatArray:
-    """(3, 3): ``hat(v) w = v x w``."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+_HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 
 
-def hats(v: FloatArray) -> FloatArray:
-    """The same of many, (n, 3, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - out.transpose(0, 2, 1)
+def hat(a: FloatArray) -> FloatArray:
+    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
+    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
+    return out
 
 
 def turn(v: FloatArray) -> FloatArray:

@@ -27,14 +27,14 @@ from scipy.linalg import lapack
 from scipy.special import stdtr
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat, hats, rotation_vector, turn
+from onboard.estimation.calibration.rotations import hat, rotation_vector, turn
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import FARTHEST_SIZE, READING
 
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
 _OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
-_HATS = hats(np.eye(3))  # of the axes
+_HATS = hat(np.eye(3))  # of the axes
 _AXES = np.arange(6)
 REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
 # Of scales and cross-talk, (36,): the reading, what of (m d, p x d) is taken, and times what.
@@ -286,7 +286,7 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> State:
     mass = float((S * way).sum() / max((about**2).sum(), 1e-300))
     d = h @ M.T
     d -= d.mean(axis=0)
-    A = -hats(d).reshape(-1, 3)  # p x d = -d x p
+    A = -hat(d).reshape(-1, 3)  # p x d = -d x p
     moment = (wrench[:, 3:] - wrench[:, 3:].mean(axis=0)).ravel()
     p = np.linalg.lstsq(A, moment)[0]
     return State(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
