@@ -1,7 +1,7 @@
 """Whether the yaw of a body on a table is in rad or in degrees: by where its thrusters push it.
 
 A body on a table may turn as often as it likes, or hold its heading within a few degrees: the size of the numbers does
-not tell their unit. That it goes along its own thrusters does, whatever its mass.
+not tell their unit. That it goes along its own thrusters does, whatever its mass, and whichever way the axes count.
 """
 
 import numpy as np
@@ -38,6 +38,7 @@ def unit_of(time_s: FloatArray, place: FloatArray, yaw: FloatArray, levels: Floa
     if rows <= columns:
         return ""
     went = _twice(np.asarray(x + 1j * y, np.complex128), apart)
+    either_way = np.stack([went, went.conj()], axis=1)  # as recorded, and if one axis, or the yaw, counts the other way
     left = {"rad": np.inf, "deg": np.inf}
     for delay_s in _DELAYS_s:
         at = np.clip(np.searchsorted(t, grid - delay_s, side="right") - 1, 0, len(t) - 1)
@@ -46,8 +47,8 @@ def unit_of(time_s: FloatArray, place: FloatArray, yaw: FloatArray, levels: Floa
             turned = np.asarray(np.exp(1j * angle), np.complex128)
             way: NDArray[np.complex128] = np.cumsum(np.cumsum(turned[:, None] * pushed, axis=0), axis=0) * _STEP_s**2
             A = np.column_stack([_twice(way, apart), _twice(turned, apart), np.ones(len(went))])
-            rest = went - A @ np.linalg.lstsq(A, went, rcond=None)[0]
-            left[unit] = min(left[unit], float(np.vdot(rest, rest).real))
+            rest = either_way - A @ np.linalg.lstsq(A, either_way, rcond=None)[0]
+            left[unit] = min(left[unit], float((np.abs(rest) ** 2).sum(axis=0).min()))
     best = min(left, key=lambda unit: left[unit])
     nats = rows * abs(np.log(left["rad"] / left["deg"])) if min(left.values()) > 0.0 else 0.0
     return best if nats > -np.log(ODDS) else ""

@@ -235,8 +235,12 @@ def test_thrusters_and_the_pose_of_a_body_on_a_table(tmp_path, named, pose):
 
 @pytest.mark.parametrize("unit", ["rad", "deg"])
 @pytest.mark.parametrize("largest", [0.15, 12.0])
-def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, unit, largest):
-    """A heading up to 12 rad, or 9 degrees, of which no name says the unit; thrusters in per cent. A body of 8 kg."""
+@pytest.mark.parametrize("y_sign", [1.0, -1.0])
+def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, unit, largest, y_sign):
+    """A heading up to 12 rad, or 9 degrees, of which no name says the unit; thrusters in per cent. A body of 8 kg.
+
+    A y that counts the other way made degrees of radians.
+    """
     rng = np.random.default_rng(3)
     time, step = np.arange(0.0, 60.0, 0.01), 0.01
     levels = np.repeat(rng.integers(0, 2, (4, 60)) * rng.uniform(0.3, 1.0, (4, 60)), 100, axis=1)
@@ -244,7 +248,7 @@ def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, uni
     way = np.exp(1j * yaw) * ([1.0, -1.0, 1.0j, -1.0j] @ levels) * 0.5 / 8.0
     place = np.cumsum(np.cumsum(way)) * step**2 + 0.05 * np.exp(1j * yaw)
     noise = 3e-4 * rng.normal(size=(2, len(time)))
-    columns = [time, *(100.0 * levels), place.real + noise[0], place.imag + noise[1]]
+    columns = [time, *(100.0 * levels), place.real + noise[0], y_sign * place.imag + noise[1]]
     columns.append(yaw if unit == "rad" else np.degrees(yaw))
     path = made.text(tmp_path / "a.csv", ["t", "u1", "u2", "u3", "u4", "x", "y", "yaw"], columns)
     names = Names(body=BodyChannels(("t1", "t2", "t3", "t4"), pose="tracker"))
