@@ -214,14 +214,15 @@ def _with_joint_noise(ticks: Ticks) -> Ticks:
     """Ticks with the noise of quantised and smoothed joints and their gears, as the estimator's smoother states it."""
     inflation = correlation_inflation(SMOOTHING_s, TICK_s, SPLINE)
     at_s, count_rad = STEP_s * np.arange(301), 2.0 * np.pi / free_flyer.COUNTS_PER_TURN
-    response, sigma = Response(SMOOTHING_s), ticks.joint_sigma.copy()
+    response, sigma, own = Response(SMOOTHING_s), ticks.joint_sigma.copy(), ticks.sample_sigma.copy()
     for order in (1, 2):
         gain = float(smooth(at_s, np.zeros((301, 1)), at_s[150:151], SMOOTHING_s, order).noise_gain[0])
         squares = (count_rad * gain) ** 2 / 12.0 * np.ones_like(ticks.dq)
+        own[:, order - 1] = np.sqrt(squares)
         for periods, rms in _ripple():
             squares += (CYCLIC_LEFT * rms * response.gain(periods * ticks.dq, order)) ** 2
         sigma[:, order - 1] = inflation * np.sqrt(squares)
-    return ticks._replace(joint_sigma=sigma)
+    return ticks._replace(joint_sigma=sigma, sample_sigma=own)
 
 
 def _ripple() -> tuple[tuple[float, float], ...]:

@@ -19,22 +19,23 @@ class Causes:
     Args:
         keys: of each parameter; empty for what has none.
         sigma: stated, of each parameter, (p,).
+        further: keys of which no parameter is; the last ones.
 
     Attributes:
         names: of the c keys.
         at: of each parameter's key among these; -1 for none.
     """
 
-    def __init__(self, keys: Sequence[str], sigma: FloatArray) -> None:
+    def __init__(self, keys: Sequence[str], sigma: FloatArray, further: Sequence[str] = ()) -> None:
         stated = [key if np.isfinite(s) and s > 0.0 else "" for key, s in zip(keys, sigma.tolist(), strict=True)]
-        self.names = tuple(dict.fromkeys(key for key in stated if key))
+        self.names = (*dict.fromkeys(key for key in stated if key), *further)
         self.at = np.array([self.names.index(key) if key else -1 for key in stated], np.intp)
         self._of = np.zeros((len(keys), len(self.names)))
         some = np.flatnonzero(self.at >= 0)
         self._of[some, self.at[some]] = 1.0 / sigma[some] ** 2
 
     def effects(self, along: FloatArray) -> FloatArray:
-        """What one sigma of each key does to some answers, (k, c).
+        """What one sigma of each key does to some answers, (k, c); zero of those of which no parameter is.
 
         Args:
             along: covariance of the answers with each parameter, (k, p).

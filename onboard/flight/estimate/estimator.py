@@ -209,10 +209,10 @@ class Estimator:
             refused |= thrust.refused
             joints[:, thrust.refused != 0] = np.nan  # nothing is predicted without
             refused |= self._gates(at_ns, joints, measured[:, 3:6])
-            if not self._further:
-                refused |= of_rows[:, 0]
+            refused |= of_rows[:, 0] * (not self._further)
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
-            noise = SignalNoise(spread[0], spread[1], spread[2], *motion, self.inflation)
+            own = OfSamples(np.hstack([*of_joints, np.zeros((len(at_ns), 9))]), self._at_joints.orders)
+            noise = SignalNoise(spread[0], spread[1], spread[2], *motion, self.inflation, own)
             more = sigma, None, noise, None, of_rows, cyclic, np.nan_to_num(thrust.derivatives[0])
             signals = Signals(time_s, q, dq, ddq, motion, measured, *more)
         else:

@@ -49,6 +49,7 @@ _MOST_SLOW = 4.0  # power below 1.5 Hz
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
 _LEANINGS = 2  # keys that an answer leans on: as above
+_NOISE_OF_JOINTS = "noise_rad of the joints"
 
 
 def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
@@ -100,7 +101,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
-        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma)
+        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma, [_NOISE_OF_JOINTS])
         self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion, exiddm.rivals.spanned)
         self._attached: bool | None = None
         self._told = 0
@@ -338,7 +339,9 @@ class ExiddmIdentifier:
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
-        self._mixed = weighed, weighed.mixed(partial(weighed.known, part=PAYLOAD)), misfit
+        mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
+        shift, covariance = self.exiddm.correction.shift, self.exiddm.correction.covariance
+        self._mixed = weighed, mixture.corrected(shift, covariance / misfit), misfit  # which does not widen that
         return self._mixed[1:]
 
     def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:
@@ -353,6 +356,7 @@ class ExiddmIdentifier:
         weighed = self._weighed
         _, covariance = weighed.known(weighed.likeliest)
         effects = self._causes.effects(along @ covariance[PAYLOAD])
+        effects[:, -1] = np.abs(along @ self.exiddm.correction.sigma)
         for one, share in zip(weighed.counting, shares, strict=True):
             if (
                 one.suspect is None

@@ -6,8 +6,29 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Normal
+from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.exiddm.misfit import beyond_chance
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+
+INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
+_PATIENCE = 6  # predictions by whose gain the rest is judged
+
+
+class Instrument(NamedTuple):
+    """Lines whose residuals are judged together."""
+
+    name: str
+    device: int  # its number among the predictor's instruments, 0: the first IMU
+    lines: slice
+
+
+def instruments_of(predictor: ImuPredictor) -> list[Instrument]:
+    """Gyro and accelerometer of the first IMU, and the further ones."""
+    first = [Instrument(name, 0, slice(3 * k, 3 * k + 3)) for k, name in enumerate(INSTRUMENTS)]
+    further = zip(predictor.further, predictor.lines[1:], strict=True)
+    return [*first, *(Instrument(one.name, device, own) for device, (one, own) in enumerate(further, 1))]
 
 
 class NormalEquations(NamedTuple):
@@ -63,3 +84,23 @@ def apart(effect: FloatArray, stretch: IndexArray) -> Callable[[FloatArray], Flo
         return np.subtract(rows, moved, out=moved)
 
     return apply
+
+
+def give_up(bests: Sequence[float], rows: int, evaluations: int) -> None:
+    """Stop a fit that will not come near the readings if it goes on as in the last predictions.
+
+    Args:
+        bests: the least residual sum after each prediction.
+        rows: number of residuals.
+        evaluations: predictions, at most.
+
+    Raises:
+        ConvergenceError: it is such a fit.
+    """
+    misfit = bests[-1] / max(rows, 1)
+    if len(bests) <= _PATIENCE or misfit < MISFIT_REFUSED:
+        return
+    gain = bests[-1] / bests[-1 - _PATIENCE]
+    if misfit * gain ** ((evaluations - len(bests)) / _PATIENCE) > MISFIT_REFUSED:
+        said = f"residuals stay at {misfit**0.5:.3g} times the noise"
+        raise ConvergenceError(f"no payload explains the readings: {said}; check ranges, axes and clocks of all")

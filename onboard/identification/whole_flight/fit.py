@@ -27,18 +27,25 @@ from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
-from onboard.estimation.policy import MISFIT_REFUSED, MOST_CONTRADICTED, READING
+from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import correction_of
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.whole_flight.blocks import NormalEquations, apart, misfit_by_instrument, total_of
+from onboard.identification.whole_flight.blocks import (
+    Instrument,
+    NormalEquations,
+    apart,
+    give_up,
+    instruments_of,
+    misfit_by_instrument,
+    total_of,
+)
 
-INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
 _BLOCK_TICKS = 200
 _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
 _EVALUATIONS = 25  # predictions of the flight in a stage
-_PATIENCE = 6  # predictions by whose gain the rest is judged
 _ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
 _LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
 _SAME = 0.05  # relative change of a sigma that counts as none: 0.1 % in the mean
@@ -50,14 +57,6 @@ class Segment(NamedTuple):
 
     ticks: Ticks
     held: bool
-
-
-class Instrument(NamedTuple):
-    """Lines whose residuals are judged together."""
-
-    name: str
-    device: int  # its number among the predictor's instruments, 0: the first IMU
-    lines: slice
 
 
 class FlightFit(NamedTuple):
@@ -127,7 +126,7 @@ class WholeFlight:
     ) -> None:
         self._predictor = predictor
         self.further, self.key_of = predictor.further, predictor.key_of
-        self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
+        self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)
         self.segments = [one for one in segments if len(one.ticks.time_s) >= _SHORTEST_TICKS]
@@ -238,11 +237,22 @@ class WholeFlight:
 
     def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
         found, blocks = minimum.fit, minimum.blocks
-        chi, covariance = found.x[:10], found.covariance[:10, :10]
+        correction = correction_of(found.covariance[:10], self._noise_added(found.x))
+        chi, covariance = found.x[:10] + correction.shift, found.covariance[:10, :10] + correction.covariance
         freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
         told = found, self.names, chi, covariance, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
+
+    def _noise_added(self, x: FloatArray) -> FloatArray:
+        """What noise of the joints' samples adds to the gradient, (p,), at x, (p,)."""
+        added, widths = np.zeros(len(self.names)), [own.stop - own.start for own in self._predictor.lines]
+        for k, one in enumerate(self.segments):
+            use = np.repeat(self._use[k] & np.isin(np.arange(len(widths)), self.devices), widths, axis=1)[1:-1]
+            by_state = self._predictor.noise_added(one.ticks, self._sigma[k][1:-1], use, self.state(x, k))
+            by_state[PAYLOAD] *= one.held
+            added[: self.constants] += by_state[RATE.stop :]
+        return added
 
     def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:
         """Normal equations of all ticks up to so many seconds after the start of each segment, at x, (p,)."""
@@ -296,7 +306,7 @@ class WholeFlight:
             if cost < best[0]:
                 best = cost, at, blocks, self._left
             bests.append(best[0])
-            _give_up(bests, sum(block.rows for block in blocks))
+            give_up(bests, sum(block.rows for block in blocks), _EVALUATIONS)
             return total
 
         found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, _DAMPING)
@@ -401,28 +411,3 @@ class WholeFlight:
                 columns.append(at[begun])
         J = np.concatenate(parts, axis=1)
         return r, J if split is None else split(J), np.concatenate(columns).astype(np.intp)
-
-
-def _give_up(bests: Sequence[float], rows: int) -> None:
-    """Stop a fit that will not come near the readings if it goes on as in the last predictions.
-
-    Args:
-        bests: the least residual sum after each prediction.
-        rows: number of residuals.
-
-    Raises:
-        ConvergenceError: it is such a fit.
-    """
-    misfit = bests[-1] / max(rows, 1)
-    if len(bests) <= _PATIENCE or misfit < MISFIT_REFUSED:
-        return
-    gain = bests[-1] / bests[-1 - _PATIENCE]
-    if misfit * gain ** ((_EVALUATIONS - len(bests)) / _PATIENCE) > MISFIT_REFUSED:
-        said = f"residuals stay at {misfit**0.5:.3g} times the noise"
-        raise ConvergenceError(f"no payload explains the readings: {said}; check ranges, axes and clocks of all")
-
-
-def _instruments_of(predictor: ImuPredictor) -> list[Instrument]:
-    first = [Instrument(name, 0, slice(3 * k, 3 * k + 3)) for k, name in enumerate(INSTRUMENTS)]
-    further = zip(predictor.further, predictor.lines[1:], strict=True)
-    return [*first, *(Instrument(one.name, device, own) for device, (one, own) in enumerate(further, 1))]

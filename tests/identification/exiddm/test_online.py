@@ -15,6 +15,7 @@ from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.joint_noise import correction_of
 
 
 def as_stated(state: np.ndarray, covariance: np.ndarray) -> Weighed:
@@ -92,6 +93,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
             covariance=covariance,
             lines=quiet,
             misfit=quiet,
+            correction=correction_of(np.zeros((10, 1)), np.zeros(1)),
             rivals=SimpleNamespace(spanned=NONE),
         )
     )
@@ -144,6 +146,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             state=state,
             lines=quiet,
             misfit=quiet,
+            correction=correction_of(np.zeros((10, 1)), np.zeros(1)),
             rivals=SimpleNamespace(weighed=Once(), spanned=NONE),
             held=True,
             holds=True,

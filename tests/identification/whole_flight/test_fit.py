@@ -17,8 +17,8 @@ from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.whole_flight import witnesses
-from onboard.identification.whole_flight.blocks import apart, total_of
-from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight
+from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
 from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_of, freely, kinds_of, leans_on
 from tests.dynamics.free_flyer_twin import BOX, URDF

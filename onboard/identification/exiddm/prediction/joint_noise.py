@@ -1,11 +1,22 @@
-"""What the noise of the joints does to a prediction.
+"""What the noise of the joints does to a prediction, and to an estimate.
 
 From the momentum equation of :mod:`onboard.dynamics.free_flight` with eta = 0: the error of the base's twist is
 ``-C^-1 M`` times that of the joint rates, the error of its acceleration the same times that of the joint accelerations.
 Products of rates are neglected.
+
+The noise is in a prediction and in its derivatives alike (errors in variables). With E(x) what one error of a joint
+does to a line of sigma R, it adds ``sum (dE/dx)' s^2 E / R^2`` to the gradient ``J' r`` of predicted less measured, and
+an estimate of covariance P is off by -P times that (Fuller, Measurement Error Models, 1987, section 3.2), mostly
+towards a light payload. s is the noise of the joints' samples as it is, without an inflation. Every product is taken of
+predictions with an error of one joint's rate or acceleration, each in its turn.
+
+That is of first order, and what is stated of a sensor is the most that it has: an estimate is corrected by half of it,
+with the sigma of a uniform distribution from none to all.
 """
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +30,46 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.further import PlacedImu
 
 _POSTURE_TICKS = 10  # over which the arm's posture is constant
+
+
+class NoiseCorrection(NamedTuple):
+    """Of k estimates."""
+
+    shift: FloatArray  # (k,)
+    sigma: FloatArray  # (k,) of that, all of them together
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(k, k)."""
+        return np.outer(self.sigma, self.sigma)
+
+
+def correction_of(covariance: FloatArray, added: FloatArray) -> NoiseCorrection:
+    """For the noise of the joints.
+
+    Args:
+        covariance: of k estimates with all p parameters, (k, p).
+        added: what it adds to the gradient, (p,).
+    """
+    all_of_it = covariance @ added
+    return NoiseCorrection(0.5 * all_of_it, all_of_it / math.sqrt(12.0))
+
+
+def in_turn(sigma: FloatArray, at_a_time: int, begin: int) -> FloatArray:
+    """Errors of one joint's rate or acceleration at each tick, the next one's after a batch, (n, 2, joints).
+
+    They are so large that their squares, summed over all turns, are those of all errors together.
+
+    Args:
+        sigma: (n, 2, joints).
+        at_a_time: ticks of a batch.
+        begin: the number of the first turn.
+    """
+    n, turns = len(sigma), sigma[0].size
+    at, turn = np.arange(n), (begin + np.arange(n) // at_a_time) % turns
+    errors = np.zeros((n, turns))
+    errors[at, turn] = math.sqrt(turns) * sigma.reshape(n, turns)[at, turn]
+    return errors.reshape(sigma.shape)
 
 
 class JointNoise:

@@ -8,7 +8,7 @@ import numpy as np
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.native import library
-from onboard.regressor.signals import Signals
+from onboard.regressor.signals import Signals, noise_of_joints
 
 BATCH_TICKS = 10  # that the filter takes in one step
 _IMMODERATE = 1e12  # of a prediction in SI units
@@ -59,6 +59,7 @@ class Ticks(NamedTuple):
     measured: FloatArray  # (n, m) means of rate and specific force, IMU axes, then of further instruments; NaN: none
     sigma: FloatArray  # (n, m) of these
     joint_sigma: FloatArray  # (n, 2, joints) of dq, inflated for the correlation of neighbouring ticks, and of ddq
+    sample_sigma: FloatArray  # (n, 2, joints) of dq and ddq, each tick by itself: what noise of samples makes of it
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
     thrust: FloatArray  # (n, k) of the thrusters, N, means
 
@@ -86,7 +87,7 @@ class Ticks(NamedTuple):
         """No ticks of so many joints, lines of instruments and thrusters."""
         angles, shown, thrust = np.zeros((0, joints)), np.zeros((0, lines)), np.zeros((0, thrusters))
         noise = np.zeros((0, 2, joints))
-        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, noise, np.zeros((0, 3, 0)), thrust)
+        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, noise, noise, np.zeros((0, 3, 0)), thrust)
 
     def flight(self, period_s: float, samples: int, imu: slice = slice(6)) -> FlightSignals:
         """As one flight, every tick with the median noise.
@@ -110,10 +111,15 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
         signals: at n ticks; joints without a noise are taken for exact.
         measured: (n, m) rate and specific force, then further instruments, NaN where refused.
     """
-    joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
-    if signals.noise is not None:
-        joint_sigma = np.stack([signals.noise.inflation * signals.noise.dq, signals.noise.ddq], axis=1)
+    n, joints_count = signals.q.shape
+    joint_sigma = sample_sigma = np.zeros((n, 2, joints_count))
+    if (noise := signals.noise) is not None:
+        joint_sigma = np.stack([noise.inflation * noise.dq, noise.ddq], axis=1)
+        if noise.of_samples is not None:
+            share = noise.of_samples.share[:, joints_count : 3 * joints_count].reshape(n, 2, joints_count)
+            own = noise_of_joints(np.stack([noise.q, noise.dq, noise.ddq]), signals.dq, signals.ddq)
+            sample_sigma = np.sqrt(share) * np.stack(own[1:], axis=1)
     cyclic = np.zeros((len(signals.time_s), 3, 0)) if signals.cyclic is None else signals.cyclic
     thrust = np.zeros((len(signals.time_s), 0)) if signals.thrust is None else signals.thrust
     joints = signals.q, signals.dq, signals.ddq
-    return Ticks(signals.time_s, *joints, measured, signals.sigma, joint_sigma, cyclic, thrust)
+    return Ticks(signals.time_s, *joints, measured, signals.sigma, joint_sigma, sample_sigma, cyclic, thrust)

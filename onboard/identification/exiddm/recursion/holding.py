@@ -3,8 +3,10 @@
 import numpy as np
 
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection, correction_of
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.bounded_work import BoundedWork
 
 
@@ -18,6 +20,8 @@ class Holding(BoundedWork):
     Attributes:
         state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
         covariance: (p, p).
+        noise_added: what noise of the joints' samples has added to the gradient since the start or the last change,
+            (p,): see ``ImuPredictor.noise_added``.
         held: a payload is held; None while that is not decided.
     """
 
@@ -27,6 +31,7 @@ class Holding(BoundedWork):
         self.state: FloatArray | None = None
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.held: bool | None = None
+        self.noise_added = self._noise_before = np.zeros(len(predictor.names))
 
     @property
     def holds(self) -> bool:
@@ -37,4 +42,17 @@ class Holding(BoundedWork):
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
         if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
             return None
-        return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])
+        correction = self.correction
+        covariance = self.covariance[PAYLOAD, PAYLOAD] + correction.covariance
+        return body_estimate(self.state[PAYLOAD] + correction.shift, covariance)
+
+    def _noise_of(self, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> None:
+        """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
+        if self.held and self.state is not None and ticks.sample_sigma.any():
+            turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
+            self.noise_added = self.noise_added + self.predictor.noise_added(ticks, sigma, use, self.state, turn)
+
+    @property
+    def correction(self) -> NoiseCorrection:
+        """Of the payload's standard parameters, for noise of the joints."""
+        return correction_of(self.covariance[PAYLOAD], self.noise_added)

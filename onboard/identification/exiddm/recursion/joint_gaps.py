@@ -62,6 +62,7 @@ def _filled(ticks: Ticks) -> Ticks:
         ddq=joints[:, 2],
         measured=np.full(inner.measured.shape, np.nan),
         joint_sigma=np.repeat(ticks.joint_sigma[[0, -1]].max(axis=0, keepdims=True), len(at_s), axis=0),
+        sample_sigma=np.zeros(inner.sample_sigma.shape),  # none of these is used
         cyclic=_between(ticks.cyclic[[0, -1]], at_s, whole_s),
     )
 

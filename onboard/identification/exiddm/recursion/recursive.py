@@ -147,6 +147,7 @@ class RecursiveExiddm(Holding):
     def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None) -> None:
         """Begin a window with what was known so many batches ago; None: before the first tick."""
         now = self._prior if self.state is None else (self.state, self.covariance)
+        self._noise_before = self.noise_added * (batches_back is not None)
         if batches_back is None:
             now = self._initial
         elif len(self._snapshots):
@@ -285,6 +286,7 @@ class RecursiveExiddm(Holding):
 
     def _go_on_from(self, solved: Solved) -> None:
         self._start, self.state, self.covariance, self.ticks_used = solved[1:5]
+        self.noise_added = solved.noise_added + (solved.hypothesis is HeldPayload.SAME) * self._noise_before
         self.lines.begin(solved.residual)
         self.rivals.steps.begin(solved.steps)
 
@@ -325,6 +327,8 @@ class RecursiveExiddm(Holding):
             innovation, used = self.innovations.agreeing(batch, there, covariance, innovation, self.misfit, step)
             state, covariance = innovation.corrected(used, state, covariance)
             self.ticks_used += int(there[:, own.start].sum())
+            seen = np.isfinite(self.fusion.without(self.fusion.left_out, batch.measured))
+            self._noise_of(ticks, batch.sigma, there & seen)
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
         self.rivals.steps.step(innovation.first(used), predicted.transition)

@@ -80,6 +80,7 @@ class Solved(NamedTuple):
     residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
     kept: FloatArray  # (p, p) covariance with which a filter goes on
     steps: Changed  # inside it
+    noise_added: FloatArray  # (p,) by noise of the joints' samples to the gradient: ``ImuPredictor.noise_added``
 
     @property
     def mass_sigma(self) -> float:
@@ -210,8 +211,8 @@ class WindowSolve:
         if not self._left or use[:FIRST_TICKS, self._own.start].sum() < FIRST_TICKS // 2:
             self.over, self._descent = True, None
             return
-        self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
-        self._checked = False  # whether the iteration moved what the ticks do not tell
+        # not checked is whether the iteration moved what the ticks do not tell
+        self._hypothesis, self._use, self._glitches, self._checked = self._left.pop(0), use, 0, False
         self._problem: Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
         self._stopped_at: Fit | None = None  # short of a minimum, where no guess leads to one
@@ -354,7 +355,6 @@ class WindowSolve:
         strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), DOUBT)))
         end = whole.state + F @ (fitted.x - self._at)
         cost = fitted.residual_sum + glitches * float(chdtri(1.0, READING))
-        residual = whole.residual[:, self._own].copy()
         kept = covariance
         if self._predictor.bends.size:  # what drives them is not exact: hardly a window's period counts
             active = self._problem.active
@@ -367,8 +367,9 @@ class WindowSolve:
             -along - across @ (fitted.x - self._at),
             products - across @ moves,
         )
-        told = strained, cost, residual, kept, steps
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told)
+        told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
+        noise = self._predictor.noise_added(self._ticks, self._sigma[1:-1], use, start)
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

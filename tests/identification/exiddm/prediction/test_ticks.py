@@ -13,7 +13,15 @@ def test_a_flight_by_the_second_imu_needs_nothing_of_an_instrument_that_is_silen
     sigma[:, :6] = sigma[:, 12] = np.nan
     q = np.zeros((n, 2))
     ticks = Ticks(
-        np.arange(n), q, q, q, np.tile(shown, (n, 1)), sigma, np.zeros((n, 2, 2)), np.zeros((n, 3, 0)), np.zeros((n, 0))
+        np.arange(n),
+        q,
+        q,
+        q,
+        np.tile(shown, (n, 1)),
+        sigma,
+        *np.zeros((2, n, 2, 2)),
+        np.zeros((n, 3, 0)),
+        np.zeros((n, 0)),
     )
     flight = ticks.flight(0.01, 1, slice(6, 12))
     np.testing.assert_array_equal(flight.rate[0], [6, 7, 8])

@@ -24,6 +24,7 @@ def solved(strained: float) -> Solved:
         np.zeros((98, 6)),
         np.eye(3),
         NONE,
+        np.zeros(3),
     )
 
 
@@ -65,7 +66,18 @@ def of_payload(hypothesis: HeldPayload, cost: float, mass_kg: float = 0.5) -> So
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
     return Solved(
-        hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost, np.zeros((98, 6)), np.eye(PAYLOAD.stop), NONE
+        hypothesis,
+        state,
+        state,
+        np.eye(PAYLOAD.stop),
+        100,
+        0,
+        0.0,
+        cost,
+        np.zeros((98, 6)),
+        np.eye(PAYLOAD.stop),
+        NONE,
+        state,
     )
 
 

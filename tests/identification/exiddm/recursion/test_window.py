@@ -116,7 +116,7 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     state[PAYLOAD.start] = mass_kg
     for sigma_kg, kept in ((0.13, True), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
-        rest = 2000.0, none, covariance, Changed.none(13)
+        rest = 2000.0, none, covariance, Changed.none(13), np.zeros(13)
         found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
