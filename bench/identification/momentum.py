@@ -3,8 +3,7 @@
 import numpy as np
 
 from onboard.dynamics.kinematics import LinkMotion, cross, inertia_columns, turned
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 
 
 def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArray:

@@ -21,8 +21,7 @@ from onboard.dynamics.kinematics import Frames, turned
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.native import library, structures
 
 

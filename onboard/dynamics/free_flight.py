@@ -28,8 +28,7 @@ from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.native import library, structures
 
 

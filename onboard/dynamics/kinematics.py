@@ -16,8 +16,7 @@ import numpy as np
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import force_transforms, own_inertias
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.native import library
 
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.native import library, structures
 
 

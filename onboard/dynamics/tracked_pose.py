@@ -22,8 +22,7 @@ from onboard.dynamics.centre import centre_by_chi, centre_of
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.spatial import Columns
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 
 LINES = 7  # attitude w, x, y, z, position x, y, z
 MOTION = slice(0, 10)  # of its unknowns: attitude, place and velocity of the centre of mass

@@ -1,4 +1,4 @@
-"""Type aliases of arrays; shapes are given in docstrings and at line ends."""
+"""Type aliases of arrays; shapes are given in docstrings and at line ends. Cross products as matrices."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,15 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 ComplexArray = NDArray[np.complex128]
 
+_HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
+
 
 def finite(parts: Sequence[FloatArray]) -> BoolArray:
     """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
     return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
+
+
+def hat(a: FloatArray) -> FloatArray:
+    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
+    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
+    return out

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import BoolArray, FloatArray, hat
 from onboard.regressor.rows import BaseMotion, RowFold, RowModel
 from onboard.regressor.signals import SignalNoise, Signals
 

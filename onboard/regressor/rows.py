@@ -28,8 +28,7 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
-from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import BoolArray, FloatArray, hat
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
 

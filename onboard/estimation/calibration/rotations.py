@@ -1,18 +1,10 @@
-"""Cross products and rotation vectors as matrices, without the overhead of general libraries."""
+"""Rotation vectors as matrices, without the overhead of general libraries."""
 
 import math
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
-
-_HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
-
-
-def hat(a: FloatArray) -> FloatArray:
-    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
-    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
-    return out
+from onboard.estimation.arrays import FloatArray, hat
 
 
 def turn(v: FloatArray) -> FloatArray:

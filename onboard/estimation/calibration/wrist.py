@@ -26,8 +26,8 @@ from scipy.fft import dct, idct
 from scipy.linalg import lapack
 from scipy.special import stdtr
 
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat, rotation_vector, turn
+from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.calibration.rotations import rotation_vector, turn
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import FARTHEST_SIZE, READING
 

@@ -24,8 +24,7 @@ from onboard.dynamics.kinematics import cross
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import symmetric
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.estimation.policy import DOUBT
 from onboard.identification.exiddm.guesses import FIRST_TICKS, first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor

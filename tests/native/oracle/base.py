@@ -7,7 +7,7 @@ from onboard.dynamics.free_flight import BasePrediction, SensorPrediction
 from onboard.dynamics.joint_errors import Displaced
 from onboard.dynamics.kinematics import turned
 from onboard.dynamics.spatial import times
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import hat
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle.bodies import Bodies, Columns
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from onboard.dynamics.kinematics import cross, spatial_inertias
 from onboard.dynamics.spatial import MOMENTUM, coad, crf, crm, force_transforms, times
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import hat
 
 _PARTS = 84  # of a body: I, dI, L, F
 _I, _DI, _L, _F = slice(0, 36), slice(36, 72), slice(72, 78), slice(78, 84)

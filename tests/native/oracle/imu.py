@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from onboard.estimation.calibration.rotations import hat
+from onboard.estimation.arrays import hat
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, tick_mean
 
 _OF_AXES, _DELAY, _CLOCK, _CROSS = slice(24), 24, 25, slice(26, 32)  # biases to misalignments; the others

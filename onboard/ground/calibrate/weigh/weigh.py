@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import log_ndtr
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, hat
 from onboard.estimation.calibration import wrist
-from onboard.estimation.calibration.rotations import hat
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
 from onboard.ground.calibrate.weigh.changed import BodyChange, change
 from onboard.ground.calibrate.weigh.columns import Meaning
