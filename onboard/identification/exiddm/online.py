@@ -24,6 +24,7 @@ from onboard.identification.exiddm.held_against import Corrections, HeldAgainst
 from onboard.identification.exiddm.innovation import Told
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursion.bounded_work import last_work
 from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
@@ -49,7 +50,6 @@ _MOST_SLOW = 4.0  # power below 1.5 Hz
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
 _LEANINGS = 2  # keys that an answer leans on: as above
-_NOISE_OF_JOINTS = "noise_rad of the joints"
 
 
 def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
@@ -101,7 +101,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
-        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma, [_NOISE_OF_JOINTS])
+        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma, [NOISE_KEY])
         self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion, exiddm.rivals.spanned)
         self._attached: bool | None = None
         self._told = 0

@@ -30,7 +30,7 @@ from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.exiddm.prediction.joint_noise import correction_of
+from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection, correction_of
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.whole_flight.blocks import (
     Instrument,
@@ -67,6 +67,7 @@ class FlightFit(NamedTuple):
     names: tuple[str, ...]  # of the parameters fitted
     chi: FloatArray  # (10,) standard parameters of the payload
     chi_covariance: FloatArray  # (10, 10)
+    correction: NoiseCorrection  # of these, for noise of the joints, which is in them
     blocks: tuple[NormalEquations, ...]  # at the estimate
     misfit: float  # residual sum over its degrees of freedom
     by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
@@ -241,7 +242,7 @@ class WholeFlight:
         chi, covariance = found.x[:10] + correction.shift, found.covariance[:10, :10] + correction.covariance
         freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
-        told = found, self.names, chi, covariance, blocks, misfit, misfit_by_instrument(blocks)
+        told = found, self.names, chi, covariance, correction, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
 
     def _noise_added(self, x: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.estimation.policy import DOUBT, chance_text
 from onboard.identification.exiddm.prediction.further import FurtherCell, instrument_of
+from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
@@ -160,5 +161,7 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     sigma = np.sqrt(np.diag(found.payload.covariance))
     body = found.payload.body
     size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
-    causes = Causes(keys, flight.sigma)
-    return causes.said(causes.effects(D @ found.fit.covariance), sigma, size)
+    causes = Causes(keys, flight.sigma, [NOISE_KEY])
+    effects = causes.effects(D @ found.fit.covariance)
+    effects[:, -1] = np.abs(D[:, :10] @ found.correction.sigma)
+    return causes.said(effects, sigma, size)

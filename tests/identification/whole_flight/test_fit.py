@@ -15,6 +15,7 @@ from onboard.estimation.policy import DOUBT
 from onboard.identification.corrections import doubtful, refused_from
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
@@ -321,6 +322,9 @@ def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predict
     wider = inverse_of(rows + flight.prior_information)[0, 0]
     effect = np.sqrt((wider - stated) / 0.02) / found.chi[0]
     assert float(told) / 100.0 == pytest.approx(effect, rel=0.05)
+    assert not found.correction.sigma.any()  # exact joints
+    noisy = found.correction._replace(sigma=0.1 * found.chi)
+    assert leans_on(flight, found._replace(correction=noisy))[0].startswith(f"leans on {NOISE_KEY} (10 %)")
 
 
 def test_rows_with_a_common_error_in_each_stretch_are_whitened(rng):

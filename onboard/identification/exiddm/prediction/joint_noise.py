@@ -29,6 +29,7 @@ from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.further import PlacedImu
 
+NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
 _POSTURE_TICKS = 10  # over which the arm's posture is constant
 
 
