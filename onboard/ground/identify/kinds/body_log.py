@@ -167,7 +167,7 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[I
     leans = causes.said(causes.effects(scale[:, None] * P[at]), scale * sigma, np.abs(values))
     told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
     if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:
-        told[0] = True  # stated; what is found of it cannot be less known
+        told[0] = bool(np.isfinite(sigma[0]))  # stated; what is found of it cannot be less known
     units = ("kg", "m", "m", "kg m^2", "s", "m/s^2", "m/s^2")
     bound = scale * np.sqrt(np.diag(P)[at])
     numbers = (of.tolist() for of in (values, scale * sigma, low, high, told, bound))

@@ -119,6 +119,7 @@ def test_what_is_wrong_is_named(tmp_path, what):
     told = identified(tmp_path, flown())
     assert told["verdict"]["level"] == "do not use"
     assert re.search(named, told["verdict"]["text"]), told["verdict"]["text"]
+    assert "nan" not in told["verdict"]["text"]
 
 
 def test_late_poses_are_a_delay(tmp_path):
