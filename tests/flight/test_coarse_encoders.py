@@ -13,8 +13,9 @@ NEW = ("--base", "free", "--joints", "4", "--imu", "icm20948", "--encoder", "as5
 @pytest.mark.parametrize("seed", [5, 10])
 def test_a_payload_is_as_heavy_as_it_is_said_to_be(seed: int, tmp_path: Path) -> None:
     assert cli.main(["init", str(tmp_path / "it"), *NEW]) == cli.OK
-    said = tmp_path / "said.json"
-    assert cli.main(["hil", str(tmp_path / "it" / "vehicle.toml"), "--seed", str(seed), "--json", str(said)]) == cli.OK
+    vehicle, said = tmp_path / "it" / "vehicle.toml", tmp_path / "said.json"
+    flight = ["--seed", str(seed), "--log", str(tmp_path / "flight.mcap"), "--json", str(said)]
+    assert cli.main(["hil", str(vehicle), *flight]) == cli.OK
     [mass] = json.loads(said.read_text())["masses"]
     assert mass["low"] < mass["truth"] < mass["high"]
     assert mass["sigma"] < 0.3 * mass["truth"]
