@@ -18,7 +18,7 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.body.valves import Edges
 
-_NEGLIGIBLE = 0.1  # of the noise: a direction that has so little more is left as it is
+_NEGLIGIBLE = 0.1  # of the noise: a direction with so little more, half a per cent of a sigma, is left as it is
 
 
 class Lateness(NamedTuple):

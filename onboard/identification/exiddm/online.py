@@ -340,8 +340,8 @@ class ExiddmIdentifier:
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
-        shift, covariance = self.exiddm.correction.shift, self.exiddm.correction.covariance
-        self._mixed = weighed, mixture.corrected(shift, covariance / misfit), misfit  # which does not widen that
+        noise = self.exiddm.correction  # which the misfit does not widen
+        self._mixed = weighed, mixture.corrected(noise.shift, noise.covariance / misfit), misfit
         return self._mixed[1:]
 
     def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:

@@ -79,6 +79,12 @@ def test_whitened_lines_share_no_noise(rng):
     assert white.log_determinant == pytest.approx(np.linalg.slogdet(np.eye(30) + G @ G.T)[1])
 
 
+def test_noise_of_less_than_a_tenth_of_the_poses_is_left_as_it_is():
+    """It would make their sigmas half a per cent larger."""
+    white = whitener(np.diag([1.0, 0.15, 0.09])[:, :, None].transpose(0, 2, 1).repeat(3, axis=1) / np.sqrt(3.0))
+    assert white.w == pytest.approx(1.0 - 1.0 / np.sqrt([2.0, 1.0 + 0.15**2]))
+
+
 def test_lateness():
     scattered, with_the_sample = lateness(0.01, True, 0.0), lateness(0.01, False, 0.004)
     assert scattered == pytest.approx((0.005, 0.0025, 0.0025, 0.0025 / np.sqrt(3.0)))

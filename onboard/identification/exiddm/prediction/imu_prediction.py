@@ -58,7 +58,7 @@ from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
-_PIECE = 80  # ticks predicted at once
+PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
 _NOISELESS = 1e-3  # of the variance of a line: what noise of the joints below that does to an estimate is left out
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 
@@ -274,12 +274,12 @@ class ImuPredictor:
             return added
         weight[:, [k for own in self.lines[self._of_poses] for k in range(own.start, own.stop)]] = 0.0
         errors = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
-        for first in range(0, len(weight), _PIECE):
-            own, error = ticks.part(slice(first, first + _PIECE + 2)), errors[first : first + _PIECE + 2].copy()
+        for first in range(0, len(weight), PIECE):
+            own, error = ticks.part(slice(first, first + PIECE + 2)), errors[first : first + PIECE + 2].copy()
             error[0] = 0.0  # the momentum is that of the first tick
             wrong = self.predict(own.q, own.dq + error[:, 0], own.ddq + error[:, 1], state, own.cyclic, own.thrust)
             right = self.predict(own.q, own.dq, own.ddq, state, own.cyclic, own.thrust)
-            change = weight[first : first + _PIECE] * (wrong.values - right.values)
+            change = weight[first : first + PIECE] * (wrong.values - right.values)
             added += np.einsum("bm,bmp->p", change, wrong.jacobian - right.jacobian)
             state = right.state
         return np.where(["delay" in name for name in self.names], 0.0, added)

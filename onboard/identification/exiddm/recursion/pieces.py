@@ -11,11 +11,9 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PIECE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.steps import NO_STEPS, Inside
-
-PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
 
 
 class Pieces:

@@ -211,7 +211,7 @@ class WindowSolve:
         if not self._left or use[:FIRST_TICKS, self._own.start].sum() < FIRST_TICKS // 2:
             self.over, self._descent = True, None
             return
-        # not checked is whether the iteration moved what the ticks do not tell
+        # whether the iteration moved what the ticks do not tell is yet to be checked
         self._hypothesis, self._use, self._glitches, self._checked = self._left.pop(0), use, 0, False
         self._problem: Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
