@@ -146,7 +146,7 @@ def test_a_signal_ends_every_gate(
         gates_run.communicate(timeout=60)
     assert gates_run.returncode == 130
     wait_for(lambda: not any(map(is_alive, map(int, alive.read_text().split()))))
-    assert not list(tmp_path.glob("tmp.*"))
+    wait_for(lambda: not list(tmp_path.glob("tmp.*")))
 
 
 def wait_for(condition: Callable[[], bool]) -> None:

@@ -189,6 +189,25 @@ def test_in_a_browser_each_is_confirmed(
         assert supervisor.ends == "stop, asked by the page, Ada <b>"
 
 
+def test_a_mark_that_is_cancelled_and_asked_again_at_once_is_set_once(tab: Tab, rings: Rings) -> None:
+    """A dialog says that it was closed later: a busy browser says it of both when the second is confirmed."""
+    with acting(rings, ["mark", "stop"]) as (url, supervisor):
+        tab.open(url)
+        tab.wait("document.getElementById('link').textContent === 'live'")
+        tab.run("document.getElementById('act-who').value = 'Ada'")
+        for sent in range(1, 4):
+            tab.run("""(() => {
+                const at = id => document.getElementById(id);
+                at("act-said").textContent = "";
+                at("act-mark-do").click();
+                document.activeElement.click();
+                at("act-mark-do").click();
+                at("act-yes").click();
+            })()""")
+            tab.wait("document.getElementById('act-said').textContent.endsWith('is in the log')")
+            assert len(supervisor.said) == sent
+
+
 def test_a_page_that_can_do_nothing_shows_no_act(tab: Tab, rings: Rings) -> None:
     with acting(rings, []) as (url, _):
         tab.open(url)

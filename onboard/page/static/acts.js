@@ -30,8 +30,7 @@ export class Acts {
     const sure = at("act-sure");
     at("act-what").textContent = `${name}? ${what}, with the name ${who.value.trim()}.`;
     at("act-yes").textContent = name.toLowerCase();
-    sure.returnValue = "";
-    sure.onclose = () => { if (sure.returnValue === "yes") this.send({...act, who: who.value.trim()}); };
+    at("act-yes").onclick = () => this.send({...act, who: who.value.trim()});  // the dialog's close event may come late
     sure.showModal();
   }
 
