@@ -46,7 +46,7 @@ BENCHES: Final = (
     Bench("recording", "--records 100000"),
     Bench("reading", "--records 100000 --minutes 1"),
     Bench("kill_recorder", "--kills 10", "--kills 200"),
-    Bench("timebase", "--seeds 4 --hour 120 --field 1"),
+    Bench("timebase", "--seeds 4 --hour 120 --field 1", "--real"),
     Bench("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
     Bench("speed", "--only hil-rocksat --rounds 1"),
     Bench("flight", "--quick", "--minutes 1"),
