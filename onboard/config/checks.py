@@ -10,10 +10,11 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.transports import url
+from onboard.config.bases.prediction import Prediction
 from onboard.config.errors import ConfigError
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES
 from onboard.dynamics.model.urdf_check import impossible, inertial_of, require_flyable
 from onboard.dynamics.model.urdf_reading import Drawing, DrawingError, shortened
 
@@ -129,13 +130,22 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
 def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     devices = vehicle.file.device
     imus = [name for name, device in devices.items() if device.roles(name, 1.0).imus]
-    if not imus and vehicle.file.vehicle.base != "fixed" and vehicle.file.body is None:
+    if not imus and vehicle.file.vehicle.base_kind.moves and vehicle.file.body is None:
         fail(["device"], "no device is an IMU; the base's motion has to be measured: add an IMU")
     lines: dict[str, str] = {}  # first of each kind
     for name, device in devices.items():
         if device.sync_line(name) is not None and lines.setdefault(device.kind, name) != name:
             text = f"{name!r} and {lines[device.kind]!r} are of one kind; a vehicle has one sync line"
             fail(["device", name], text)
+
+
+_SECTIONS = {  # by key: the kind of base that it is of
+    "free_body": ("a free body needs", "free"),
+    "parabola": ("runs between hands need", "free"),
+    "pivot": ("a bearing needs", "pivot"),
+    "planar": ("pucks and a table need", "planar"),
+    "body": ("a body without joints needs", "planar"),
+}
 
 
 def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
@@ -146,8 +156,9 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         listed = ", ".join(channel for channel, records in channels.items() if "unit" in (records.names or ()))
         what = f"no channel {phases.channel!r} with values"
         fail(["estimation", "phases", "channel"], f"{what}; there are: {listed or 'none'}")
-    if file.free_body and file.vehicle.base != "free":
-        fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
+    for key, (what, base) in _SECTIONS.items():
+        if getattr(file, key) is not None and file.vehicle.base != base:
+            fail([key], f'the base is {file.vehicle.base!r}; {what} base = "{base}"')
     _check_realtime(vehicle, fail)
     _check_telemetry(vehicle, fail)
     _check_planar(vehicle, fail)
@@ -158,7 +169,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         _check_exiddm(vehicle, fail)
     if file.estimation.method == "instrumental":
         where = ["estimation", "method"]
-        if file.vehicle.base != "free":
+        if not file.vehicle.base_kind.falls:
             fail(where, f'the base is {file.vehicle.base!r}; method "instrumental" is for base = "free"')
         if set(file.estimation.base_rows) != {"force", "moment"}:
             fail(where, 'method "instrumental" needs base_rows = ["force", "moment"]')
@@ -178,7 +189,7 @@ def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
     told, label = vehicle.file.vehicle, str(vehicle.urdf_path)
     flies = not all(device.kind.startswith("recorded_") for device in vehicle.file.device.values())
     try:
-        drawing = require_flyable(vehicle.urdf_text, told.base, told.payload_link, label, simulated=flies)
+        drawing = require_flyable(vehicle.urdf_text, told.base_kind, told.payload_link, label, simulated=flies)
     except DrawingError as error:
         raise ConfigError(str(error)) from error
     if told.base_link != drawing.root:
@@ -186,7 +197,7 @@ def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
             ["vehicle", "base_link"], f"base_link {told.base_link!r}: the root of the URDF is {drawing.root!r}; name it"
         )
     moves = any(joint.moves for joint in drawing.joints.values())
-    if told.base == "free" and not (moves or vehicle.file.free_body or vehicle.file.parabola):
+    if told.base_kind.falls and not (moves or vehicle.file.free_body or vehicle.file.parabola):
         what = "no joint of the URDF moves, and a body that tumbles shows only the ratios of its moments of inertia"
         fail(["vehicle", "urdf"], f"{what}; docs/free_body.md says what else shows their scale, or its mass")
     named = [(["vehicle", "payload_link"], told.payload_link)] if told.payload_link is not None else []
@@ -241,8 +252,8 @@ def _check_telemetry(vehicle: Vehicle, fail: Fail) -> None:
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
-    if not BaseKind(file.vehicle.base).follows:
-        known = " or ".join(f'"{kind}"' for kind in BaseKind if kind.follows)
+    if file.vehicle.base not in {*Prediction}:
+        known = " or ".join(f'"{kind}"' for kind in BASES if kind in {*Prediction})
         fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = {known}')
     if file.vehicle.payload_link is None and file.vehicle.base != "pivot" and file.body is None:
         fail(where, 'method "exiddm" estimates the payload; name its payload_link')
@@ -266,8 +277,8 @@ def _check_parabola(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.parabola is None:
         return
-    if file.vehicle.base != "free" or settings.method != "exiddm":
-        fail(["parabola"], 'runs between hands are estimated with base = "free" and method = "exiddm"')
+    if settings.method != "exiddm":
+        fail(["parabola"], 'runs between hands are estimated with method = "exiddm"')
     if settings.carried:
         fail(["estimation", "carried"], "the runs of a flight are estimated together afterwards; remove carried")
     if not settings.exiddm.held_at_start:
@@ -277,8 +288,6 @@ def _check_parabola(vehicle: Vehicle, fail: Fail) -> None:
 def _check_pivot(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.vehicle.base != "pivot":
-        if file.pivot:
-            fail(["pivot"], f'the base is {file.vehicle.base!r}; a bearing needs base = "pivot"')
         return
     if settings.method != "exiddm":
         fail(["estimation", "method"], 'base = "pivot" is predicted: it needs method = "exiddm"')
@@ -296,8 +305,6 @@ def _check_body(vehicle: Vehicle, fail: Fail) -> None:
     file = vehicle.file
     if file.body is None:
         return
-    if file.vehicle.base != "planar":
-        fail(["body"], f'the base is {file.vehicle.base!r}; a body without joints needs base = "planar"')
     if file.planar is not None:
         fail(["planar"], "a run of a body without joints has its table in [body]; remove one of the two")
     for kind, many in (("recorded_thruster", True), ("recorded_pose", False)):
@@ -314,8 +321,6 @@ def _check_body(vehicle: Vehicle, fail: Fail) -> None:
 def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.vehicle.base != "planar":
-        if file.planar:
-            fail(["planar"], f'the base is {file.vehicle.base!r}; pucks and a table need base = "planar"')
         return
     if settings.method != "exiddm":
         fail(["estimation", "method"], 'rows have no drag model: base = "planar" needs method = "exiddm"')

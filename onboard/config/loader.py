@@ -12,7 +12,7 @@ from onboard.config.checks import check, check_devices
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.explain import explained
 from onboard.config.text import read, tree_of
-from onboard.config.vehicle import Vehicle, VehicleFile
+from onboard.config.vehicle import BROKEN_BASES, Vehicle, VehicleFile
 from onboard.devices.registry import BROKEN
 
 File = TypeVar("File", bound=BaseModel)
@@ -131,7 +131,10 @@ def validated(model: type[File], tree: dict[str, Any], origin: Origin) -> File:
 
 
 def _refuse_broken(origin: Origin, tree: dict[str, Any]) -> None:
-    """A device of a kind that another package claims, and that cannot be used, is refused with the reason."""
+    """A device or base of a kind that another package claims, and that cannot be used, is refused with the reason."""
+    base = tree["vehicle"].get("base") if isinstance(tree.get("vehicle"), dict) else None
+    if isinstance(base, str) and base in BROKEN_BASES:
+        raise ConfigError(f"{origin.place(['vehicle', 'base'])}: base {base!r}: {BROKEN_BASES[base]}")
     devices = tree.get("device")
     for name, table in devices.items() if isinstance(devices, dict) else ():
         kind = table.get("kind") if isinstance(table, dict) else None

@@ -1,6 +1,7 @@
 """The vehicle file: its sections, and the parsed file."""
 
 from functools import cached_property
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from urllib.parse import parse_qs, urlsplit
@@ -24,16 +25,26 @@ from onboard.config.segments import read as read_segments
 from onboard.config.telemetry import Telemetry
 from onboard.config.text import read_urdf
 from onboard.devices.base import BusDevice, Channels, DeviceSection
-from onboard.devices.registry import DEVICES
+from onboard.devices.registry import DEVICES, from_elsewhere
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
+from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.section import Positive, Section, Vector3, Vector6
 
 Core = Annotated[int, Field(ge=0, le=1023)]
+_ELSEWHERE, BROKEN_BASES = from_elsewhere(
+    metadata.entry_points(group="heft.bases"),
+    BASES,
+    lambda kind: kind.name if isinstance(kind, BaseKind) else None,
+    "BaseKind of name",
+)
+BASES.update(_ELSEWHERE)
 UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmission time counts as none
 if TYPE_CHECKING:
     AnyDevice = DeviceSection
+    BaseName = str
 else:  # the kinds that the registry has found
     AnyDevice = Annotated[Union[tuple(DEVICES.values())], Field(discriminator="kind")]  # noqa: UP007
+    BaseName = Literal[tuple(BASES)]
 
 
 class VehicleSection(Section):
@@ -45,11 +56,16 @@ class VehicleSection(Section):
 
     name: str
     urdf: str
-    base: Literal["free", "prescribed", "fixed", "planar", "pivot"]
+    base: BaseName
     base_link: str
     payload_link: str | None = None
     essential: list[str] = Field(default_factory=list)
     gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
+
+    @property
+    def base_kind(self) -> BaseKind:
+        """What its base does."""
+        return BASES[self.base]
 
 
 class BusSection(Section):
@@ -165,9 +181,9 @@ class Vehicle(BaseModel):
         file = self.file
         if file.estimation.method != "exiddm":
             return Prediction.ROWS
-        sections = (file.body, Prediction.BODY), (file.planar, Prediction.PLANAR), (file.parabola, Prediction.PARABOLAS)
-        usual = Prediction.PIVOT if file.vehicle.base == "pivot" else Prediction.FREE
-        return next((kind for section, kind in sections if section is not None), usual)
+        if file.body is not None:
+            return Prediction.BODY
+        return Prediction.PARABOLAS if file.parabola is not None else Prediction(file.vehicle.base)
 
     @property
     def urdf_text(self) -> str:

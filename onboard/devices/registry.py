@@ -11,9 +11,9 @@ it; others are not affected.
 
 import importlib
 import pkgutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
-from typing import Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from onboard import devices
 from onboard.devices.base import DeviceSection
@@ -40,10 +40,20 @@ def _packaged() -> Iterator[tuple[str, type[DeviceSection]]]:
 
 
 def from_elsewhere(
-    points: Iterable[metadata.EntryPoint], taken: Iterable[str]
-) -> tuple[dict[str, type[DeviceSection]], dict[str, str]]:
-    """Kinds by entry points, and by kind why one cannot be used; ``taken`` are kinds that there are already."""
-    found: dict[str, type[DeviceSection]] = {}
+    points: Iterable[metadata.EntryPoint],
+    taken: Iterable[str],
+    named: Callable[[object], str | None] = kind_of,
+    needed: str = "DeviceSection with kind: Literal",
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Kinds by entry points, and by kind why one cannot be used.
+
+    Args:
+        points: of one group.
+        taken: names of the kinds that there are already.
+        named: name of the kind that a point's object is; None: it is something else.
+        needed: what the object has to be, in words.
+    """
+    found: dict[str, Any] = {}
     broken: dict[str, str] = {}
     for point in points:
         source = f"{point.value} of {point.dist.name if point.dist else 'an unknown package'}"
@@ -55,8 +65,8 @@ def from_elsewhere(
         except Exception as error:  # noqa: BLE001 - whatever another package's import does
             broken[point.name] = f"{source} cannot be imported ({type(error).__name__}: {error}): mend or uninstall it"
             continue
-        if kind_of(section) != point.name:
-            broken[point.name] = f'{source} is no DeviceSection with kind: Literal["{point.name}"]: mend it'
+        if named(section) != point.name:
+            broken[point.name] = f'{source} is no {needed}["{point.name}"]: mend it'
             continue
         found[point.name] = section
     return found, broken

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onboard.dynamics.kinematics import chain_motion
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray, hat
@@ -124,7 +123,7 @@ def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
     origin.
     """
     frame = vehicle.spec.base_link
-    coasting = vehicle.spec.base is BaseKind.FREE and vehicle.centre_of_mass_is_fixed()
+    coasting = vehicle.spec.base.falls and vehicle.centre_of_mass_is_fixed()
     unit = np.eye(6)
     turns = [(i, n) for i, n in enumerate("xyz", 3) if i in (vehicle.spec.base.moves or range(6))]
     return tuple(WrenchRow(f"base_moment_{n}", frame, tuple(unit[i]), coasting=coasting) for i, n in turns)

@@ -132,7 +132,7 @@ BODIES = [
 @pytest.mark.parametrize(("text", "line", "says"), FORM + NUMBERS + BODIES)
 def test_what_cannot_fly_is_refused_by_line_name_and_remedy(text: str, line: int, says: str) -> None:
     with pytest.raises(DrawingError, match=says) as raised:
-        require_flyable(text, "free", label="arm.urdf")
+        require_flyable(text, BaseKind.FREE, label="arm.urdf")
     assert [problem.line for problem in raised.value.problems] == [line]
     assert str(raised.value).startswith(f"arm.urdf:{line}: ")
     with pytest.raises(DrawingError, match=says):
@@ -142,7 +142,7 @@ def test_what_cannot_fly_is_refused_by_line_name_and_remedy(text: str, line: int
 def test_all_that_is_wrong_is_told_at_once_and_not_more_than_helps() -> None:
     wrong = "".join(f'<link name="l{n}"><inertial><mass value="?"/></inertial></link>\n' for n in range(20))
     with pytest.raises(DrawingError) as raised:
-        require_flyable(urdf(more=wrong), "free")
+        require_flyable(urdf(more=wrong), BaseKind.FREE)
     assert len(raised.value.problems) == 20
     assert str(raised.value).splitlines()[-1] == "the URDF: and 12 more like these"
 
@@ -162,11 +162,11 @@ def test_all_that_is_wrong_is_told_at_once_and_not_more_than_helps() -> None:
     ],
 )
 def test_what_can_fly_is_a_model(text: str) -> None:
-    drawing = require_flyable(text, "free")
+    drawing = require_flyable(text, BaseKind.FREE)
     model = VehicleModel(text, VehicleSpec(BaseKind.FREE, "base"))
     assert set(model.links) <= set(drawing.links)
     assert [joint.name for joint in model.joints] == [one.name for one in drawing.joints.values() if one.moves]
-    assert plain(require_flyable(plain(drawing), "free")) == plain(drawing)
+    assert plain(require_flyable(plain(drawing), BaseKind.FREE)) == plain(drawing)
 
 
 REST = LIMIT.replace('lower="-1" upper="1"', "")
@@ -182,10 +182,10 @@ REST = LIMIT.replace('lower="-1" upper="1"', "")
     ],
 )
 def test_a_recorded_arm_needs_no_more_than_its_axes_and_one_that_may_be_simulated_does(text: str, says: str) -> None:
-    require_flyable(text, "fixed")
+    require_flyable(text, BaseKind.FIXED)
     VehicleModel(text, VehicleSpec(BaseKind.FIXED, "base"))
     with pytest.raises(DrawingError, match=says):
-        require_flyable(text, "fixed", simulated=True)
+        require_flyable(text, BaseKind.FIXED, simulated=True)
 
 
 @pytest.mark.timeout(60)  # a second or two; minutes where the time grows with the square of the joints
@@ -197,7 +197,7 @@ def test_chains_that_nothing_can_hold_are_refused_at_once() -> None:
             for n in range(count)
         )
         with pytest.raises(DrawingError, match="joints that move; 2000 and 127 are the most"):
-            require_flyable(f"<robot>{links}{joints}</robot>", "fixed")
+            require_flyable(f"<robot>{links}{joints}</robot>", BaseKind.FIXED)
 
 
 def test_packaged_vehicles_pass() -> None:
@@ -205,4 +205,4 @@ def test_packaged_vehicles_pass() -> None:
     found = sorted(vehicles.glob("*/*.urdf"))
     assert len(found) >= 8
     for path in found:
-        require_flyable(path.read_text(encoding="utf-8"), "fixed", label=str(path), simulated=True)
+        require_flyable(path.read_text(encoding="utf-8"), BaseKind.FIXED, label=str(path), simulated=True)

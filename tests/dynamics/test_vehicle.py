@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.config.vehicle import VehicleSection
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.errors import ModelError, UnknownFrameError, UrdfError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
@@ -190,6 +190,6 @@ def test_unknown_names(rng):
 def test_a_kind_of_base_is_a_record_in_one_place():
     """The names of vehicle.toml are those of the kinds; what floats follows from the arm, by its masses."""
     section = VehicleSection.model_fields["base"].annotation
-    assert set(get_args(section)) == set(BaseKind)
-    assert all(kind.follows or not kind.floats for kind in BaseKind)
-    assert [kind for kind in BaseKind if kind.floats and len(kind.moves) == 6] == [BaseKind.FREE]
+    assert set(get_args(section)) == set(BASES)
+    assert all(kind.follows or not kind.floats for kind in BASES.values())
+    assert [kind for kind in BASES.values() if kind.floats and len(kind.moves) == 6] == [BaseKind.FREE]

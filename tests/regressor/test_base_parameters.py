@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.ground.before.mechanics.counts import counted
@@ -154,7 +154,7 @@ def test_rocksat_on_a_still_base_has_the_three_of_the_dissertation(rng):
     assert both.names == ("ZZ_arm", "ZZ_tip_mass_R", "bias_load_cell")
 
 
-@pytest.mark.parametrize("kind", list(BaseKind))
+@pytest.mark.parametrize("kind", list(BASES.values()), ids=str)
 def test_the_map_keeps_every_row(rng, kind):
     links = random_vehicle(rng, ["revolute", "revolute", "fixed"])
     vehicle = VehicleModel(to_urdf(links), VehicleSpec(kind, "base", "link_3"))

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.groupings import groupings
@@ -31,7 +31,7 @@ def value(line, numbers):
     return eval(text, {"__builtins__": {}}, numbers)
 
 
-@pytest.mark.parametrize("kind", list(BaseKind))
+@pytest.mark.parametrize("kind", list(BASES.values()), ids=str)
 @pytest.mark.parametrize("odd", [False, True])
 def test_what_is_printed_is_the_base_parameter(rng, kind, odd):
     vehicle = arm(rng, [Z, Y, Y, X], [(0, 0, 0.3), (0.2, 0.1, 0), (0.4, 0, 0), (0, 0, 0.1)], kind)

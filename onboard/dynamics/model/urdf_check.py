@@ -50,7 +50,7 @@ class Inertial(NamedTuple):
 
 
 def require_flyable(
-    urdf: str, base: str, payload_link: str | None = None, label: str = "the URDF", *, simulated: bool = False
+    urdf: str, base: BaseKind, payload_link: str | None = None, label: str = "the URDF", *, simulated: bool = False
 ) -> Drawing:
     """The elements of a URDF that can fly.
 
@@ -69,7 +69,7 @@ def require_flyable(
         DrawingError: it cannot; all that is wrong, with lines.
     """
     drawing = read(urdf, label)
-    floats = BaseKind(base).follows
+    floats = base.follows
     problems = [*_sizes(drawing)] or [*_axes(drawing)]
     if floats or simulated:
         problems = problems or [*_bodies(drawing), *_ranges(drawing)] or [*_carried(drawing)]

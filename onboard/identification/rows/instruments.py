@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
@@ -97,8 +96,8 @@ class Instruments:
         lag_s: float,
     ) -> None:
         self._recursion, self._model, self._fold, self._base = recursion, model, fold, base
-        if model.vehicle.spec.base is not BaseKind.FREE:
-            raise SignalError(f"a {model.vehicle.spec.base.value} base has no predicted motion; free bases only")
+        if not model.vehicle.spec.base.falls:
+            raise SignalError(f"a {model.vehicle.spec.base} base has no predicted motion; free bases only")
         self._motion = PredictedMotion(model.vehicle, lag_s)
         spread = base.grouping @ prior_root @ prior_root.T  # (p, P)
         self._standard = np.linalg.solve(spread @ base.grouping.T, spread).T  # (P, p) standard of base parameters

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
-from onboard.dynamics.model.bases import BaseKind
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
@@ -145,6 +144,6 @@ def row_suspects(
     """
     settings = vehicle.file.estimation
     forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
-    if model.vehicle.spec.base is not BaseKind.FIXED or not model.scales or model.motors or forgets or settings.carried:
+    if model.vehicle.spec.base.moves or not model.scales or model.motors or forgets or settings.carried:
         return None
     return RowSuspects(model, base, prior, considered)

@@ -10,7 +10,6 @@ from onboard import config
 from onboard.config.vehicle import LinkSection
 from onboard.devices.recorded import RecordedDevice
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.inertia import RigidBody, symmetric
 from onboard.dynamics.model.payload import body_of
@@ -81,7 +80,7 @@ def build_model(vehicle: config.Vehicle) -> VehicleModel:
         ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
     """
     section = vehicle.file.vehicle
-    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
+    spec = VehicleSpec(section.base_kind, section.base_link, section.payload_link, section.gravity_m_s2)
     urdf = vehicle.urdf_text
     model = VehicleModel(urdf, spec)
     measured = {name: _measured(model, name, own) for name, own in vehicle.file.link.items()}
@@ -344,7 +343,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
 def _whitening(vehicle: config.Vehicle, model: VehicleModel, rows: int, columns: int) -> Whitening | None:
     """Of the rows of a base that is not free, where it is asked for."""
     settings = vehicle.file.estimation
-    if model.spec.base is BaseKind.FREE or settings.row_noise == "white":
+    if model.spec.base.falls or settings.row_noise == "white":
         return None
     width_s = settings.smoothing_ms * 1e-3
     return Whitening(rows, columns, 1.0 / settings.row_rate_hz, width_s, Response(width_s, kernel_of(vehicle)))

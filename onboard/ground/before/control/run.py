@@ -24,7 +24,6 @@ from onboard.devices.base import JointDevice
 from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_model
@@ -311,7 +310,7 @@ def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
         ValueError: a base that moves as it is told.
     """
     spec: VehicleSpec = model.spec
-    if spec.base is BaseKind.PRESCRIBED:
+    if spec.base.moves and not spec.base.follows:
         raise ValueError("the base moves as it is told, whatever the arm does: computed torque does not know how")
     tip = spec.payload_link if spec.payload_link is not None else model.links[-1]
     return JointSpace(FloatingArm(model, tip, (1.0 + model_error) * model.chi))

@@ -187,11 +187,11 @@ def _require_measured(vehicle: config.Vehicle) -> None:
     Raises:
         ValueError: one is not.
     """
-    base, roles, settings = vehicle.file.vehicle.base, roles_of(vehicle), vehicle.file.estimation
+    base, roles, settings = vehicle.file.vehicle.base_kind, roles_of(vehicle), vehicle.file.estimation
     imus = roles.imus
     if settings.method != EXIDDM and not roles.cells and not settings.base_rows:
         raise ValueError("no load cell, torque or base wrench is left to make a row of")
-    if base == "fixed":
+    if not base.moves:
         return
     if not imus:
         raise ValueError("no IMU is left, and the base moves")

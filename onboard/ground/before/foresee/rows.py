@@ -20,7 +20,6 @@ from onboard import config
 from onboard.devices.roles import TorqueKeys
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -116,7 +115,7 @@ def _base_motion(model: VehicleModel, plan: MotionPlan, chi: FloatArray) -> Base
     if plan.bases:
         return plan.bases[0]
     n = len(plan.time_s)
-    if model.spec.base is not BaseKind.FREE:
+    if not model.spec.base.falls:
         return standing(model, n)
     period_s, rate = float(plan.time_s[1] - plan.time_s[0]), plan.rate_rad_s
     parts, edges = [], [0, *(np.flatnonzero(np.diff(plan.held)) + 1), n]

@@ -15,7 +15,7 @@ import numpy as np
 from onboard import config
 from onboard.config.text import MOST_BYTES_URDF
 from onboard.dynamics.model import urdf_check, urdf_reading
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.urdf_reading import DrawingError
@@ -92,20 +92,20 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
                 f"joint {name} is fixed at zero" + (f": it follows {follows[name]}" if name in follows else "")
             )
     try:
-        drawing = urdf_check.require_flyable(text, "fixed", label=label, simulated=not recorded)
+        drawing = urdf_check.require_flyable(text, BaseKind.FIXED, label=label, simulated=not recorded)
     except DrawingError as error:
         raise config.ConfigError(f"{error}{_without(error, measured)}") from error
     root = drawing.root
-    if BaseKind(base).follows and not urdf_check.base_weighs(drawing):
+    if BASES[base].follows and not urdf_check.base_weighs(drawing):
         text = with_bodies(text, {root: PLACEHOLDER})
         notes.append(f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct")
-    model = VehicleModel(text, VehicleSpec(BaseKind(base), root))
+    model = VehicleModel(text, VehicleSpec(BASES[base], root))
     last = _hand(whole, measured) if measured else root
     tips = [link for link in whole.group(last) if not whole.below(link) and link not in model.links]
     largest = {joint.name: float(model.model.effortLimit[joint.v_index]) for joint in model.joints}
     efforts = {name: effort for name, effort in largest.items() if 0.0 < effort < np.inf}
     imus, pucks = _called(drawing, root, _IMUS), _called(drawing, root, _PUCKS)
-    radius_m = float(np.sqrt(2.0 * model.chi[9] / model.chi[0])) if BaseKind(base).follows else 0.0
+    radius_m = float(np.sqrt(2.0 * model.chi[9] / model.chi[0])) if BASES[base].follows else 0.0
     frames, free = tuple(whole.links), (tuple(imus), tuple(pucks), radius_m, tuple(notes))
     return Drawn(text, root, tuple(measured), model.links, last, frames, efforts, tuple(tips), *free)
 

@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 from onboard import config
 from onboard.config.keys import schema
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
-from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.bases import BASES as KINDS
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing, pucks
 from onboard.ground.before.init.devices import NewDevice
@@ -64,7 +64,7 @@ class NewVehicle(NamedTuple):
     @property
     def by_torque(self) -> bool:
         """Whether the joints' torques are used: where they alone show the payload, and on a free base."""
-        needed = self.load_cell == "none" and self.base in ("fixed", "prescribed")
+        needed = self.load_cell == "none" and not KINDS[self.base].follows
         by_motor = self.encoder in devices.with_torque() and (needed or self.base == "free")
         return by_motor or (self.recorded and needed)
 
@@ -153,12 +153,12 @@ def _require(wanted: NewVehicle) -> None:
         )
     if wanted.gains and len(wanted.gains) != len(wanted.joints):
         raise config.ConfigError(f"--gains has {len(wanted.gains)} numbers, the arm {len(wanted.joints)} joints")
-    if wanted.imu == "none" and wanted.base != "fixed":
+    if wanted.imu == "none" and KINDS[wanted.base].moves:
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
     others = {one for one in (wanted.imu, wanted.load_cell) if one != "none"}
     if (devices.RECORDED in others or wanted.recorded) and {wanted.encoder, *others} != {devices.RECORDED}:
         raise config.ConfigError("what is recorded by somebody else is all of it: give recorded for each device")
-    if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed") and not wanted.by_torque:
+    if wanted.load_cell == "none" and not KINDS[wanted.base].follows and not wanted.by_torque:
         text = f"give --load-cell, or --encoder {' or '.join(devices.with_torque())} for the torques of the joints"
         raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: {text}")
 
@@ -176,7 +176,7 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
 
 
 def _head(wanted: NewVehicle) -> str:
-    about = BaseKind(wanted.base).about
+    about = KINDS[wanted.base].about
     planar = f"""
 [planar]                       # 1 sigma
 tilt_sigma_m_s2 = 0.002        # as the table was levelled
@@ -220,7 +220,7 @@ accelerometer_bias_m_s2 = 0.03
 
 def _rest(wanted: NewVehicle) -> str:
     smoothing = devices.smoothing_ms(wanted.encoder)
-    if BaseKind(wanted.base).follows:
+    if KINDS[wanted.base].follows:
         known = "".join(
             f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
             for link in wanted.links
@@ -344,7 +344,7 @@ def _largest(wanted: NewVehicle, number: int) -> float:
 
 def _effort(wanted: NewVehicle, number: int) -> float:
     """Of a joint [N m]: 10, or in gravity twice what holds the sketched arm stretched, with 1.5 kg, in tens."""
-    if wanted.base not in ("fixed", "prescribed"):
+    if KINDS[wanted.base].follows:
         return 10.0
     links = len(wanted.joints) - number + 1
     moment_kg_m = sum(0.12 + 0.25 * k for k in range(links)) + 1.5 * 0.25 * links

@@ -66,7 +66,7 @@ def counted(urdf: str, model: VehicleModel) -> tuple[Counted, ...]:
 
 
 def _numerical(model: VehicleModel) -> int:
-    if model.spec.base is BaseKind.FIXED:
+    if not model.spec.base.moves:
         rows = RowModel(model, [joint_torque_row(model, joint.name, friction=False) for joint in model.joints])
     else:
         rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])

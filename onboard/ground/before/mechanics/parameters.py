@@ -102,5 +102,5 @@ def _counts(counts: tuple[Counted, ...]) -> Table:
     )
     for one in counts:
         closed = "-" if one.closed_form is None else f"{one.closed_form.parameters} = {one.closed_form.formula}"
-        table.add_row(one.base, one.rows, closed, str(one.numerical))
+        table.add_row(str(one.base), one.rows, closed, str(one.numerical))
     return table

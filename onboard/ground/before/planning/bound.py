@@ -13,7 +13,6 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -181,7 +180,7 @@ class RowsBound(Bound):
                     for x in plan.bases[0]
                 )
             )
-        if self._model.spec.base is BaseKind.FIXED:
+        if not self._model.spec.base.moves:
             return standing(self._model, n)
         return _floating(self._model, moved, period_s, self._chi, plan.rate_rad_s)
 

@@ -115,7 +115,7 @@ def wrist_sensor(vehicle: config.Vehicle, frame: str = "") -> WristSensor:
     held = model.frames[own.frame]
     angles = {one.joint: one.channel for one in roles.joints if not one.is_rate}
     found = WristSensor(name, cells, np.linalg.inv(rows), (), None, "", np.eye(3), dict(roles.signals))
-    stands = vehicle.file.vehicle.base == "fixed"
+    stands = not vehicle.file.vehicle.base_kind.moves
     if stands and own.joints and all(joint in angles for joint in own.joints):
         return found._replace(arm=own, joints=tuple(angles[joint] for joint in own.joints))
     for imu in roles.imus:

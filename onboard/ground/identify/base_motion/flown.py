@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
@@ -83,7 +82,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     known = np.isfinite(ticks.measured[:, :3]).all(axis=1)
     ticks.q[~known] = np.nan  # a run ends where the gyro has a gap
     period_s = 1.0 / settings.row_rate_hz
-    if settings.method == EXIDDM and model.spec.base is BaseKind.FREE:
+    if settings.method == EXIDDM and model.spec.base.falls:
         changes, held = _recorded_changes(log), settings.exiddm.held_at_start or settings.carried is not None
     else:
         changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])

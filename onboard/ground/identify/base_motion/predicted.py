@@ -8,7 +8,6 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
-from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -92,7 +91,7 @@ def predict(
         except SignalError as error:
             refused[method] = str(error)
             continue
-        on_bed = run.model.spec.base is BaseKind.PLANAR
+        on_bed = run.model.spec.base.in_gravity
         found[method] = fit(form, run.rate, run.time_s, run.period_s, level_bed=on_bed)
     if not found:
         raise SignalError("; ".join(refused.values()))

@@ -49,7 +49,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
         log: a recording of it.
     """
     devices, settings = dict(vehicle.file.device), vehicle.file.estimation
-    carried = vehicle.file.vehicle.base in ("fixed", "prescribed") and settings.method == "rows"
+    carried = not vehicle.file.vehicle.base_kind.follows and settings.method == "rows"
     turns = vehicle.prediction is config.Prediction.PIVOT
     free = turns or vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
     if not (carried or free) or not all(isinstance(one, RecordedDevice) for one in devices.values()):

@@ -146,7 +146,7 @@ def _place(
         ours, theirs = shocks(seen[0], SHOCK_S), shocks(felt, SHOCK_S)
         found = align(ours, theirs, SHOCK_HZ, rate_limit, first_s=float(np.ptp(theirs.time_s)))
         return _aligned(log, reference, found, "shocks that both felt")
-    if vehicle is not None and vehicle.file.vehicle.base == "free" and vehicle.file.vehicle.payload_link and joints:
+    if vehicle is not None and vehicle.file.vehicle.base_kind.falls and vehicle.file.vehicle.payload_link and joints:
         return _through_the_model(log, reference, joints, (seen[0], seen[1]), vehicle, rate_limit)
     if imu:
         return _aligned(
