@@ -1,4 +1,4 @@
-"""A robot controller by RTDE: its packages fed three ways, its set-up and what can be wrong with it, losses, states."""
+"""A robot controller by RTDE: packages fed three ways, set-up and refused steps, states of the robot, the TCP port."""
 
 import contextlib
 import math
@@ -12,43 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError, UrlError
-from drivers.records import SampleStatus
 from drivers.transports.network import TcpPort
-from drivers.ur_rtde import PackageStream, RtdeChannel, RtdeConfig, UrRtde, decode_recipe, decode_text
-from tests.conftest import VirtualClock
+from drivers.ur_rtde import PackageStream, RtdeConfig, decode_recipe, decode_text
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.rtde_model import PACKED, RtdeModel, framed, text
-from tests.drivers.serial_script import ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces
+from tests.drivers.rtde_flight import BAD, CHANNELS, MS, PERIOD_S, Flight
+from tests.drivers.rtde_model import PACKED, framed, text
+from tests.drivers.serial_script import bytewise, fed, pieces
 from tests.drivers.serial_script import whole as at_once
-from tests.drivers.test_serial_fuzz import nothing_left_out
-
-MS, PERIOD_S = 1_000_000, 0.008
-BAD, RESET = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET
-CHANNELS = (
-    RtdeChannel("q1", "actual_q", 0, math.tau / 2**32, "rad"),
-    RtdeChannel("q6", "actual_q", 5, -math.tau / 2**32, "rad"),
-    RtdeChannel("i2", "actual_current", 1, 2.0**-32, "A"),
-    RtdeChannel("fz", "ft_raw_wrench", 2, 2.0**-32, "N"),
-)
-
-
-class Flight(SerialFlight):
-    """The driver and the model of a controller, whose clock stands at 100 s when the flight begins."""
-
-    def __init__(self, clock=None, model=None, channels=CHANNELS, **config) -> None:
-        self.model = RtdeModel() if model is None else model
-        port = ScriptedSerial(self.model.receive)
-        clock = VirtualClock() if clock is None else clock
-        super().__init__(clock, port, UrRtde("ur", channels, port.open, clock, RtdeConfig(**config)))
-        self.time_s = 100.0
-
-    def packages(self, n, step_s=PERIOD_S, **values):
-        """Time passes, a package comes at the end of each period."""
-        for _ in range(n):
-            self.time_s += step_s
-            data = self.model.data(self.time_s, **values) if self.model.sends and self.port.is_open else b""
-            self.pump(round(1e9 * step_s), data)
-        return self
 
 
 @pytest.fixture
@@ -217,86 +187,12 @@ def test_without_a_time_or_any_output_nothing_is_recorded(lacks, code):
     assert len(of(flight.batches, "q1")) > 10
 
 
-def test_lost_packages_are_counted_by_its_clock(up):
-    up.time_s += 5 * PERIOD_S
-    up.packages(2)
-    up.stop()
-    assert whole(up.batches, "q1")["sequence"].tolist() == [0, 1, 2, 8, 9]
-    gaps = of(up.batches, "gap")
-    assert len(gaps) == len(CHANNELS)
-    assert set(gaps["cause"]) == {b"packages_lost"}
-    assert gaps["counted"].all()
-    assert set(gaps["duration_ns"]) == {40 * MS}
-
-
-def test_a_connection_that_is_lost_and_returns(up):
-    up.port.broken = True
-    up.packages(50)
-    up.port.broken = False
-    up.packages(150)
-    up.stop()
-    rows = whole(up.batches, "q1")
-    assert rows["sequence"][-1] == 202
-    assert not rows["status"].any()
-    assert codes(up.batches)[2:] == ["bus_error", "bus_recovered", "stopped"]
-    assert set(of(up.batches, "gap")["cause"]) == {b"port_lost"}
-    assert of(up.batches, "gap")["counted"].all()
-
-
-@pytest.mark.parametrize("time_s", [0.0, 95.0, 100.5, 200.0])
-def test_a_controller_that_was_started_again(up, time_s):
-    up.port.broken = True
-    up.packages(500)
-    up.port.broken, up.time_s = False, time_s  # of a boot before, it may have been on for less than now
-    up.packages(150)
-    up.stop()
-    rows = whole(up.batches, "q1")
-    assert np.flatnonzero(rows["status"] & RESET).tolist() == [3]
-    assert codes(up.batches).count("restarted") == 1
-    assert rows["sequence"][-1] == pytest.approx(652, abs=1)  # estimated, by arrivals
-    assert not of(up.batches, "gap")["counted"].any()
-
-
-def test_a_time_that_stands_still_or_is_none(up):
-    up.packages(1, step_s=0.0)
-    assert of(up.batches, "q1")["status"].tolist() == [0, 0, 0, BAD]
-    for time_s in (math.nan, -1.0, 1e10):
-        opened = up.port.opened
-        up.pump(8 * MS, up.model.data(time_s))
-        up.packages(200)
-        assert up.port.opened == opened + 1
-        assert texts(up.batches, "out_of_step")
-    assert len(of(up.batches, "q1")) > 500
-
-
 def test_numbers_that_are_none_are_not_valid(up):
     for value in (math.nan, math.inf, -1e300):
         up.packages(1, actual_q=value)
     for channel, bad in {"q1": BAD, "i2": 0}.items():
         assert of(up.batches, channel)["status"].tolist() == [0, 0, 0, *[bad] * 3]
     assert of(up.batches, "q1")["value_raw"][3:].tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("recipe_and_size", [(2, 0), (1, 1), (1, -1)])
-def test_data_of_another_recipe_or_length_open_the_connection_anew(up, recipe_and_size):
-    recipe, size = recipe_and_size
-    payload = up.model.data(up.time_s + PERIOD_S, recipe)[3:]
-    up.pump(8 * MS, framed("U", payload + bytes(1) if size > 0 else payload[: len(payload) + size]))
-    up.packages(20)
-    assert up.device.bad_frames == 1
-    assert up.port.opened == 2
-    assert len(whole(up.batches, "q1")) > 15
-
-
-def test_data_of_a_session_before_are_not_taken():
-    flight = Flight()
-    flight.model.sends = ["timestamp", "robot_mode", "safety_status_bits", "actual_q"]
-    before = flight.model.data(5.0)
-    flight.port.answer = lambda data: before + flight.model.receive(data)
-    flight.start()
-    flight.packages(3)
-    assert of(flight.batches, "q1")["tick"][0] == 100_008_000
-    assert flight.device.bad_frames == 0
 
 
 def test_a_protective_stop_and_its_end(up):
@@ -332,50 +228,6 @@ def test_messages_of_the_controller_are_events(up, level, severity):
 def test_a_message_with_other_lengths_is_refused(payload):
     with pytest.raises(FrameError, match="lengths"):
         decode_text(payload)
-
-
-def test_a_stop_tells_what_is_missing_at_the_end(up):
-    up.pump(900 * MS)
-    up.stop()
-    rows, gaps = whole(up.batches, "q1"), of(up.batches, "gap")
-    assert len(rows) == 3
-    assert set(gaps["last_missing"]) == {3 + 112 - 1}
-    assert set(gaps["cause"]) == {b"silent"}
-
-
-def test_a_fault_at_any_call_loses_no_count():
-    for flight in fault_at_any_call(
-        Flight, lambda flight: flight.packages(6), lambda flight: flight.packages(20), fewest_calls=20
-    ):
-        assert len(whole(flight.batches, "q1")) > 10
-
-
-FUZZED = st.one_of(
-    st.builds(framed, st.sampled_from("VvMOSUIP"), st.binary(max_size=60)),
-    st.sampled_from(["data", "data", "old", "far"]),
-    st.binary(max_size=30),
-)
-
-
-@settings(max_examples=150)
-@given(data=st.data())
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(data):
-    flight = Flight()
-    flight.start()
-    times = st.sampled_from([0, MS, 8 * MS, 600 * MS, 10_000 * MS])
-    for after_ns, said, fault in data.draw(st.lists(st.tuples(times, FUZZED, st.integers(0, 40)), max_size=25)):
-        flight.port.fail_at = flight.port.calls + fault if fault in {1, 2, 3} else -1
-        flight.port.broken = fault == 4
-        flight.time_s += {"old": -20.0, "far": 9e8}.get(said, 1e-9 * after_ns)
-        if isinstance(said, bytes):
-            flight.pump(after_ns, said)
-        else:
-            flight.pump(after_ns, flight.model.data(max(0.0, flight.time_s % 1e9)) if flight.model.sends else b"")
-    flight.port.fail_at, flight.port.broken = -1, False
-    flight.pump()
-    flight.stop()
-    for channel in flight.device.channels:
-        nothing_left_out(flight.batches, channel)
 
 
 @pytest.mark.parametrize("url", ["tcp://host", "tcp://host:0", "tcp://host:65536", "tcp://:30004", "tcp://h:x"])
@@ -432,25 +284,3 @@ def test_packages_of_universal_robots_own_serialiser(up):
         row = of(up.batches, channel)[-1]
         assert row["value_raw"] * row["scale"] == pytest.approx(value, abs=1e-9)
         assert (row["sequence"], row["tick"], row["status"], row["device_status"]) == (3, 100_032_000, 0, 1)
-
-
-@pytest.mark.parametrize(
-    ("away_s", "behind_s", "restarts"),
-    [(4.0, 0.15, 0), (4.0, 0.3, 1), (4.0, -0.15, 0), (4.0, -0.3, 1), (1000.0, 0.5, 0), (1000.0, 1.5, 1)],
-)
-def test_a_crystal_and_a_late_package_are_no_restart(up, away_s, behind_s, restarts):
-    up.port.broken = True
-    up.packages(2)
-    up.packages(1, step_s=away_s)
-    up.port.broken = False
-    up.time_s -= behind_s
-    up.packages(150)
-    assert codes(up.batches).count("restarted") == restarts
-
-
-def test_a_time_that_goes_back_within_a_connection_began_anew(up):
-    up.time_s = 1.0
-    up.packages(2)
-    up.stop()
-    assert whole(up.batches, "q1")["status"].tolist() == [0, 0, 0, RESET, 0]
-    assert codes(up.batches).count("restarted") == 1

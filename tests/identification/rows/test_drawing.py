@@ -5,7 +5,7 @@ import pytest
 
 from onboard.identification.quantities import Findings
 from onboard.identification.rows.stated_errors.considered import Considered
-from tests.identification.rows.test_identifier import feed, flight, identifier, part, setup
+from tests.identification.rows.rocksat_flight import feed, flight, identifier, part, setup
 
 CAUSES = (
     Considered("scale", "load_cell", "scale", 0.0025, "load_cell scale_sigma"),

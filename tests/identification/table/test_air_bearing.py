@@ -1,196 +1,35 @@
-"""A base on an air bearing: rows, drag and motion against MuJoCo, and what a run does not determine."""
+"""A payload on an air-bearing table: its fit with intervals, drags, encoder zeros, joint places, refusals."""
 
-from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
-from typing import NamedTuple
-
-import mujoco
 import numpy as np
 import pytest
 
-import onboard
-from hil_sim.plants import free_flyer, planar_bed
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
-from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.dynamics.model.inertia import RigidBody
-from onboard.dynamics.model.payload import standard_covariance, standard_of
+from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
-from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import (
-    AirBearingPrior,
     DragPrior,
-    Searched,
-    TableExiddm,
     Work,
     air_bearing_exiddm,
     drag_of,
 )
 from onboard.identification.table.joints import bound, step
-from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
-
-URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
-BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
-PAYLOAD = RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2)
-DRAGS = (planar_bed.Drag(0.05, 0.004), planar_bed.Drag(2.0, 0.3), planar_bed.Drag(0.02, 0.002))
-TILT = (0.002, -0.001)
-PUCKS = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
-IMU = ImuPrior(0.01, 1e-4, 0.003, 0.003, 0.1, 1e-3, 0.003, 0.003, 1e-4)
-PRIOR = AirBearingPrior(0.05, 1.0, PUCKS, 0.005)
-WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
-SECONDS = 8.0
-
-
-class Run(NamedTuple):
-    vehicle: VehicleModel
-    chi: np.ndarray
-    flight: planar_bed.PlanarFlight
-    motion: free_flyer.JointMotion
-
-
-def vehicle(base=BaseKind.PLANAR, payload="payload"):
-    return VehicleModel(URDF, VehicleSpec(base, "base", payload))
-
-
-def fly(swing, seconds=SECONDS, drags=DRAGS):
-    rng = np.random.default_rng(5)
-    motion = free_flyer.JointMotion.draw(rng, swing)
-    motion = replace(motion, start_rad=np.array([0.0, 1.2, 0.0, -1.2, 0.0]))
-    flight = planar_bed.fly(planar_bed.world(BOX, tilt_m_s2=TILT), motion, [0.02, -0.01, 0.05], drags, seconds)
-    model = vehicle()
-    chi = model.chi.copy()
-    chi[model.payload_columns()] = standard_of(PAYLOAD)
-    return Run(model, chi, flight, motion)
-
-
-@pytest.fixture(scope="module")
-def run():
-    return fly(0.6)
-
-
-def exact(run, every=3):
-    """Signals without noise at every third sample, joints as they were commanded."""
-    f = run.flight
-    at = slice(0, None, every)
-    q, dq, ddq = run.motion.at(f.time_s[at])
-    sigma = np.full(3, 1e-3)
-    period_s = every * float(f.time_s[1] - f.time_s[0])
-    return FlightSignals(period_s, q, dq, ddq, f.rate_rad_s[at], f.specific_force_m_s2[at], sigma, sigma, 1)
-
-
-def noisy(run, rng, errors=ImuErrors()):  # noqa: B008
-    sampled = sample(run.flight, errors, rng)
-    return tick_signals(*sampled[:4], sampled[4:], 5, 0.1)
-
-
-def test_three_rows_are_mujocos_generalised_forces(rng):
-    model, truth = vehicle(), planar_bed.world(BOX)
-    chi = model.chi.copy()
-    chi[model.payload_columns()] = standard_of(PAYLOAD)
-    rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
-    q, dq, ddq = rng.normal(size=(3, 4, 5))
-    velocity, acceleration = rng.normal(size=(2, 4, 3))  # x, y, yaw
-    w, dw, f = np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3))
-    w[:, 2], dw[:, 2] = velocity[:, 2], acceleration[:, 2]
-    f[:, :2], f[:, 2] = acceleration[:, :2], 9.80665
-    found = rows.regressor(q, dq, ddq, BaseMotion(w, dw, f)) @ chi
-    still = FlightSignals(0.01, q, dq, ddq, w, f, np.ones(3), np.ones(3), 1)
-    moved, payload = PlanarRun(model, still), model.links.index("payload")
-    G, T = moved.wrench(chi, (payload,))[::2], moved.columns(tuple(range(len(model.links))))[::2]
-    basis = np.column_stack([acceleration, np.ones(4), w[:, 2], w[:, 2] ** 2])
-    data = mujoco.MjData(truth)
-    for k in range(4):  # yaw zero: table axes are base axes
-        data.qpos[:], data.qvel[:] = np.r_[0.3, -0.2, 0.0, q[k]], np.r_[velocity[k], dq[k]]
-        data.qacc[:] = np.r_[acceleration[k], ddq[k]]
-        mujoco.mj_inverse(truth, data)
-        np.testing.assert_allclose(found[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(T[k] @ chi @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(G[k] @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
-
-
-def pulls(drags):
-    viscous, coulomb = np.array([[d.viscous_N_s_m, d.coulomb_N] for d in drags]).T
-    return PlanarDrag(np.array(planar_bed.PUCKS_m), viscous, coulomb)
-
-
-def test_motion_is_mujocos_drag_and_tilt_included(run):
-    joints, truth = PlanarRun(run.vehicle, exact(run)), run.flight.velocity
-    for drags, tilt, low, high in (
-        (DRAGS, TILT, 0.0, 5e-5),
-        ([planar_bed.Drag()] * 3, TILT, 0.02, np.inf),
-        (DRAGS, (0.0, 0.0), 1e-4, np.inf),
-    ):
-        found = predict_planar(joints, truth[0], run.chi, pulls(drags), np.array(tilt), ())
-        assert low <= np.abs(found.velocity[:, :3] - truth[::3]).max() < high
-
-
-def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
-    exiddm = air_bearing_exiddm(
-        run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU, sag=1.0)
-    )
-    x = exiddm.start(PAYLOAD)
-    names = list(exiddm.names)
-    x[:3] = run.flight.velocity[0]
-    for puck, drag in zip(PUCKS, DRAGS, strict=True):
-        x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
-    x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
-    assert np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[:, 2:5] * 1e-3).max() < 2e-3  # one tick in a turn of a puck
-    assert np.abs(exiddm.residuals(x)[0]).mean() * 1e-3 < 2e-5
-    ticks = 120
-    for degree, sag in enumerate((0.3, -0.2, 0.1), 1):
-        x[names.index(f"sag_{degree}")] = sag
-    jacobian = exiddm.residuals(x, ticks)[1]
-    for k, name in enumerate(names):
-        step = np.zeros(x.size)
-        step[k] = 1e-6
-        slope = (exiddm.residuals(x + step, ticks)[0] - exiddm.residuals(x - step, ticks)[0]) / 2e-6
-        np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
-
-
-def test_the_supply_sags_and_all_drags_grow_from_half_to_twice(run):
-    joints, still, drag = PlanarRun(run.vehicle, exact(run)), np.zeros(2), pulls(DRAGS)
-    start = np.array([0.2, -0.1, 0.3])
-    sagging = predict_planar(joints, start, run.chi, drag._replace(sag=(np.log(2.0), 0.0, 0.0)), still, ())
-    for tick, times in ((0, 0.5), (joints.ticks - 1, 2.0)):
-        here = exact(run)
-        here = here._replace(**{name: getattr(here, name)[tick : tick + 1].repeat(3, 0) for name in ("q", "dq", "ddq")})
-        constant = drag._replace(viscous=times * drag.viscous, coulomb=times * drag.coulomb)
-        velocity = sagging.velocity[tick, :3]
-        found = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, constant, still, ())
-        force = found.base.specific_force[0, :2]
-        np.testing.assert_allclose(sagging.base.specific_force[tick, :2], force, atol=1e-9)
-        bare = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, drag, still, ())
-        assert np.abs(bare.base.specific_force[0, :2] - force).max() > 1e-3
-
-
-def test_a_tick_is_the_mean_of_its_samples(run):
-    f, samples = run.flight, 25
-    n = len(f.time_s) // samples
-    time_s, rate, force = (
-        x[: n * samples].reshape(n, samples, -1) for x in (f.time_s, f.rate_rad_s, f.specific_force_m_s2)
-    )
-    middle = samples // 2
-    sigma, period_s = np.full(3, 1e-3), samples * float(f.time_s[1] - f.time_s[0])
-    means = rate.mean(axis=1), force.mean(axis=1)
-    signals = FlightSignals(period_s, *run.motion.at(time_s[:, middle, 0]), *means, sigma, sigma, samples)
-    left = []
-    for told in (samples, 1):
-        exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
-        x = exiddm.start(PAYLOAD)
-        names = list(exiddm.names)
-        x[:3] = f.velocity[middle]
-        for puck, drag in zip(PUCKS, DRAGS, strict=True):
-            x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
-        x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
-        left.append(np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[5:-5, 2]).mean())  # gyro, about the vertical
-    assert left[0] < 0.2 * left[1]
+from tests.identification.table.bed_run import (
+    BOX,
+    DRAGS,
+    PAYLOAD,
+    PRIOR,
+    PUCKS,
+    TILT,
+    URDF,
+    WIDE,
+    exact,
+    fly,
+    noisy,
+    vehicle,
+)
 
 
 def test_payload_and_drag_of_a_noisy_run(run, rng):
@@ -262,121 +101,6 @@ def test_what_cannot_be_used_is_named(run):
     gone[: len(gone) // 2 + 1] = np.nan
     with pytest.raises(SignalError, match="no IMU"):
         air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
-
-
-def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monkeypatch):
-    drags = (planar_bed.Drag(0.3, 0.03), planar_bed.Drag(), planar_bed.Drag())
-    signals = noisy(fly(0.6, 5.0, drags), rng)
-    prior = PRIOR._replace(pucks={"puck_1": DragPrior(5.0, 0.5)})
-
-    def fails(_):
-        raise ConvergenceError("not converged")
-
-    monkeypatch.setattr(Exiddm, "fit", fails)
-    found = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
-    drag = drag_of(found, prior.pucks)
-    assert (np.abs(drag.drag - [0.3, 0.03]) < 3.5 * drag.sigma).all()
-    assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * np.sqrt(found.payload.covariance[0, 0])
-    assert found.misfit == pytest.approx(1.0, abs=0.1)
-    monkeypatch.setattr(TableExiddm, "_searched", lambda _: [])
-    with pytest.raises(ConvergenceError, match="not converged"):
-        air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
-
-
-@pytest.fixture
-def contradicted(run, rng):
-    """One joint reads half of what it turns by, and no other minimum is found by growing parts."""
-    signals = noisy(run, rng)
-    wrong = signals._replace(
-        **{name: getattr(signals, name) * [1.0, 0.5, 1.0, 1.0, 1.0] for name in ("q", "dq", "ddq")}
-    )
-    return air_bearing_exiddm(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
-
-
-def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contradicted, monkeypatch):
-    def fails(_):
-        raise ConvergenceError("not converged")
-
-    monkeypatch.setattr(Exiddm, "fit", fails)
-    far = Searched(contradicted.start(PAYLOAD), 1e6)
-    monkeypatch.setattr(TableExiddm, "_continued", lambda *_: far)
-    with pytest.raises(ConvergenceError, match=r"contradict each other: .* times the noise"):
-        contradicted.fit()
-
-
-@pytest.mark.parametrize(
-    ("by_one_drag", "by_the_other", "searches"),
-    [
-        ([1.0], [1.0], 2),
-        ([1.1, 1.0], [1.0, 1.0], 3),
-        ([1.0, 1.0, 1.0], [1.1, 1.1, 1.1], 6),
-        ([1.4, 1.4, 1.4], [1.4, 1.4, 1.4], 6),
-    ],
-)
-def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
-    run, rng, monkeypatch, by_one_drag, by_the_other, searches
-):
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
-    left = {drags: iter(own) for drags, own in zip(air_bearing._DRAGS, (by_one_drag, by_the_other), strict=True)}
-    done = []
-
-    def continued(coarse, guess, _roundings, drags, _work):
-        done.append(6 * int(coarse._valid.sum()) * next(left[drags]))
-        return Searched(coarse.start(guess), done[-1])
-
-    monkeypatch.setattr(TableExiddm, "_continued", continued)
-    assert len(exiddm._searched()) == 2
-    assert len(done) == searches
-
-
-def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
-    def fails(_):
-        raise ConvergenceError("not converged")
-
-    predicted, residuals = [], TableExiddm.residuals
-
-    def counted(exiddm, x, ticks=None):
-        predicted.append(ticks)
-        return residuals(exiddm, x, ticks)
-
-    monkeypatch.setattr(Exiddm, "fit", fails)
-    monkeypatch.setattr(air_bearing, "_MOST_TICKS", 5000)
-    monkeypatch.setattr(TableExiddm, "residuals", counted)
-    with pytest.raises(ConvergenceError):
-        contradicted.fit()
-    assert 5000 <= sum(predicted) < 5000 + max(predicted)
-
-
-def test_a_fit_whose_pucks_push_is_searched_again(run):
-    """Coulomb drag of one puck below zero by more than its sigma: a run of the bed (seed 91003) was 12 sigmas off."""
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
-    x, covariance = exiddm.start(PAYLOAD), np.eye(len(exiddm.start(PAYLOAD)))
-    drag = exiddm.layout.estimated("drag")
-    covariance[drag, drag] = 0.2**2
-
-    def pushes() -> bool:
-        return exiddm._pushes(SimpleNamespace(x=x, covariance=covariance))
-
-    assert not pushes()
-    x[drag] = [-0.1, 0.0, 0.3, 0.0, 0.0, 0.0]  # one puck of three
-    assert not pushes()
-    x[drag[1]] = -0.001
-    assert pushes()
-    x[drag[1]] = 0.0
-    covariance[drag[0], drag[0]] = 0.09**2
-    assert pushes()
-
-
-def test_coarser_ticks_are_means(run):
-    signals = exact(run)
-    coarse = signals.coarser(3)
-    assert len(coarse.q) == len(signals.q) // 3
-    assert coarse.period_s == pytest.approx(3 * signals.period_s)
-    np.testing.assert_array_equal(coarse.q[5], signals.q[16])
-    np.testing.assert_allclose(coarse.rate[5], signals.rate[15:18].mean(axis=0))
-    np.testing.assert_allclose(coarse.specific_force_sigma * np.sqrt(3.0), signals.specific_force_sigma)
-    assert coarse.samples == 3 * signals.samples
-    np.testing.assert_allclose(signals.coarser(2).dq[5], signals.dq[10:12].mean(axis=0))
 
 
 def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):

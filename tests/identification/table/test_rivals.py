@@ -8,7 +8,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.identification.quantities import Findings
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.rivals import answered
-from tests.identification.table.test_air_bearing import BOX, PRIOR, WIDE, fly, noisy, vehicle
+from tests.identification.table.bed_run import BOX, PRIOR, WIDE, fly, noisy, vehicle
 
 TRUTH = np.array([BOX.mass_kg, *BOX.centre_of_mass_m, *elements(BOX.inertia_kg_m2)])
 
