@@ -11,8 +11,8 @@ from onboard.ground.log.bring_in.guess.propose import Names, propose
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
 from tests.ground.log.bring_in.guess import made
+from tests.ground.log.bring_in.guess.brought_in import held, held_imu
 from tests.ground.log.bring_in.guess.made import COUNT, IMU_NAMES, T, arm, body, imu_columns
-from tests.ground.log.bring_in.guess.test_kinds import held, held_imu
 
 DEG = 180.0 / np.pi
 

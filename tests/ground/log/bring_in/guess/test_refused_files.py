@@ -12,8 +12,8 @@ from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess.propose import Names, propose
 from onboard.ground.log.bring_in.importer import import_recordings
 from tests.ground.log.bring_in.guess import made
+from tests.ground.log.bring_in.guess.brought_in import held_imu
 from tests.ground.log.bring_in.guess.made import COUNT, IMU_NAMES, T, body, imu_columns
-from tests.ground.log.bring_in.guess.test_kinds import held_imu
 from tests.ground.log.bring_in.guess.test_odd_files import brought_in
 
 _MAT = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
