@@ -196,8 +196,9 @@ class ServoAxis(Axis):
         wanted = [(table.DRIVE_MODE, 1, mode & ~NOT_IN_DRIVE_MODE), *wanted]
         if self._torque:  # of an earlier flight: it may be under way
             yield from self._write(table.BUS_WATCHDOG, 1, 0)
-            position = yield RegisterTransfer(table.PRESENT_POSITION, 4)
-            yield from self._write(table.GOAL_POSITION, 4, self._placed(_number(position)))
+            data = yield RegisterTransfer(table.PRESENT_POSITION, 4)
+            position = int.from_bytes(data, "little", signed=True)
+            yield from self._write(table.GOAL_POSITION, 4, self._placed(position))
         for address, size, value in wanted:
             found = _of(said, address, size)
             if found != value and self._torque:
@@ -403,10 +404,6 @@ def _of(said: bytes, address: int, size: int) -> int:
     """A number out of the settings."""
     at = address - table.SETTINGS
     return int.from_bytes(said[at : at + size], "little", signed=size > 1)
-
-
-def _number(data: bytes) -> int:
-    return int.from_bytes(data, "little", signed=True)
 
 
 def _bytes(value: int) -> bytes:

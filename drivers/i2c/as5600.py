@@ -108,7 +108,6 @@ class As5600(I2cSensor):
         self._position = Position(LARGEST_STEP, self.config.zero_count, 12)
         self._next = 0
         self._last_ns: int | None = None
-        self._cause = ""
         self._magnet_fault = ""
 
     def _watched(self) -> list[Watched]:
@@ -130,9 +129,6 @@ class As5600(I2cSensor):
 
     def _begin(self, now_ns: int, anew: bool) -> str:
         return f"AS5600 runs: a reading in {self.config.sample_period_ms:g} ms, filter {self.config.slow_filter}x"
-
-    def _interrupt(self, cause: str) -> None:
-        self._cause = self._cause or cause
 
     def _take(self, now_ns: int) -> None:
         reply = self._bus.read(STATUS, 3)

@@ -211,7 +211,6 @@ class Nau7802(I2cSensor):
         self._looked_ns = 0  # the last look, which found nothing or took what it found
         self._sampled_ns = 0
         self._early = 0  # conversions found too soon to be such, in a row
-        self._cause = ""
         self._after_reset = False
         supply = self.config.supply_V
         self._power = PUD | PUA | CS | (AVDDS if supply else 0)
@@ -284,9 +283,6 @@ class Nau7802(I2cSensor):
             self._count.anew()
         rate, gain = self.config.sample_rate_hz, self.config.amplifier
         return f"NAU7802 runs: {rate} samples/s, gain {gain}, offset calibration {(self._offset or b'').hex()}"
-
-    def _interrupt(self, cause: str) -> None:
-        self._cause = self._cause or cause
 
     def _take(self, now_ns: int) -> None:
         look = self._bus.read(PU_CTRL)

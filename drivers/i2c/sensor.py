@@ -61,6 +61,7 @@ class I2cSensor(ABC):
         self._backoff_ns = BACKOFF_NS
         self._away_since_ns: int | None = None
         self._told = ""
+        self._cause = ""  # the first one since samples were taken
         self._checked_ns = 0
         self._check = 0
 
@@ -96,9 +97,9 @@ class I2cSensor(ABC):
     def _take(self, now_ns: int) -> None:
         """Read what there is. Raises OSError."""
 
-    @abstractmethod
     def _interrupt(self, cause: str) -> None:
         """No samples are taken from now on, because of ``cause``."""
+        self._cause = self._cause or cause
 
     @abstractmethod
     def _finish(self, now_ns: int) -> str:

@@ -102,7 +102,7 @@ def cells(values: Values, digits: int | None = None) -> Cells:
         return (_seconds if kind == "m" else _instants)(values.view(np.int64))
     if kind == "b" or (kind in "iu" and values.dtype.itemsize <= 2):
         name = values.dtype.str if kind in "iu" else "|u1"
-        return _rows_of(_small_integers(name), values.astype(np.intp) - _lowest(name))
+        return _rows_of(_small_integers(name), values.astype(np.intp) - int(np.iinfo(name).min))
     if kind in "iu":
         return _integers(values)
     return _by_value(values, _float_formatter(values.dtype, digits) if kind == "f" else _text)
@@ -119,10 +119,6 @@ def _rows_of(table: Cells, index: NDArray[np.integer[Any]]) -> Cells:
 def _small_integers(kind: str) -> Cells:
     limits = np.iinfo(kind)
     return _matrix([b"%d" % n for n in range(int(limits.min), int(limits.max) + 1)])
-
-
-def _lowest(kind: str) -> int:
-    return int(np.iinfo(kind).min)
 
 
 @cache
