@@ -36,7 +36,7 @@ class Value(NamedTuple):
 
 @dataclass
 class _Channel:
-    """What is not told of a channel yet: samples from ``following`` on, and why the first of them is missing."""
+    """What is not recorded of a channel yet: samples from ``following`` on, and why the first of them is missing."""
 
     following: int = 0
     last_ns: int | None = None

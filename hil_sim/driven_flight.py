@@ -2,10 +2,10 @@
 
 What a flight computer commands moves the arm, the arm moves the base, and IMU, load cell and drives feel it. Base,
 arm, payload, release and posture are those that the same scenario and seed fly. No motion is known beforehand: MuJoCo
-steps (1 ms) as the drives are told. Sensors interpolate between rows around their time, so the plant stands a few rows
-ahead of the devices, and the drives' loops run ``LATE_S`` behind it: what a drive is told, and what its encoder says to
-its loop, reaches the motor so much later. A payload is held from the start; captures, ejections and servos of the
-scenario are not flown here.
+steps (1 ms) as the drives are commanded. Sensors interpolate between rows around their time, so the plant stands a few
+rows ahead of the devices, and the drives' loops run ``LATE_S`` behind it: what a drive is sent, and what its encoder
+says to its loop, reaches the motor so much later. A payload is held from the start; captures, ejections and servos of
+the scenario are not flown here.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError
 
-LATE_S = 5.0 * STEP_S  # the plant is four to five rows ahead of the devices: no loop may act before it is told
+LATE_S = 5.0 * STEP_S  # the plant is four to five rows ahead of the devices: no loop may act before its command
 
 
 class _LateJoint(DrivenJoint):
@@ -70,7 +70,7 @@ class DrivenPlant(VehiclePlant):
         vehicle: joints for the drives, by name in its ``axes``.
 
     Raises:
-        ScenarioError: a base that moves as it is told, or a number that cannot be simulated.
+        ScenarioError: a prescribed base, or a number that cannot be simulated.
     """
 
     def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
@@ -129,7 +129,7 @@ class DrivenFlight(Mission):
         drives: by name, once attached.
 
     Raises:
-        ScenarioError: a scenario without a joint that is wired, or of a base that moves as it is told.
+        ScenarioError: a scenario without a joint that is wired, or of a prescribed base.
         FaultError: a fault that its device cannot have.
     """
 

@@ -64,7 +64,7 @@ def _readable(array: NDArray[np.generic], where: str) -> NDArray[np.generic]:
 def _require_bounded(path: Path, most_bytes: int) -> None:
     """Raises NpzError if the arrays would take more memory than that."""
     if not zipfile.is_zipfile(path):
-        return  # told by the caller
+        return  # reported by the caller
     with zipfile.ZipFile(path) as archive:
         total = 0
         if len(archive.infolist()) > _MOST_ARRAYS:

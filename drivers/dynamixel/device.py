@@ -54,8 +54,8 @@ class DynamixelBus(PolledDevice):
     is; those that answer are sampled together, by Fast Sync Read where all of them have it. A servo that does not
     answer ``SILENT_AFTER`` rounds is left out, which its channels lack, and looked for once a second. After an
     unanswered round the next one reads one byte more, so that a late answer has the wrong length and is rejected.
-    ``device_status`` is the error byte: 80h (alert) is told with what Hardware Error Status says, and the current is
-    not valid as long as it is set; the position is not if the encoder fails.
+    ``device_status`` is the error byte: 80h (alert) is reported with what Hardware Error Status says, and the current
+    is not valid as long as it is set; the position is not if the encoder fails.
 
     Args:
         name: Of the line: source of its own events. Those of a servo have the servo's.

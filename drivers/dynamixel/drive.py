@@ -333,7 +333,7 @@ class ServoAxis(Axis):
         if len(self._goals) == self._goals.maxlen and self._said.goal not in self._goals:
             yield f"takes no goals: it has {self._said.goal}"
 
-    # What it is told
+    # Commands
 
     def enable(self) -> None:
         """See ``Axis``."""

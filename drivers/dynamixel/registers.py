@@ -179,7 +179,7 @@ class DynamixelTiming:
 
 
 class BetweenRounds(NamedTuple):
-    """What one servo is asked between samples, or told (``data``)."""
+    """What one servo is asked between samples, or sent (``data``)."""
 
     identifier: int
     address: int

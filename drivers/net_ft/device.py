@@ -175,7 +175,7 @@ class NetFt(SerialDevice):
         self._next += lost
 
     def _tell_status(self, host_ns: int, status: NDArray[np.uint32]) -> None:
-        """Changes of the sensor's status; one that is over within one read is told, too."""
+        """Changes of the sensor's status; one that is over within one read is reported, too."""
         for code in [*np.unique(status).tolist(), int(status[-1])]:
             if code != self._status:
                 self._status = code

@@ -1,4 +1,4 @@
-"""One drive as its master has it, of whatever kind and on whatever bus: its limits, its answers, what it can be told.
+"""One drive as its master has it, of whatever kind and on whatever bus: its limits, its answers, its commands.
 
 Known limit: positions are whole counts within 32 bits; a kind that counts otherwise converts.
 """
@@ -178,7 +178,7 @@ class Axis(ABC):
         return self._too_fast()
 
     def _is_at(self, position: int, instant: float) -> None:
-        """Take a position that it has told, of an instant in periods."""
+        """Take a position that it has reported, of an instant in periods."""
         self.position = position
         self._past.append((instant, position))
 
@@ -201,7 +201,7 @@ class Axis(ABC):
             return ""
         return f"moves at {self.config.degrees(rate):.1f} deg/s, faster than its limit"
 
-    # What it is told
+    # Commands
 
     def beat(self) -> None:  # noqa: B027 - most buses need none
         """Say that the master is there, for all drives of its bus."""

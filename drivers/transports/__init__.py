@@ -49,7 +49,7 @@ def open_can(url: str, clock: Clock) -> CanPort:
     """Open a CAN bus. The port opens it again when its adapter or interface went and came back.
 
     Args:
-        url: ``can+socketcan://can0?bitrate=500000`` (the bit rate is what ``ip link`` was told; it is not set here;
+        url: ``can+socketcan://can0?bitrate=500000`` (the bit rate is what ``ip link`` was given; it is not set here;
             ``receive_buffer=4194304`` bytes are asked of the kernel), ``can+virtual://NAME?timestamps=monotonic``
             (python-can's in-process bus; without ``timestamps`` its stamps are the wall clock's),
             ``can+slcan:///dev/ttyACM0?bitrate=500000`` (ASCII adapter on a tty; ``baud=115200``), or

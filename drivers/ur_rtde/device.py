@@ -102,7 +102,7 @@ class UrRtde(SerialDevice):
         self._version = ""
         self._period_us = 1e6 / self.config.rate_hz
         self._next = 0  # number of the next package, if none is lost before it
-        self._following = dict.fromkeys(self._channels, 0)  # first number that is not told, by channel
+        self._following = dict.fromkeys(self._channels, 0)  # first number that is not recorded, by channel
         self._last: tuple[int, int] | None = None  # tick and arrival of the last package
         self._was_down = False  # the connection was closed since
         self._safety, self._has_power = NORMAL, True
@@ -236,7 +236,7 @@ class UrRtde(SerialDevice):
             off = (table["robot_mode"] < MEASURED_FROM) | (table["robot_mode"] == UPDATING)
             status |= off * _NOT_VALID
             self._tell_power(host_ns, int(table["robot_mode"][-1]), is_on=not off[-1])
-        for bits in np.unique(safety).tolist():  # a stop that is over within one read is told, too
+        for bits in np.unique(safety).tolist():  # a stop that is over within one read is reported, too
             self._tell_safety(host_ns, bits)
         self._tell_safety(host_ns, int(safety[-1]))
         for one in self._channels.values():
@@ -290,7 +290,7 @@ class UrRtde(SerialDevice):
             self._following[channel] = self._next
         self._last = None
 
-    # What is told
+    # Reports
 
     def _tell_power(self, host_ns: int, mode: int, *, is_on: bool) -> None:
         if is_on != self._has_power:

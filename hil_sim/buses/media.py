@@ -198,7 +198,7 @@ class CanBus:
         self._rng = np.random.default_rng([seed, 0xCA])
         self._latency_ns = latency_ns
         self._jitter_ns = jitter_ns
-        self.errors = 0  # error frames told
+        self.errors = 0  # error frames sent
         self._bit_rate = bit_rate
         self._faults = NO_FAULTS
         self._late: deque[tuple[int, WireFrame]] = deque()  # frames on their way to us, by time of arrival

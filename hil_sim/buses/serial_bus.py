@@ -118,7 +118,7 @@ class SerialBus:
         self.garbled = 0
         self._link = link
         self._wires: list[_Wire] = []
-        self._said = deque[tuple[_Wire, bytes, int]]()  # by stations, not told to the others yet
+        self._said = deque[tuple[_Wire, bytes, int]]()  # by stations, not passed to the others yet
         self._made: Callable[[], int] = lambda: 0
         self._made_before: int | None = None  # the port was first open
         self._discarded = False

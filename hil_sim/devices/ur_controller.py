@@ -15,7 +15,7 @@ M       (not taken here)                                     uint8 and message, 
 
 An output that is unknown has the type NOT_FOUND; one that another client has is IN_USE; the recipe is 0 then. A
 package's outputs are all of the instant of its ``timestamp``, seconds since the controller was started. It leaves
-within a control cycle. A protective stop and an emergency stop are only told: the plant moves on.
+within a control cycle. A protective stop and an emergency stop are only reported: the plant moves on.
 """
 
 import math

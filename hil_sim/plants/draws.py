@@ -62,7 +62,7 @@ def off_the_drawing(scenario: Scenario, links: Collection[str], rng: np.random.G
 
 
 def payload(table: PayloadTable, drawn: Body | None, sigma: Tolerance | None, rng: np.random.Generator) -> Body:
-    """A solid box in the frame of its link; whatever is not told is drawn.
+    """A solid box in the frame of its link; whatever is not given is drawn.
 
     Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density, and is
     made within ``sigma`` where that is given.

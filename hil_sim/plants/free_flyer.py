@@ -367,7 +367,7 @@ def _advance(
     q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
     data.time = 0.0  # of this chunk
     M, each, told = np.empty((model.nv, model.nv)), np.arange(model.nv), slice(6, 6 + JOINTS)
-    free = slice(0, 6) if model.nv == told.stop else np.delete(each, told)  # not told what to do; views are faster
+    free = slice(0, 6) if model.nv == told.stop else np.delete(each, told)  # without a command; views are faster
     blocks = (free, free), (free, told), (told, free), (told, told)
     on_free, between, from_free, on_told = (
         block if isinstance(free, slice) else np.ix_(*(each[part] for part in block)) for block in blocks

@@ -1,9 +1,9 @@
 """What a rehearsal is planned to be, as numbers that the flight app's own model can take: no truth that is drawn.
 
 The joints' motion is the program's. What is drawn about a nominal value has that value here: the payload its middle
-mass (geometric) and, unless told, the shape of a cube; the release its rms; the capture the middle of its window. How a
-prescribed base will sway nobody knows before: several motions are drawn, each as likely as the flight's.
-MuJoCo is not needed, so that a flight computer without it can plan too.
+mass (geometric) and, unless given, the shape of a cube; the release its rms; the capture the middle of its window. How
+a prescribed base will sway nobody knows before: several motions are drawn, each as likely as the flight's. MuJoCo is
+not needed, so that a flight computer without it can plan too.
 """
 
 from collections.abc import Sequence
@@ -181,7 +181,7 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
 
 
 def _sways(scenario: Scenario, time_s: FloatArray) -> tuple[BaseReadings, ...]:
-    """Several, or one where all are alike: a base that is carried as it is told."""
+    """Several, or one where all are alike: a base that is prescribed."""
     count = max(2, min(_SWAYS, _MOST_ROWS // len(time_s)))  # of a long motion each is as telling as the next
     found = [_readings(scenario, time_s, seed) for seed in range(1, count + 1)]
     alike = all(np.array_equal(one, other) for one, other in zip(found[0], found[1], strict=True))

@@ -1,11 +1,11 @@
-"""Flight of a vehicle whose joints move as told: MuJoCo's inverse dynamics gives the base's acceleration and all loads.
+"""Flight of a vehicle with commanded joints: MuJoCo's inverse dynamics gives the base's acceleration and all loads.
 
 At a pose, MuJoCo's inverse dynamics with the joints' accelerations and none of the base gives the wrench b that would
 keep the base from accelerating; with M the inertia matrix at the base and f the wrench on it from outside, the base
 accelerates by ``M^-1 (f - b)``. A Runge-Kutta scheme of fourth order integrates that, its stages on half steps.
 
 A grip that closes at once is plastic: from one row to the next the payload is welded to its link, the momentum of the
-whole vehicle is that of before and the payload's own together, and the joints continue as told. A release is the
+whole vehicle is that of before and the payload's own together, and the joints continue as commanded. A release is the
 reverse. A grip with a contact holds the payload by a spring first (``Contact``).
 """
 
@@ -64,7 +64,7 @@ class VehicleFlight:
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
         jets: thrusters of a free one.
-        wheels: that hold its attitude; the others move as told.
+        wheels: that hold its attitude; the others move as commanded.
 
     Attributes:
         momenta: velocities and momenta of the state in which the vehicle stands.

@@ -1,4 +1,4 @@
-"""Plant of any vehicle: its URDF as it was built, its base released, held or moved, its joints as told, its payload.
+"""Plant of any vehicle: its URDF as it was built, its base released, held or moved, its commanded joints, its payload.
 
 A mission of some minutes is computed when the plant is created, at steps of a few ms; a longer one, and one where the
 flight computer asks for some of the motion, as time advances. The sensors' finer grid is interpolated by splines,
@@ -333,7 +333,7 @@ class VehiclePlant(world.Plant):
         """What was drawn, to be moved by its drives.
 
         Raises:
-            ScenarioError: a base that is moved as told.
+            ScenarioError: a prescribed base.
         """
         scenario = self._scenario
         if scenario.vehicle.base == "prescribed":

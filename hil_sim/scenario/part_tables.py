@@ -12,7 +12,7 @@ from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
 
 
 class ServoTable(Table):
-    """``[servo.JOINT]``, ``[servo.default]``: the joint is driven by a position loop instead of moving as told.
+    """``[servo.JOINT]``, ``[servo.default]``: the joint is driven by a position loop instead of moving as commanded.
 
     ``stiffness``, ``damping``: of the loop; without, those of ``bandwidth_Hz`` and a damping ratio of 0.8 with what the
     joint turns at the start. ``torque_limit``: the URDF's effort where not given. It feeds forward what its model of
@@ -38,7 +38,7 @@ class StopTable(Table):
     """``[[stop]]``: a boss on the link beyond a joint meets a block on the link before it, beyond any load cell.
 
     ``end``: the side on which the joint comes to it. Stiffness and damping are those at the boss, ``radius_mm`` from
-    the joint's axis. The joint needs a servo: one that moves as told goes through it.
+    the joint's axis. The joint needs a servo: one that moves as commanded goes through it.
     """
 
     joint: str

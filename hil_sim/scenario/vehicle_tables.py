@@ -172,7 +172,7 @@ class SequenceStep(Table):
                 "strokes": 2.0 * own["transfer_s"] + own["strokes"] * (own["stroke_s"] + own["pause_s"]),
                 "push": own["approach_s"] + own["hold_s"] + own["retreat_s"],
             }
-        except TypeError:  # told by the field itself
+        except TypeError:  # reported by the field itself
             return table
         found = sums.get(str(table.get("action")))
         if found is None:

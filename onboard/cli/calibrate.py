@@ -285,7 +285,7 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
 
 
 def _guided(steps: "list[GuideStep]", vehicle: "config.Vehicle", log: Path) -> None:
-    """The steps on a terminal: each told, confirmed, then held for its time."""
+    """The steps on a terminal: each shown, confirmed, then held for its time."""
     from onboard.flight import bench
 
     with bench.BenchRun(vehicle, log, time.monotonic_ns) as run, bench.PumpedBench(run) as pumped:

@@ -143,7 +143,7 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
 
 
 def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
-    """Where what is held is told, and what else could be meant."""
+    """Which link stands for what is held, and which others could be meant."""
     if link in drawn.links:
         return (
             f"link {link} has a mass in the URDF: it is taken for what is held. Name one without, of the last link",

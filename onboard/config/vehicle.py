@@ -105,7 +105,7 @@ class RecordingSection(Section):
 
 
 class Realtime(Section):
-    """What is asked of the system for acquisition and recording; what it refuses is told, and does not stop a flight.
+    """What is asked of the system for acquisition and recording; a refusal is reported and does not stop a flight.
 
     ``..._priority``: of SCHED_FIFO, 0 for none. ``..._cpus``: numbers of the cores that it may run on, all where empty.
         ``lock_memory``: their memory is never swapped out. ``freeze_gc``: workers' garbage collectors leave alone what

@@ -35,7 +35,7 @@ class MotorDevice(JointDevice):
 
     @property
     def torque_units(self) -> Mapping[bytes, float]:
-        """N m in each unit that its torque may be told in."""
+        """N m in each unit that its torque may be given in."""
         return {b"N m": 1.0}
 
     def roles(self, name: str, period_s: float) -> Roles:

@@ -18,7 +18,7 @@ from onboard.section import Positive
 
 TICK_NS = 1000.0  # rows count microseconds
 COUNTS = 1 << 32  # of a turn: the controller tells doubles
-STEP = 2.0**-32  # of what is told in other units
+STEP = 2.0**-32  # of quantities in other units
 Place = Annotated[int, Field(ge=1, le=6)]
 
 

@@ -55,7 +55,7 @@ DOUBLINGS = 12
 """Looks of a test that refuses an estimate by all rows so far, which is a new one when they have doubled: so often in
 an hour, from a second on. A doubt is taken back where the next estimate is as stated: it looks once."""
 INTERVAL = 0.95
-"""Probability of the intervals that are told: GUM (JCGM 100:2008, 6.3)."""
+"""Probability of the intervals that are reported: GUM (JCGM 100:2008, 6.3)."""
 MISFIT_DOUBTED = 1.3
 """Mean square of residuals over what is stated: below it intervals are 14 % too narrow at most; 95 % are 91."""
 MISFIT_REFUSED = 2.0

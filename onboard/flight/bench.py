@@ -134,7 +134,7 @@ class PumpedBench:
             while not self._over.is_set():
                 self.run.step()
                 time.sleep(PAUSE_S)
-        except Exception as error:  # noqa: BLE001 - told to the operator by check(), in the thread that asks
+        except Exception as error:  # noqa: BLE001 - shown to the operator by check(), in the thread that asks
             self._error = error
 
     def check(self) -> None:
@@ -196,7 +196,7 @@ def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress:
         vehicle: with the URLs of the simulated buses.
         world: the bench.
         log: to write; must not exist.
-        progress: told the fraction done.
+        progress: called with the fraction done.
     """
     clock = simulated.VirtualClock(world.start_ns)
     with BenchRun(vehicle, log, clock) as run:

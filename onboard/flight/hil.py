@@ -91,7 +91,7 @@ def fly_simulated(
         world: the devices.
         urls: bus name to URL.
         log: where to record; must not exist.
-        progress: told the fraction flown.
+        progress: called with the fraction flown.
 
     Raises:
         ConfigError: the vehicle cannot be used.
@@ -173,11 +173,11 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
         vehicle: what flies.
         serve: arguments to the interpreter that start the devices: with ``--wait`` they print one JSON line with the
             bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end,
-            which is when they are told to: a flight that no phase has ended is stopped when the mission is over, and
-            devices that end by themselves then lose what a busy computer has not read. Lines ``ask SEGMENT`` on stdin
-            are the motions that the flight asks for.
+            which is when they are commanded to: a flight that no phase has ended is stopped when the mission is over,
+            and devices that end by themselves then lose what a busy computer has not read. Lines ``ask SEGMENT`` on
+            stdin are the motions that the flight asks for.
         log: where to record; must not exist.
-        progress: told the fraction flown.
+        progress: called with the fraction flown.
 
     Raises:
         FlightError: the devices or a worker did not start, or died.

@@ -76,7 +76,7 @@ def fly(
         acquisition: the acquisition worker, not started.
         estimation: the estimation worker.
         recorder: the recording worker.
-        progress: told the time after each step of the recorder.
+        progress: called with the time after each step of the recorder.
         answered: called after each step of the estimation; returns another ``end_ns``, None to keep it.
     """
     acquisition.start(clock.now_ns)

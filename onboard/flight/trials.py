@@ -60,7 +60,7 @@ class Wire(NamedTuple):
 
 
 class ArmOnBus(Protocol):
-    """The arm on its bus, on a clock that goes on when it is told to."""
+    """The arm on its bus, on a clock that the caller advances."""
 
     @property
     def now_ns(self) -> int:
@@ -125,7 +125,7 @@ class Trials:
         limits: of the joints.
         inertia: gives that of the arm with its drives, (n, n) kg m^2, for a posture, (n,).
         at_rest: gives the torques, (n,) N m, that hold a posture.
-        record: told all that the bus says.
+        record: called with all that the bus says.
 
     Raises:
         RuntimeError: the drives cannot be enabled.

@@ -2,8 +2,8 @@
 
 A mass or a moment of inertia is held against itself, a product of inertia against the largest moment of its body, a
 coordinate of a centre of mass against the size of the body: ``(|c|^2 + tr I / 2 m)^(1/2)``, the root mean square
-distance of its mass from the origin of its frame. A body of which mass or inertia is not told has no size, and its
-products and centre are not judged. What is useful is stated by the user (``[estimation.useful]``).
+distance of its mass from the origin of its frame. A body of which mass or inertia is not determined has no size, and
+its products and centre are not judged. What is useful is stated by the user (``[estimation.useful]``).
 """
 
 from collections.abc import Iterable

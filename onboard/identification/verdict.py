@@ -10,8 +10,8 @@ The rules, from worst to best; every applicable reason is listed:
 - *weak*: a requested quantity is not determined (it is named), or not known well enough
   (:mod:`onboard.identification.useful`); one half predicts the other with an error above 50 %; a correction lies three
   sigmas out; the log is too short to hold out a half.
-- *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are told with any level, and so
-  is it where more than one row in twenty was refused because a reading repeats.
+- *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are named with any level, and
+  so are rows refused because a reading repeats, where these are more than one in twenty.
 
 Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
 rows: above four times the number of rows it is not noise. This alone is not a reason for refusal: friction and gears
@@ -135,7 +135,7 @@ def _contradictions(evidence: Evidence) -> list[str]:
 
 
 def _repeated(evidence: Evidence) -> list[str]:
-    """What is told, at any level, of rows that were refused because a reading repeats."""
+    """Remarks, at any level, on rows that were refused because a reading repeats."""
     stuck = evidence.refused.get("stuck", 0)
     share = stuck / (evidence.rows_used + stuck)
     if share <= MOST_CONTRADICTED:

@@ -85,7 +85,7 @@ async def serve(
     Args:
         source: a :class:`Followed` flight, or a log.
         address: to bind to.
-        tell: is told the page's address.
+        tell: is called with the page's address.
         plan: whose expected intervals are shown.
         acts: what can be done through the page.
         urdf: beside which meshes lie.

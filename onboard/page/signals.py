@@ -125,7 +125,7 @@ class PageSignals:
                 if _name(its, kind) != name:
                     continue
                 at_s = np.round((channel.steps * channel.every_ns - start_ns) * 1e-9, 3)
-                new = at_s + channel.every_ns * 1e-9 > since_s + 1e-6  # one that has only begun is told again
+                new = at_s + channel.every_ns * 1e-9 > since_s + 1e-6  # a step that has only begun is sent again
                 at_s, low, high = at_s[new], channel.low[new, columns], channel.high[new, columns]
                 ends = np.stack((low, high), axis=2).reshape(len(at_s), 2 * len(components))
                 points = [[t, *map(_short, row)] for t, row in zip(at_s.tolist(), ends.tolist(), strict=True)]

@@ -44,7 +44,7 @@ class Recorder:
         rings: drained in this order, each into the channel of its own name.
         recorded: last recorded row of each channel in a log begun by another recorder.
         space: monitors the disk's free space.
-        said: told each event of the recorder's own, which go into the log without a ring.
+        said: called with each event of the recorder's own, which go into the log without a ring.
         losses: gives, and forgets, the segments that somebody removed, renamed or cut off.
 
     Raises:

@@ -59,7 +59,7 @@ class Room(NamedTuple):
 
     for_all: bool  # False: for events and gaps only
     removed: tuple[Path, ...] = ()
-    strange: tuple[str, ...] = ()  # what stands where a reserve would, and is left alone; told once
+    strange: tuple[str, ...] = ()  # what stands where a reserve would, and is left alone; reported once
 
 
 def free_bytes(directory: Path) -> int:

@@ -127,7 +127,7 @@ def _short(name: str, tags: dict[str, str]) -> str:
 
 
 def _places(model: RowModel) -> list[_Place]:
-    """Every distance that the rows may depend on; of the base none: it is where all is told from."""
+    """Every distance that the rows may depend on; of the base none: all distances are from it."""
     vehicle, pinocchio = model.vehicle, model.vehicle.model
     found = []
     for joint in range(2, pinocchio.njoints):

@@ -57,7 +57,7 @@ class Commander:
         source: who asks, 16 bits.
         count: of the first one.
         out: takes packets.
-        say: told what is reported.
+        say: called with what is reported.
 
     Attributes:
         done: whether each that is over was carried out.

@@ -1,8 +1,8 @@
 """Springs in a vehicle: joints that give way between drive and link, and a mass that swings in the base.
 
-A joint's drive, with its encoder, moves as told; the link is turned further by its bend, on which a spring and a damper
-act, and neither within the joint's play. The swinging mass is a point on a spring about the base's centre of mass,
-without a moment of its own; on a level table it moves along the table. All are states beside the base's motion,
+A joint's drive, with its encoder, moves as commanded; the link is turned further by its bend, on which a spring and a
+damper act, and neither within the joint's play. The swinging mass is a point on a spring about the base's centre of
+mass, without a moment of its own; on a level table it moves along the table. All are states beside the base's motion,
 integrated with it.
 """
 

@@ -1,6 +1,6 @@
 """What every key outside ``[device]`` means, and when to change it: for the JSON Schema and ``docs/vehicle.md``.
 
-The keys of devices are told by their own modules, in ``docs/devices.md``.
+The keys of devices are described by their modules, in ``docs/devices.md``.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Looks a URDF over before any model is made of it: what cannot fly is told with its line, its name and a remedy.
+"""Looks a URDF over before any model is made of it: what cannot fly is refused with its line, its name and a remedy.
 
 ``VehicleModel``, the vehicle file's checks and ``heft init`` ask here, and no other place judges a URDF's numbers.
 Nothing of Pinocchio is loaded. Of pictures and collision shapes only the sizes are looked at.

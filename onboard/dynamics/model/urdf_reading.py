@@ -174,7 +174,7 @@ def _foreign(robot: ET.Element, lines: dict[ET.Element, int]) -> list[UrdfProble
 
 
 def _names(elements: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator[UrdfProblem]:
-    """Elements without a name, with one that cannot be told, or with that of another."""
+    """Elements without a name, with one that cannot be read, or with that of another."""
     first: dict[str, int] = {}
     for element in elements:
         name, line = element.get("name"), lines[element]

@@ -95,7 +95,7 @@ class RestBias(NamedTuple):
 
 
 def rest_bias(rate_rad_s: FloatArray, up: FloatArray, reading_sigma_rad_s: float) -> RestBias:
-    """Bias of a gyro from its mean readings at rest in the six positions; what gravity does to it is told apart.
+    """Bias of a gyro from its mean readings at rest in the six positions, separate from the effect of gravity on it.
 
     The Earth's rotation, whose direction is not known, is part of sigma.
 

@@ -13,8 +13,8 @@ Zeros are constants with a random walk from pose to pose (sensors warm up, cable
 axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a spread, over which the answer
 is a mixture: of all axes, or of one while the others are as stated, as likely beforehand. So the axes themselves tell
 how well they agree and which does not: three measure the mass. Only two moments measure each lever, so one that is off
-is told where two levers are long; else both are as likely, and the mixture is of both. An error that all axes share
-cannot be seen.
+is identified where two levers are long; else both are as likely, and the mixture is of both. An error that all axes
+share cannot be seen.
 """
 
 from collections.abc import Sequence

@@ -109,7 +109,7 @@ def checkout(
         vehicle: its file, the buses at the URLs to be used.
         estimator: that flies with it, and whose answers take room on the disk too.
         bench: clock, devices, dry run.
-        operator: asked and told.
+        operator: who answers the questions and reads the results.
         lengths: of what is waited for.
 
     Raises:

@@ -254,7 +254,7 @@ class Asking:
                 why = f"the last {_FEWEST} segments have told nothing that was not known; most is by {told}"
             if why:
                 return self._give_up(now_ns, time_s, now, why)
-        if solved:  # else what the segments told is in a window that is not explained yet
+        if solved:  # else the information of the segments is in a window that is not explained yet
             self._ratios.append(now)
         name = library.names[found.segment]
         self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1

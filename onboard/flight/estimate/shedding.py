@@ -1,14 +1,14 @@
 """Which rows an estimator that cannot keep up leaves out: late by more than 8 s, all until 1 s before the present.
 
-What is left out is in one piece, so that what is taken in is, too: a change is told by windows of 1 to 4 s without a
-hole. What is late is as true as what is in time, for a payload stays what it is.
+What is left out is in one piece, so that what is taken in is, too: a change is classified from windows of 1 to 4 s
+without a hole. What is late is as true as what is in time, for a payload stays what it is.
 
 Phases, pulses and other channels of few rows are never left out. A pause that it works off by itself costs no row. The
 answers hold rows of less time, and are as much wider. Each TICK record says how much was left out before it, so that a
 replay does the same; the log has the rows.
 """
 
-LATE_NS = 2_000_000_000  # it is told
+LATE_NS = 2_000_000_000  # it is reported
 SKIP_NS, LEFT_NS = 8_000_000_000, 1_000_000_000  # the rings hold 12 s
 KEPT_HZ = 20.0  # channels that come no more often lose no row
 

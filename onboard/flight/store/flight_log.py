@@ -84,7 +84,7 @@ def open_recorder(
     Args:
         manifest: of the flight.
         min_free_bytes: segments of earlier flights make way while less is free; 0 removes nothing.
-        said: told each event of the recorder's own.
+        said: called with each event of the recorder's own.
 
     Raises:
         OSError: the log cannot be read, or no segment created.
@@ -130,7 +130,7 @@ def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path)
 def simulated_recorder(
     log: SegmentedLog, directory: Path, said: Callable[[Rows], object] = lambda rows: None
 ) -> Recorder:
-    """A recorder of every ring in ``directory`` into ``log``; ``said`` is told each event of the recorder's own."""
+    """A recorder of every ring in ``directory`` into ``log``; ``said`` is called with each event of the recorder."""
     return Recorder(log, ring_readers(directory), said=said, losses=log.take_losses)
 
 

@@ -63,7 +63,7 @@ class Announcer:
         self._estimated_ns: int | None = None
         self.answers: dict[str, AnnouncedAnswer] = {}
         self.quantities: dict[bytes, np.void] = {}  # the newest by name
-        self.lost, self.troubles = list[str](), list[str]()  # of the log; all that the recorder told as errors
+        self.lost, self.troubles = list[str](), list[str]()  # of the log; all that the recorder reported as errors
         self._rates = {
             channel: vehicle.rate_hz(name)
             for name, device in vehicle.file.device.items()

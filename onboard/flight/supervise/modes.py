@@ -54,7 +54,7 @@ class Modes:
         vehicle: what flies.
         directory: of its rings.
         tell: publishes an event: severity, code, source, text.
-        keeper: told mode and phases when either changes, and every :data:`KEEP_S`, while armed or running.
+        keeper: called with mode and phases when either changes, and every :data:`KEEP_S`, while armed or running.
 
     Attributes:
         mode: as it stands.

@@ -52,7 +52,7 @@ class Flight(NamedTuple):
     missing: tuple[str, ...] = ()  # buses and essential devices that never brought a row
     lost: tuple[str, ...] = ()  # of the log, what somebody removed or cut off in flight
     answers: Mapping[bytes, np.void] = {}  # the last QUANTITY row of each name
-    troubles: tuple[str, ...] = ()  # errors that the recorder told
+    troubles: tuple[str, ...] = ()  # errors that the recorder reported
     was_over: bool = False  # the first phase that was seen was the one that ends the mission: nothing was to be flown
 
 
@@ -142,7 +142,7 @@ def _written(log: Path) -> tuple[Path, ...]:
 
 
 class _Listeners(NamedTuple):
-    """Who is told how a flight goes; see :func:`fly`."""
+    """What is called as a flight goes on; see :func:`fly`."""
 
     progress: Callable[[float], None]
     ready: Callable[[], None]

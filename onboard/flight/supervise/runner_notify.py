@@ -1,4 +1,4 @@
-"""What a service manager is told (``sd_notify``): ready, how the flight stands, and that every worker answers.
+"""Messages to a service manager (``sd_notify``): ready, how the flight stands, and that every worker answers.
 
 Datagrams to ``$NOTIFY_SOCKET``, as systemd documents them; without that variable nothing is sent. With ``WatchdogSec``
 in the unit, systemd ends a flight that has not been fed for so long: it is fed twice in that time, and only while every

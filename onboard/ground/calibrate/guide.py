@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class GuideStep(NamedTuple):
-    """One step: told, confirmed with Enter, left alone for ``hold_s``, and marked in the log as ``name``."""
+    """One step: shown, confirmed with Enter, left alone for ``hold_s``, and marked in the log as ``name``."""
 
     name: str
     text: str

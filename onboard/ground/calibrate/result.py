@@ -27,7 +27,7 @@ class KeyChange(NamedTuple):
     table: tuple[str, ...]
     key: str
     value: Any
-    sigma: str = ""  # told in the comment behind it
+    sigma: str = ""  # written in the comment behind it
 
 
 @dataclass

@@ -184,7 +184,7 @@ def _solved(rows: list[_Row], drawn: FloatArray, drawn_sigma_m: float | None) ->
     """Centre and covariance, with the drawing where it is needed.
 
     Raises:
-        CalibrationError: not told, or a contradiction.
+        CalibrationError: not determined, or a contradiction.
     """
     A = np.array([row.way / row.sigma_m for row in rows])
     b = np.array([row.at_m / row.sigma_m for row in rows])

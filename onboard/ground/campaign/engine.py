@@ -1,4 +1,4 @@
-"""Runs a campaign's items on Dask workers: processes of this computer, or those of a scheduler that is told.
+"""Runs a campaign's items on Dask workers: processes of this computer, or those of a scheduler that is named.
 
 There is one engine, dask.distributed: locally it has a ``LocalCluster`` of processes, so that a worker that dies or
 grows beyond its memory is replaced and its flight flown again, which ``concurrent.futures`` does not do (one death
@@ -60,7 +60,7 @@ class Where(NamedTuple):
 
 
 class CampaignWatcher(NamedTuple):
-    """What is told while a campaign runs."""
+    """What is called while a campaign runs."""
 
     dashboard: Callable[[str], None] = lambda link: None
     done: Callable[[Item, Done], None] = lambda item, done: None
@@ -80,7 +80,7 @@ def run(
         fly: what a worker does; a function at the top of a module.
         where: it is done.
         store: that keeps it.
-        watcher: told on the way.
+        watcher: called on the way.
 
     Raises:
         SchedulerError: none answers at the address, or it stays away.

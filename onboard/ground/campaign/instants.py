@@ -30,7 +30,7 @@ class Instants(NamedTuple):
         told: estimates that were supported and have a truth.
         beyond: those of them whose truth lies beyond their 99.9 % interval.
         good_beyond: those of these that were good.
-        farthest: largest error over its side of the 99.9 % interval; NaN where none was told.
+        farthest: largest error over its side of the 99.9 % interval; NaN where none was reported.
     """
 
     told: int = 0

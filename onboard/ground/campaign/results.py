@@ -102,7 +102,7 @@ class FlightResult(NamedTuple):
         return at_the_end or (not self.unseen and any(one.instants.beyond for one in self.answers))
 
     def with_instants(self, found: Mapping[str, Instants]) -> "FlightResult":
-        """With what was told in flight, by quantity."""
+        """With what was reported in flight, by quantity."""
         told = (one._replace(instants=found.get(one.quantity, Instants())) for one in self.answers)
         return self._replace(answers=tuple(told))
 

@@ -260,7 +260,7 @@ def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
 
 
 def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
-    """The last QUANTITY rows, with the bound of each; of a payload that is told as a body, not its base parameters."""
+    """The last QUANTITY rows, with the bound of each; of a payload that is a body, not its base parameters."""
     link, held = who.model.vehicle.spec.payload_link, who.payload is not None
     told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
     twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()

@@ -13,7 +13,7 @@ from onboard.ground.report.flight.base_rate import common, rates
 from onboard.ground.report.flight.figures import legend
 
 _DEGREES = float(np.degrees(1.0))
-_DASHES = {0: "-", 1: (0, (6, 3)), 2: (0, (2, 3))}  # curves on one another stay told apart
+_DASHES = {0: "-", 1: (0, (6, 3)), 2: (0, (2, 3))}  # curves on one another stay distinguishable
 
 
 def render(found: Predicted) -> RenderableType:

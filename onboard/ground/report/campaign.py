@@ -22,7 +22,7 @@ from onboard.ground.report.flight.figures import legend
 _MOST_DRAWN = 16  # quantities
 _EDGES = np.linspace(-5.0, 5.0, 41)
 _MOST_TOLD = 8  # flights with confident nonsense at the head of the page
-_CLEAR = 0.01  # chance below which a factor is told
+_CLEAR = 0.01  # chance below which a factor is named
 _KINDS = {Outcome.RIGHT: "good", Outcome.WEAK: "", Outcome.DO_NOT_USE: "warn", Outcome.LEANS: "warn"}
 _COVERAGE = (
     "Share of truths inside their 95 % interval, with its 95 % band (binomial, exact). The band of an honest interval "

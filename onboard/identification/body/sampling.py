@@ -22,7 +22,7 @@ _NEGLIGIBLE = 0.1  # of the noise: a direction with so little more, half a per c
 
 
 class Lateness(NamedTuple):
-    """What the delay told by the fit leaves out."""
+    """What the fitted delay leaves out."""
 
     shift_s: float  # to be added
     low_s: float  # then, how far below it may be

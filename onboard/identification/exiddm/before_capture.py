@@ -4,7 +4,7 @@ The fit of the flight tells how the base would have moved on without a capture. 
 and one after the grip has closed nothing acts from outside, so what vehicle and payload have together as one, less what
 the vehicle alone would have then, is the payload's momentum. Its own inertia makes velocity and rate of that; a light
 payload brings little momentum, and what it does not tell, the covariance does. The base's rate is that of the gyro, its
-velocity the integral of the accelerometer, whose zero is told anew by the half second before.
+velocity the integral of the accelerometer, whose zero is estimated anew from the half second before.
 
 How long the contact lasts is not known: a grip of 4 Hz needs half a second from the touch, and until it has closed the
 payload moves against it. The shortest time from a quarter of a second on is taken that tells the same as all longer
@@ -31,7 +31,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPre
 from onboard.identification.exiddm.prediction.ticks import Ticks
 
 ANNOUNCED_s: Final = 0.05  # largest distance of the touch from the time of an announced capture
-_ZERO_s: Final = 0.5  # before the first touch, in which the accelerometer's zero is told
+_ZERO_s: Final = 0.5  # before the first touch, from which the accelerometer's zero is estimated
 _EARLY_s: Final = 0.03  # before the first time at which the payload may have been touched
 _CONTACTS_s: Final = (0.25, 0.35, 0.5)  # after the last one, until the grip has closed
 _BESIDE: Final = 12  # ticks on each side that tell the rate there

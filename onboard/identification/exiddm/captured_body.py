@@ -1,9 +1,10 @@
-"""How a captured body came, told on board: its rate in space and its velocity against the gripper just before.
+"""How a captured body came, reported on board: its rate in space and its velocity against the gripper just before.
 
 Ticks about a change that may be a capture are kept until it is classified. Once the payload is known, its momentum is
 what vehicle and payload have together after the capture, less what the vehicle alone would have
-(:mod:`onboard.identification.exiddm.before_capture`). As the payload becomes better known it is told again, each time
-half as many more ticks have been used, for up to a minute: the zeros of the IMU at the capture are known only so long.
+(:mod:`onboard.identification.exiddm.before_capture`). As the payload becomes better known it is estimated again, each
+time half as many more ticks have been used, for up to a minute: the zeros of the IMU at the capture are known only so
+long.
 """
 
 from typing import Final, NamedTuple
@@ -59,7 +60,7 @@ class CapturedBody:
         self._captured: _Touch | None = None
         self._told: BeforeCapture | None = None
         self._failure, self._once = "", False
-        self._used, self._next = 0, 0.0  # ticks at which it was told last, and is to be told again
+        self._used, self._next = 0, 0.0  # ticks at which it was reported last, and is due again
 
     def take(self, ticks: Ticks) -> None:
         """Keep ticks, and follow the changes that the estimator has found meanwhile."""
@@ -127,7 +128,7 @@ class CapturedBody:
 
     @property
     def due(self) -> bool:
-        """It is to be told, if the payload is known."""
+        """It is due, if the payload is known."""
         used, longest = self._exiddm.ticks_used, _LONGEST_s / self._exiddm.predictor.period_s
         ready = self._captured is not None and self._captured.ticks is not None
         anew = used < self._used  # the payload has been found again

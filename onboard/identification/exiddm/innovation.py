@@ -221,7 +221,7 @@ class Innovations:
         return mean, covariance
 
     def of_batch(self, batch: Batch, there: BoolArray, covariance: FloatArray) -> Innovation:
-        """The first of a batch, which is told: nothing is left out of it yet; see :meth:`of`."""
+        """The first of a batch, which is reported: nothing is left out of it yet; see :meth:`of`."""
         innovation = self.of(batch, there, self._fusion.order, covariance)
         own, lines = self._lines[self._fusion.reference], 6 * innovation.ticks
         L, sigma = innovation.L[:lines, :lines], batch.sigma[:, own]

@@ -49,7 +49,7 @@ class Rivals:
     """Weighs what a filter knows, with the newest weights kept.
 
     Freed is what is likely wrong alone: a prior in which everything may be is so wide in directions that no motion
-    shows that steps linearised about a mean in it told a joint's zero, which was right, by 100 nats.
+    shows that steps linearised about a mean in it indicated a joint's zero, which was right, by 100 nats.
 
     Args:
         predictor: of the filter.

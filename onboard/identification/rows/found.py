@@ -43,7 +43,7 @@ class _Judged(Protocol):
 
 
 def found(of: _Judged) -> Findings:
-    """Reasons to refuse all estimates of an identifier or to weaken them, and what is told with any."""
+    """Reasons to refuse all estimates of an identifier or to weaken them, and remarks that go with any level."""
     said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
     share = (residual := of.refused[GateReason.RESIDUAL]) / max(of.rows_used + residual, 1)
     if of.suspects is None and (contradicted := contradicted_text(share)):

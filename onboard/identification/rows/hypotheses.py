@@ -70,7 +70,7 @@ class Hypotheses:
         self._chosen = _AS_TOLD
         self._findings = Findings()
         self._judged = 0
-        self._told_rows: int | None = None  # rows used when a release was told that is not judged yet
+        self._told_rows: int | None = None  # rows used when a release was reported that is not judged yet
         self._released = False  # a release was accepted: what was released does not come back
         self._contradiction = ""  # between two that leave one instrument out each: it stays
         self._news: list[Change] = []

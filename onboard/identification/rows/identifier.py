@@ -140,7 +140,7 @@ class Identifier:
         self._inflation = 1.0
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
-        free = model.vehicle.spec.base.falls  # elsewhere the only reading is not told from a mass
+        free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
         self._of_motion = of_motion(considered)
         moved = None if start is None else start.sensitivity
         self._corrections = FittedCorrections(p, considered, block_s, moved) if free and self._of_motion else None

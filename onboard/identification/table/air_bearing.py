@@ -49,7 +49,7 @@ _HOPELESS = 4.0  # squares of a search's result by its residuals, three times wh
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 _DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
-MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is told and nothing can be
+MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is reported and nothing can be
 
 
 class DragPrior(NamedTuple):

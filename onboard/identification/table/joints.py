@@ -62,7 +62,7 @@ def step(exiddm: TableExiddm, found: Fit, further: FloatArray | None = None, at:
         at: (c,) of which size they are in the run of ``exiddm``, in sigmas.
 
     Raises:
-        SingularError: errors that cannot be told apart.
+        SingularError: errors that cannot be separated.
     """
     x, p = found.x, found.x.size
     names, stated = _unknown(exiddm)

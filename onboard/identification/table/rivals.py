@@ -67,7 +67,7 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
         found: its fit of all ticks, joints exact.
 
     Raises:
-        SingularError: errors that cannot be told apart.
+        SingularError: errors that cannot be separated.
         SignalError: a payload without a mass.
     """
     step = joints.step(exiddm, found.fit)

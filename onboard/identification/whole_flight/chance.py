@@ -17,7 +17,7 @@ class Chance:
 
     @property
     def chance(self) -> float:
-        """Probability of so large a sum; 1 where nothing was told."""
+        """Probability of so large a sum; 1 where nothing was compared."""
         return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
 
 

@@ -2,8 +2,8 @@
 
 Common are the payload, the links, the joints and the constants of the instruments; the rate at the start and the biases
 are each flight's own. The likelihood is that of :mod:`onboard.identification.whole_flight.fit` of every flight, so
-that an error common to them all is told once and not averaged away. In every Gauss-Newton step a flight's own unknowns
-are eliminated from its normal equations: with o its own, c the common ones and prior information L about zero,
+that an error common to them all is estimated once and not averaged away. In every Gauss-Newton step a flight's own
+unknowns are eliminated from its normal equations: with o its own, c the common ones and prior information L about zero,
 
     S = N_cc - N_co (N_oo + L_oo)^-1 N_oc,    s = g_c - N_co (N_oo + L_oo)^-1 (g_o + L_oo x_o),
 

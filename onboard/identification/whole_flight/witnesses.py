@@ -25,7 +25,7 @@ _STAGES_s = (8.0,)  # part of each segment that is fitted first: most fits witho
 _NOT_AS_STATED = 1e-3, 1e-4
 """Chance at which a kind of correction is doubted: of the first IMU, of further instruments. More than the budget gives
 each of thirty, as it has the flight fitted without each instrument: at 3e-4 an accelerometer that is 3 % off was not
-told from the load cell."""
+separated from the load cell."""
 
 
 class Tested(NamedTuple):

@@ -11,7 +11,7 @@ from drivers.records import Rows, SampleStatus, Severity
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.stuck import NONE, StuckReadings, longest_run
 
-_OVER_S = 1.0  # without a stuck reading before it is said to be over: a freeze that comes and goes is told once
+_OVER_S = 1.0  # without a stuck reading before it is said to be over: a freeze that comes and goes is reported once
 
 
 class StuckEvent(NamedTuple):

@@ -200,8 +200,8 @@ def run(
         vehicle: whose arm it is.
         bench: the arm on its bus, its gripper empty.
         asked: for what.
-        told: of each trial, when it was flown.
-        record: all that the drives say and are told.
+        told: called with each trial, when it was flown.
+        record: called with all that goes to and comes from the drives.
 
     Raises:
         ValueError: a vehicle whose arm cannot be controlled.
@@ -307,7 +307,7 @@ def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
     """Dynamics of a model whose masses and inertias are ``1 + model_error`` times what it says.
 
     Raises:
-        ValueError: a base that moves as it is told.
+        ValueError: a prescribed base.
     """
     spec: VehicleSpec = model.spec
     if spec.base.moves and not spec.base.follows:

@@ -1,4 +1,4 @@
-"""The trials of a controller as a log: what the drives said and were told, and a row a trial with its errors."""
+"""The trials of a controller as a log: what went to and came from the drives, and a row a trial with its errors."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

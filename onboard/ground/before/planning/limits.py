@@ -48,7 +48,7 @@ class Sphere(Section):
 
 
 class LimitsFile(Section):
-    """A file of limits. ``share``: of each of the URDF's limits that is used; those told here are used whole."""
+    """A file of limits. ``share``: of each of the URDF's limits that is used; those stated here are used whole."""
 
     share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.9
     base_rate_rad_s: Positive | None = None
@@ -204,7 +204,7 @@ class MotionLimits:
 
 
 def _ranges(model: VehicleModel, told: list[JointLimit], share: float) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest angle of each joint: the URDF's, as much nearer to its middle, or as told."""
+    """Lowest and highest angle of each joint: the URDF's, as much nearer to its middle, or as stated."""
     low, high = [], []
     for joint, own in zip(model.joints, told, strict=True):
         bounded = np.isfinite(joint.low) and np.isfinite(joint.high)

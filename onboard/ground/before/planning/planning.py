@@ -64,7 +64,7 @@ def plan_motion(
         vehicle: its file.
         rehearsed: the rehearsal, as the simulator plans it, at ticks of so many seconds.
         wanted: of it.
-        step: is told the share that is done.
+        step: is called with the share that is done.
 
     Raises:
         ConfigError: quantities, limits or payload do not fit the vehicle, or no motion tells what is asked.

@@ -55,7 +55,7 @@ def search(
         starts: drawn; the better half of them, two at most, are gone on with.
         iterations: of each descent; 0: the best that was drawn.
         rng: draws the starts.
-        step: is told the share that is done, 0 to 1.
+        step: is called with the share that is done, 0 to 1.
 
     Raises:
         ConfigError: the posture leaves a joint no room.

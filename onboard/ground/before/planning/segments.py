@@ -39,7 +39,7 @@ def plan_segments(
         vehicle: its file.
         rehearsed: the rehearsal, as the simulator plans it, at ticks of so many seconds.
         wanted: of it; asked for is each of :data:`KINDS`, and masses are by :data:`LADDER` where none is given.
-        step: is told the share that is done.
+        step: is called with the share that is done.
 
     Raises:
         ConfigError: limits or payload do not fit the vehicle, or it has no free base.

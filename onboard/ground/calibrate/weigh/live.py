@@ -78,8 +78,8 @@ class Session:
     _windows: dict[str, _Window] = field(default_factory=dict)
     _begun_s: float = np.nan
     _looked_s: float = -np.inf
-    _since_s: float = np.nan  # when it last moved, took a pose or told why it does not
-    _urgent: str = ""  # channel that was told of at once
+    _since_s: float = np.nan  # when it last moved, took a pose or said why it does not
+    _urgent: str = ""  # channel that was reported at once
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -143,7 +143,7 @@ class Session:
         return max(REST_s, 2.0 * _ROWS * max(self.sensor.signals[name].period_s for name in self.sensor.channels))
 
     def _taken(self, now_s: float) -> tuple[str, str]:
-        """Take a pose; why not, where it should, and the channel of which that is to be told at once."""
+        """Take a pose; why not, where it should, and the channel of which that is reported at once."""
         means: dict[str, FloatArray] = {}
         last_s = min((own.last_s for own in self._windows.values()), default=now_s)
         first_s = last_s - self._rest_s

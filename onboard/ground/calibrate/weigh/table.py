@@ -28,7 +28,7 @@ LARGEST_BYTES = 64 << 20  # of text; static poses are some hundred rows, a whole
 LENGTH = 1e-3  # of a quaternion: four decimals
 _ROTATION = 1e-2  # of elements of R R': three decimals
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d*")  # 1,234.5
-_SEPARATOR = re.compile(r"sep=(.)")  # the line that a spreadsheet is told the delimiter by
+_SEPARATOR = re.compile(r"sep=(.)")  # the line that states the delimiter for a spreadsheet
 _TUM = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of a trajectory, whose t is a translation
 _NEAR_s = 0.1  # between a wrench and the orientation that it is taken with: poses are held for longer
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")

@@ -22,7 +22,7 @@ _PAIRS = (  # of a force and a moment, as sensors and people have them, the comm
     *(("gf", "Nmm"), ("lbf", "lbfin"), ("lbf", "lbfft"), ("lbf", "Nm")),
 )
 _HELD = 10.0  # radii of a sphere of its mass, or a tenth of one: where the centre of a held tool is from the sensor
-_DENSITY_kg_m3 = 500.0  # of a body whose size is not told, as of the fits' first guess
+_DENSITY_kg_m3 = 500.0  # of a body of unknown size, as of the fits' first guess
 
 
 def are_si(name: str) -> bool:

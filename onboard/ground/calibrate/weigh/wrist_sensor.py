@@ -1,6 +1,6 @@
 """What a vehicle file says of a wrist sensor that is read live: its six cells, and what tells how it is turned.
 
-Six load cells of one frame are a wrist sensor, whatever their axes. How it is turned is told by the encoders of all
+Six load cells of one frame are a wrist sensor, whatever their axes. Its attitude comes from the encoders of all
 joints that move its frame, where the base stands still, or by an IMU on the same body: at rest its accelerometer shows
 where up is, which is all that a weighing asks of an orientation.
 """

@@ -71,7 +71,7 @@ class ParabolaRun:
 
 
 def stages(ticks: Ticks, period_s: float, settings: Parabola) -> list[Stage]:
-    """State at each tick; bumps and catches are told apart by :func:`cut`."""
+    """State at each tick; bumps and catches are distinguished by :func:`cut`."""
     low, free = _low(ticks.measured[:, 3:6], period_s, settings.low_m_s2), _free(ticks, period_s, settings)
     moving = _moving(ticks.dq)
     found, stage = [], Stage.SECURED

@@ -158,7 +158,7 @@ def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
     """The load that flew in ``log``.
 
     Raises:
-        LoadError: none of the vehicle file's loads, or more than one, is told by this log's name.
+        LoadError: none of the vehicle file's loads, or more than one, is named by this log's name.
     """
     loads = vehicle.file.free_body.load if vehicle.file.free_body else []
     found = [load for load in loads if fnmatchcase(log.name, load.logs)]

@@ -67,7 +67,7 @@ class Comparison:
         count = min(len(said), len(again))
         count = count if self.until is None else max(0, min(count, self.until - self._compared))
         if said.dtype != again.dtype:
-            count = 0  # of an earlier version: they stay, and are told as missing
+            count = 0  # of an earlier version: they stay, and are reported as missing
         equal = (_bytes(again[:count]) == _bytes(said[:count])).all(axis=1)
         if not equal.all():
             apart = _sigmas_apart(said[:count][~equal], again[:count][~equal])

@@ -62,7 +62,7 @@ def narrowest(errors: Mapping[float, float]) -> tuple[float, str]:
 
 
 def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
-    """The vehicle with the width that its recording asks for; None where it cannot be told.
+    """The vehicle with the width that its recording asks for; None where it cannot be determined.
 
     Args:
         vehicle: by rows, of a fixed or carried base, its devices recorded ones.

@@ -85,7 +85,7 @@ def _found(columns: Columns[str, Values], name: str) -> Values | None:
 def usable(columns: Columns[str, Values], names: Iterable[str]) -> NDArray[np.bool_]:
     """Rows (n,) in which all of these columns are finite numbers.
 
-    A column that does not exist, is text or differs in length says nothing: that is told where its values are read.
+    A column that does not exist, is text or differs in length says nothing: that is reported where its values are read.
     """
     good: NDArray[np.bool_] = np.ones(0, np.bool_)
     for name in names:

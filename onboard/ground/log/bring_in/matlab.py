@@ -79,7 +79,7 @@ def _require_bounded(path: Path, head: bytes) -> None:
                             total += len(inflate.decompress(some, _AT_ONCE))
                             some = inflate.unconsumed_tail
                 except zlib.error:
-                    return  # told by the reader
+                    return  # reported by the reader
             else:
                 file.seek(size, 1)
             if total > LARGEST_BYTES:

@@ -46,7 +46,7 @@ def read_csv(path: Path, layout: Csv, *, skip: bool = False, most_rows: int | No
     Cells such as ``[0.1, 0.2, 0.3]`` or ``(0.1 0.2)``, all of one length, make an array (rows, length).
 
     A last row that has fewer cells than the header, or that ends, without a newline, in a cell that is no number where
-    the row before has one, was cut off: it is left out. Names that stand more than once are told apart by `` (1)``.
+    the row before has one, was cut off: it is left out. Names that stand more than once are distinguished by `` (1)``.
 
     Args:
         path: of the file.

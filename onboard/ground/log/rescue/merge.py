@@ -29,7 +29,7 @@ class RecorderLog(NamedTuple):
     """One recorder's log, and its mapping to the first one's clock: ``host_ns x rate + shift_ns``.
 
     ``label`` distinguishes its channels from the others'; the name of the log where it is empty. ``whole``: the path by
-    which the whole flight was named, so that segments missing at its end are told; None where segments were named.
+    which the whole flight was named, so that segments missing at its end are reported; None where segments were named.
     """
 
     segments: Sequence[Path]

@@ -105,7 +105,7 @@ def resync(
         told: called with what is done next.
 
     Raises:
-        ResyncError: a clock that cannot be told, with the reason.
+        ResyncError: a clock that cannot be determined, with the reason.
         ValueError: no IMU in any of the logs, or no motion in one.
     """
     if len(logs) < 2:

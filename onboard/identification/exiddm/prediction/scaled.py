@@ -3,8 +3,8 @@
 With all masses and moments of inertia a times as large, what an arm does to its base is the same: no motion shows a.
 Where the parameters of a body are those of the drawing and a linear function of its errors z, that direction depends on
 them, and what was learned about one estimate is information about all masses about another one: after an error of 10 %
-was allowed for, all masses of a free-flyer without a cell were told to 3 % in ten seconds, and of two explanations that
-no motion tells apart, the arm 10 % lighter or the base 10 % heavier, the wrong one was believed.
+was allowed for, all masses of a free-flyer without a cell seemed known to 3 % after ten seconds, and of two
+explanations that no motion tells apart, the arm 10 % lighter or the base 10 % heavier, the wrong one was believed.
 
 So the part of z along the body itself is the logarithm of a factor: with ``z = d t + r``, ``d = L^-1 chi``, r at right
 angles to d (chi: drawn parameters, L: root of their covariance, so that z is of unit variance),

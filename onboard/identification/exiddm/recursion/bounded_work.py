@@ -3,7 +3,7 @@
 Per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
 is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
 call that comes late brings more ticks, but no more work than their filter steps: else it would be the reason why the
-next one is later. A window is solved by :meth:`BoundedWork.work`, so that what ticks give without it is told
+next one is later. A window is solved by :meth:`BoundedWork.work`, so that what ticks give without it is reported
 first; ticks that waited for it are processed there, too.
 """
 

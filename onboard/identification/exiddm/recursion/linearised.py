@@ -60,10 +60,10 @@ class Linearised:
         self._about, self.apart = None, True
 
     def known(self, covariance: FloatArray) -> FloatArray:
-        """What the batches before have told, (p, p), as it would be about the state of the last prediction.
+        """Information of the batches before, (p, p), as it would be about the state of the last prediction.
 
-        They told the payload's parameters over the base's masses, and where it is along the last joint's axis, not its
-        place in its own frame: a payload found to be larger is one more where the base is heavier, and has a first
+        They determine the payload's parameters over the base's masses, and where it is along the last joint's axis, not
+        its place in its own frame: a payload found to be larger is one more where the base is heavier, and has a first
         moment less where that joint is placed farther out.
         """
         before, now = self._known_about, self._about

@@ -108,7 +108,8 @@ class RecursiveExiddm(Holding):
     def confirmed(self) -> bool:
         """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it.
 
-        Nor without the motion before it, where that has told that something is not as stated and is yet to be taken in.
+        Nor without the motion before it, where that has shown that something is not as stated and is yet to be taken
+        in.
         """
         return not self._awaits and (not self._hypotheses or self.ticks_used * self._period_s > SOLVED_AT_s[1])
 

@@ -55,7 +55,7 @@ class Before(NamedTuple):
     def if_held(
         self, known: Known, now: Known, predictor: ImuPredictor, seen: Ticks, imu: int
     ) -> tuple[Known, FloatArray | None]:
-        """What is known if the payload was held already, and a state to begin with; None where none can be told.
+        """What is known if the payload was held already, and a state to begin with; None where there is none.
 
         Args:
             known: at rest; that stays, and the payload is as it is now.

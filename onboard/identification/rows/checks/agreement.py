@@ -15,7 +15,7 @@ Per instrument, at the estimate of all rows:
   Rows that read nothing, those of a wrench known to be zero, have no gain.
 - *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
   what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
-  it is told and its effect is in the intervals, and what is found is not refused for it.
+  it is reported and its effect is in the intervals, and what is found is not refused for it.
 - *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
   variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
 - *Misfit*: residual relative to the noise, and to the signal, of the worst kind of rows that noise does not explain.
@@ -44,7 +44,9 @@ LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ri
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
-_ABSORBED = 0.01  # of a step's information, left by the parameters: one where a payload goes is hardly told from it
+_ABSORBED = (
+    0.01  # of a step's information, left by the parameters: a step at the release of a payload hardly differs from it
+)
 _MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 
@@ -272,7 +274,7 @@ def with_stated(fits: Sequence[InstrumentFit], stated: Mapping[str, float]) -> t
 
 
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str], list[str]]:
-    """Reasons to refuse all estimates, reasons to weaken them, and what is told with any, from one instrument's rows.
+    """Reasons to refuse all estimates, reasons to weaken them, and remarks, from the rows of one instrument.
 
     Args:
         fit: at the estimate of all rows.

@@ -2,19 +2,19 @@
 
 Where the rows tell errors from the body, less of them is left than was stated: each is as large as it is fitted, give
 or take the sigma of the fit. The estimate of the body is that without errors, so what an interval has of them is their
-second moment ``M = P + c c'``: c and P are the mean and covariance of all that are told, beside the parameters, under
-their stated sigmas with the tails of :mod:`onboard.identification.rows.stated_errors.stated`. The noise of the rows is
-scaled by the scores of all blocks of time at this fit, where the errors no longer make them scatter (derived here).
-Delays stay as stated: their columns are of derivatives, whose noise is not that of the rows.
+second moment ``M = P + c c'``: c and P are the mean and covariance of all that are determined, beside the parameters,
+under their stated sigmas with the tails of :mod:`onboard.identification.rows.stated_errors.stated`. The noise of the
+rows is scaled by the scores of all blocks of time at this fit, where the errors no longer make them scatter (derived
+here). Delays stay as stated: their columns are of derivatives, whose noise is not that of the rows.
 
 A changed calibration shows as well: fitted alone, beside the parameters and the other errors within their sigmas, an
 error lies beyond what was stated of it. Rows are summed into blocks of time as in
 :mod:`onboard.estimation.recursive.consistency`; the scatter of the fit without each block is part of the sigma that it
 is compared with (derived here).
 
-An error whose effect the parameters reproduce is not told, and its fit would follow the noise of the regressor: the
-share of its effect that they do not reproduce must exceed what they leave over of the readings, and the noise of the
-regressor. (The scale of a free body's rotor: it multiplies all inertias.)
+An error whose effect the parameters reproduce is not determined, and its fit would follow the noise of the regressor:
+the share of its effect that they do not reproduce must exceed what they leave over of the readings, and the noise of
+the regressor. (The scale of a free body's rotor: it multiplies all inertias.)
 
 The effect of an error is linear in the parameters, which settle within the first rows, so the rows' factors are kept,
 and the columns are computed at the last estimate. Of a long flight only the first are kept: later rows have theirs at
@@ -55,7 +55,9 @@ class _Rows(NamedTuple):
 class Fitted(NamedTuple):
     """The considered errors, k of them, after the rows."""
 
-    in_sigmas: dict[str, float]  # each that is told, by its name, over its stated sigma and that of its fit together
+    in_sigmas: dict[
+        str, float
+    ]  # each that is determined, by its name, over its stated sigma and that of its fit together
     root: FloatArray  # (k, k) symmetric root of their second moments, in the units of their stated sigmas
     noise: NoiseScale | None = None  # of the rows, beside them; None where none are fitted
 

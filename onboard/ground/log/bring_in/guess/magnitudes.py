@@ -216,7 +216,7 @@ def _of(unit: str) -> float:
 
 
 def of_others(kind: str, values: FloatArray, named: str, known: tuple[str, ...], usual: str) -> Unit:
-    """Of what is told by its name, or is in its usual unit."""
+    """Of what is known by its name, or is in its usual unit."""
     if named in known:
         return Unit(named, "by its name")
     largest = float(np.nanmax(np.abs(values), initial=0.0))

@@ -22,7 +22,7 @@ _JSON = re.compile(r'\s*(\{\s*"|\[\s*(\{\s*"|\[[^\[\]]*\]\s*,\s*\[))')  # object
 
 
 class Layout(NamedTuple):
-    """How text is laid out, and what of that is told to a person."""
+    """How text is laid out, and what of that is shown to a person."""
 
     csv: Csv
     units: tuple[str, ...] = ()  # of a line below the names
