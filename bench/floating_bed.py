@@ -160,7 +160,7 @@ def _integrate(
     angle: Floats,
     rng: np.random.Generator,
 ) -> Floats:
-    """Pose of the body's own frame at every step, (n, 3)."""
+    """Pose of the body's frame at every step, (n, 3)."""
     spec = f"""<mujoco><option timestep="{STEP_s}" gravity="0 0 0" integrator="RK4"/><worldbody><body>
     <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
     <joint name="yaw" type="hinge" axis="0 0 1"/>

@@ -153,7 +153,7 @@ def code_names(trials: int = 400) -> None:
 
 
 def solution_errors_us(log: Path, truth: dict[str, Any], channel: str, clock: str, grid_ns: float) -> Floats:
-    """Errors of the locked solutions of a flight's log: samples fall on whole ``grid_ns`` of the device's own clock."""
+    """Errors of the locked solutions of a flight's log: samples fall on whole ``grid_ns`` of the device's clock."""
     rows = [rows for _, rows in LogReader(log).batches() if rows.dtype == CLOCK]
     solutions = np.concatenate(rows)
     of_channel = (solutions["channel"] == channel.encode()) & (solutions["state"] == ClockState.LOCKED)

@@ -12,7 +12,7 @@ MARK = np.dtype(
         ("sequence", "<u8"),
         ("host_ns", "<i8"),
         ("tick", "<u8"),  # same clock and unwrapping as the ticks of the device's samples
-        ("pulse", "<u8"),  # the device's own number of the edge, from 1; 0 where it does not count them
+        ("pulse", "<u8"),  # the device's number of the edge, from 1; 0 where it does not count them
         (
             "value_raw",
             "<i8",

@@ -12,7 +12,7 @@ Every dtype begins with ``sequence`` and ``host_ns``:
     ``CLOCK_MONOTONIC`` of the arrival of the bytes at the host (for a frame the kernel's stamp, if there is one). It is
     not the time of the sample.
 ``tick``
-    The device's own clock: sample number since its start, SYNC number, timer count unwrapped. ``onboard.timebase``
+    The device's clock: sample number since its start, SYNC number, timer count unwrapped. ``onboard.timebase``
     turns it into vehicle time.
 """
 
@@ -35,7 +35,7 @@ IMU = np.dtype(
         ("accel_raw", "<i2", (3,)),  # sensor axes x, y, z
         ("gyro_raw", "<i2", (3,)),
         ("temperature_raw", "<i2"),
-        ("filter_code", "u1"),  # the device's own code of its low-pass filter (MPU-6050: DLPF_CFG)
+        ("filter_code", "u1"),  # the device's code of its low-pass filter (MPU-6050: DLPF_CFG)
         ("sync", "u1"),  # 1: the sync pulse fell into this sample's period
         ("status", "u1"),  # SampleStatus
     ],
@@ -50,7 +50,7 @@ SCALAR = np.dtype(
         ("scale", "<f8"),  # `unit` per count
         ("unit", "S8"),  # "rad", "rad/s", "N", "N m", "A", "1"
         ("sync_counter", "u1"),  # counter of the SYNC the sample answers; 0 where there is none
-        ("device_status", "u1"),  # the device's own status byte (CiA 404 6150h), 0 where there is none
+        ("device_status", "u1"),  # the device's status byte (CiA 404 6150h), 0 where there is none
         ("status", "u1"),  # SampleStatus
     ],
     align=True,
@@ -63,7 +63,7 @@ POSE = np.dtype(  # of a frame M of the vehicle in the tracker's frame L; number
         ("position_m", "<f4", (3,)),  # of M's origin in L
         ("quaternion", "<f4", (4,)),  # w, x, y, z: v_L = q v_M q*
         ("covariance", "<f4", (21,)),  # the tracker's own, m^2, m rad, rad^2: upper triangle by rows; NaN: not given
-        ("link_sequence", "u1"),  # the message's own number
+        ("link_sequence", "u1"),  # the message's number
         ("status", "u1"),  # SampleStatus
     ],
     align=True,

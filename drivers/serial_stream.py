@@ -204,7 +204,7 @@ class SerialDevice(ABC):
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Read the waiting bytes. The port's own timeout applies; ``timeout_s`` is not used."""
+        """Read the waiting bytes. The port's timeout applies; ``timeout_s`` is not used."""
         del timeout_s
         if self._running:
             self._exchange(now_ns)

@@ -1,4 +1,4 @@
-"""Dtypes of heft's own channels (clocks, estimates, rows); those of devices are in ``drivers.records``. Same rules."""
+"""Dtypes of heft's channels (clocks, estimates, rows); those of devices are in ``drivers.records``. Same rules."""
 
 from enum import IntEnum
 

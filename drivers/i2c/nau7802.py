@@ -59,7 +59,7 @@ class Nau7802Config:
 
     sample_rate_hz: Literal[10, 20, 40, 80, 320] = 80
     amplifier: int = 128
-    supply_V: float = 3.0  # noqa: N815  (the volt's own letter)
+    supply_V: float = 3.0  # noqa: N815  (the volt's letter)
     scale: float = 1.0
     poll_period_ms: float = 1.0
 

@@ -43,7 +43,7 @@ class Sampling(Protocol):
 
     @property
     def filter_code(self) -> int:
-        """The chip's own code of its low-pass filter."""
+        """The chip's code of its low-pass filter."""
 
     @property
     def poll_period_ms(self) -> float:

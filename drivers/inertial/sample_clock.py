@@ -7,7 +7,7 @@ than a period behind the earliest are excluded. The instant of the request is a 
 its stamp. If all polls fall at the same phase of the sample period, the bounds stay one period apart and a count may be
 off by one.
 
-Totals after a gap depend on this clock's own estimate. While the period is not known well enough for that, a new
+Totals after a gap depend on this clock's estimate. While the period is not known well enough for that, a new
 segment begins: the slope is fitted within segments and t0 from the last one, so that a wrong count does not confirm
 itself.
 """

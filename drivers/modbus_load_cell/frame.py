@@ -17,7 +17,7 @@ EXCEPTIONS = {
 }
 
 
-class ModbusException(DriverError, RuntimeError):  # noqa: N818 - the protocol's own name
+class ModbusException(DriverError, RuntimeError):  # noqa: N818 - the protocol's name
     """The device refused a request.
 
     Attributes:

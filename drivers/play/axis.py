@@ -11,7 +11,7 @@ from typing import ClassVar, Final, Protocol
 
 from drivers.errors import ConfigurationError
 
-RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's own control
+RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's control
 RATE_WINDOW_NS: Final = 25_000_000
 _WRAP, _HALF = 1 << 32, 1 << 31
 

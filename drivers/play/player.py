@@ -164,7 +164,7 @@ class Player(DriveMaster[Axis_co]):
     def _play(self, tick: int) -> None:
         """The next targets. After SYNCs without one the drives stand, and the pace begins at zero.
 
-        At pace p the motion's own acceleration takes up p of the limit at most; what the pace gains, ``gain (1 - p)``
+        At pace p the motion's acceleration takes up p of the limit at most; what the pace gains, ``gain (1 - p)``
         rows, takes up ``1 - p`` of it.
         """
         if self._sent_tick is not None and tick - self._sent_tick > 1:

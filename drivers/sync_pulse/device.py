@@ -27,7 +27,7 @@ class SyncPulseConfig:
 class SyncPulse:
     """Rising edges of the sync line as PULSE rows; its channel carries its name.
 
-    ``sequence`` follows the line's own number, so edges dropped by the kernel appear as a jump and a GAP row with cause
+    ``sequence`` follows the line's number, so edges dropped by the kernel appear as a jump and a GAP row with cause
     ``edge_lost``. A line number that goes back means that the line was requested again: an event, and a GAP row with
     cause ``line_lost`` whose number of edges is estimated from the mean interval.
     """

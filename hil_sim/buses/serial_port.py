@@ -278,7 +278,7 @@ class PtySerial:
     """An adapter whose far end is a pseudo-terminal, found under a symbolic link as by ``/dev/serial/by-id``.
 
     Args:
-        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's own name.
+        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's name.
     """
 
     def __init__(self, link: Path | None = None) -> None:

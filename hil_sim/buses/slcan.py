@@ -31,7 +31,7 @@ class SlcanAdapter:
 
     Args:
         bit_rate: Of the bus that it hangs on, bit/s.
-        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's own name.
+        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's name.
     """
 
     def __init__(self, bit_rate: int = 500_000, link: Path | None = None) -> None:

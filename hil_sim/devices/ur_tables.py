@@ -65,7 +65,7 @@ class UrJointTable(_UrTable, MeasuringEmulator):
     noise_rad: NonNegative = 2e-5
     sign: Literal[-1, 1] = 1
     zero_rad: float = 0.0
-    torque_N_m_A: PositiveFloat = 10.0  # noqa: N815  (the newton's own letter)
+    torque_N_m_A: PositiveFloat = 10.0  # noqa: N815  (the newton's letter)
     channels: tuple[Literal["velocity", "torque"], ...] = ()
 
     @classmethod

@@ -155,7 +155,7 @@ def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
     out["as_built"].pop(str(said.get("payload_link")), None)  # it is drawn as the payload
     out["physics"] = {"gravity_m_s2": said.get("gravity_m_s2", _GRAVITY) if _stands(said) else [0.0, 0.0, 0.0]}
     drag = estimation.get("gates", {}).get("specific_force_m_s2")
-    if drag is not None:  # the base's own motion is no drag to the gate
+    if drag is not None:  # the base's motion is no drag to the gate
         out["base_motion"] = {"acceleration_m_s2": drag / 6.0, "rate_rad_s": 0.02}
     if estimation.get("zero") is not None:  # its accelerometer is zeroed at rest in free fall: it coasts
         out["base_motion"] = {"acceleration_m_s2": 0.0, "rate_rad_s": 0.02, "still_s": _REST_S}

@@ -94,7 +94,7 @@ class DeviceFaults:
         return False
 
     def rng(self) -> np.random.Generator:
-        """The device's own random numbers."""
+        """The device's random numbers."""
         return np.random.default_rng([zlib.crc32(self.device.encode()), 0xFA])
 
     def power_cycles(self) -> list[PowerCycle]:

@@ -11,7 +11,7 @@ from hil_sim.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Body:
-    """Inertial parameters in the body's own frame."""
+    """Inertial parameters in the body's frame."""
 
     mass_kg: float
     centre_of_mass_m: FloatArray  # (3,)

@@ -180,7 +180,7 @@ def fly(
         model: from :func:`world`.
         motion: of the joints.
         rate_rad_s: of the base at the start, base axes, (3,).
-        duration_s: of the flight; samples at the model's own step.
+        duration_s: of the flight; samples at the model's step.
     """
     return _advance(model, _released(model, motion, rate_rad_s), motion, 0, round(duration_s / model.opt.timestep))
 

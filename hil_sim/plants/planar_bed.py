@@ -82,7 +82,7 @@ def fly(
         motion: of the joints.
         velocity: of the base at the start: x, y, m/s, and yaw, rad/s, (3,).
         drags: of the three pucks.
-        duration_s: of the run; samples at the model's own step.
+        duration_s: of the run; samples at the model's step.
     """
     data = mujoco.MjData(model)
     samples, half_s = round(duration_s / model.opt.timestep), 0.5 * model.opt.timestep

@@ -1,9 +1,9 @@
-"""What a rehearsal is planned to be, as numbers that the flight app's own model can take: no truth that is drawn.
+"""The planned values of a rehearsal, in the form of the flight app's model; none of the truth that is drawn per seed.
 
 The joints' motion is the program's. What is drawn about a nominal value has that value here: the payload its middle
-mass (geometric) and, unless given, the shape of a cube; the release its rms; the capture the middle of its window. How
-a prescribed base will sway nobody knows before: several motions are drawn, each as likely as the flight's. MuJoCo is
-not needed, so that a flight computer without it can plan too.
+mass (geometric) and, unless given, the shape of a cube; the release its rms; the capture the middle of its window. The
+sway of a prescribed base is not known before: several motions are drawn, each as likely as the flight's. MuJoCo is not
+needed, so that a flight computer without it can plan too.
 """
 
 from collections.abc import Sequence

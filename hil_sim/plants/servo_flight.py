@@ -212,7 +212,7 @@ class ServoFlight:
             self._springs(loads, spring)
 
     def _wanted(self, n: int) -> tuple[FloatArray, FloatArray]:
-        """Set-points against friction and the loop's own damping, accelerations, (n, j) each."""
+        """Set-points against friction and the loop's damping, accelerations, (n, j) each."""
         first, known = self._ahead
         if not first <= self.count <= self.count + n <= first + len(known[0]):
             rows = self._far * self._chunk + n  # what is asked for later is not known yet

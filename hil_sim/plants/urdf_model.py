@@ -1,4 +1,4 @@
-"""MuJoCo's model of a URDF: compiled by MuJoCo's own reader, its base let go or held, its bodies as they were built."""
+"""MuJoCo's model of a URDF: compiled by MuJoCo's reader, its base let go or held, its bodies as they were built."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -132,7 +132,7 @@ class UrdfModel:
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def empty(self, link: str) -> Body:
-        """Take a link's own inertia away, which is that of the payload it holds; returns it as drawn."""
+        """Take a link's inertia away, which is that of the payload it holds; returns it as drawn."""
         own = self._drawn[link]
         self._drawn[link] = Body(0.0, np.zeros(3), np.zeros((3, 3)))
         self.build({link: self._drawn[link]})

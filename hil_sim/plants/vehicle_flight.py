@@ -5,7 +5,7 @@ keep the base from accelerating; with M the inertia matrix at the base and f the
 accelerates by ``M^-1 (f - b)``. A Runge-Kutta scheme of fourth order integrates that, its stages on half steps.
 
 A grip that closes at once is plastic: from one row to the next the payload is welded to its link, the momentum of the
-whole vehicle is that of before and the payload's own together, and the joints continue as commanded. A release is the
+whole vehicle is that of before and the payload's together, and the joints continue as commanded. A release is the
 reverse. A grip with a contact holds the payload by a spring first (``Contact``).
 """
 

@@ -313,7 +313,7 @@ class VehiclePlant(world.Plant):
 
     @property
     def base(self) -> Body:
-        """The base's own body, as built."""
+        """The base's body, as built."""
         return self.bodies[self._scenario.vehicle.base_link]
 
     def turn(self, at: str) -> FloatArray:

@@ -59,10 +59,10 @@ class ChipClock(Protocol):
     """A device's oscillator: a few tens of ppm off for a crystal, up to 1 % off for an MPU-6050."""
 
     def time_ns(self, chip_ns: int) -> int:
-        """True ``CLOCK_MONOTONIC`` ns at which the device's own clock shows ``chip_ns`` since power-up; monotone."""
+        """True ``CLOCK_MONOTONIC`` ns at which the device's clock shows ``chip_ns`` since power-up; monotone."""
 
     def chip_ns(self, time_ns: int) -> int:
         """Inverse of ``time_ns``."""
 
     def times_s(self, chip_ns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mission times at which the device's own clock shows each of ``chip_ns``, shape (n,)."""
+        """Mission times at which the device's clock shows each of ``chip_ns``, shape (n,)."""

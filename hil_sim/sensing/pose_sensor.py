@@ -1,8 +1,8 @@
-"""A laboratory's motion capture: pose of a frame of markers on the vehicle, in the laboratory's own axes.
+"""A laboratory's motion capture: pose of a frame of markers on the vehicle, in the laboratory's axes.
 
-The axes of the laboratory are drawn: any turn, a few metres away. The markers' frame is a little off where it is drawn.
-Noise is white, of each pose alone. Left out: errors that change with the place in the room, and markers that are seen
-by fewer cameras at times.
+The axes of the laboratory are drawn: any attitude, an origin a few metres away. The markers' frame is a little off
+where it is drawn. Noise is white, of each pose alone. Left out: errors that change with the place in the room, and
+markers that are seen by fewer cameras at times.
 """
 
 from typing import Any

@@ -5,7 +5,7 @@ depend on when or how often a device is read. Between grid points a cubic throug
 2.5e-4 of a 100 Hz component on a 2 kHz grid).
 
 Known limits: accelerometer non-linearity (0.5 % of full scale in the datasheet) and hysteresis of the load cell are
-left out; a filter change takes effect at once, without the chip's own transient.
+left out; a filter change takes effect at once, without the chip's transient.
 """
 
 import math

@@ -152,7 +152,7 @@ def load_vehicle(name: str, urdf: Path | None = None) -> "config.Vehicle":
 
 
 def complain(text: object) -> None:
-    """Print the reason of a failure; of a file's own long text not all."""
+    """Print the reason of a failure; of a file's long text not all."""
     said = str(text)
     more = f" ... and {len(said) - _MOST_SAID} more characters" if len(said) > _MOST_SAID else ""
     sys.stderr.write(f"heft: {said[:_MOST_SAID]}{more}\n")

@@ -196,7 +196,7 @@ def _shown(
 
 
 def _foresee(vehicle: "config.Vehicle", world: Any) -> list[dict[str, Any]]:
-    """Say what the motion of a vehicle of one's own determines, before it is flown; as JSON values too."""
+    """Say what the motion of a vehicle determines, before it is flown; as JSON values too."""
     planned = world.planned(1.0 / vehicle.file.estimation.row_rate_hz)
     return [] if planned is None else show_foreseen(vehicle, planned, "this motion")
 

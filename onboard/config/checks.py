@@ -23,7 +23,7 @@ Fail = Callable[[list[str], str], NoReturn]
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST_NAME = 32  # bytes of it in an event or a gap
 RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick", "health", "health_stream"}
-OURS = ("event_", "recorder_", "recover_")  # prefixes of heft's own channels
+OURS = ("event_", "recorder_", "recover_")  # prefixes of heft's channels
 FASTEST_HZ, SLOWEST_HZ = 50_000.0, 1e-4  # limits of a device's rate: the rings hold some seconds
 PLAIN = re.compile(r"[^\W_][\w .+-]{0,63}")  # names used in file names
 

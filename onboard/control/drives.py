@@ -1,6 +1,6 @@
 """What a joint's drive adds to the arm, ``tau = Ia ddq + Fv dq + Fc sign(dq)`` (2.112), identified from a trial.
 
-The trial is flown with nothing in the gripper, before the capture: the arm's own parameters are the drawing's, so that
+The trial is flown with nothing in the gripper, before the capture: the arm's parameters are the drawing's, so that
 what torque is left over is the drives'. Both sides of the equation go through the same low-pass filter.
 """
 

@@ -230,7 +230,7 @@ class ImuDevice(DeviceSection):
 
     @property
     def filter_delays_s(self) -> tuple[float, float]:
-        """Delays of the gyro's and of the accelerometer's own filters."""
+        """Delays of the gyro's and of the accelerometer's filters."""
         return 0.0, 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:

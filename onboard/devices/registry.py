@@ -1,6 +1,6 @@
 """Finds every kind of device: in the modules of ``onboard.devices``, and by entry points of other packages.
 
-A package that is installed beside heft names its kinds in its ``pyproject.toml``, by the kind's own name::
+A package that is installed beside heft names its kinds in its ``pyproject.toml``, by the kind's name::
 
     [project.entry-points."heft.devices"]
     wind_vane = "vanes.device:WindVaneDevice"

@@ -47,7 +47,7 @@ class LoadCellKeys(Section):
     measures: Literal["moment", "force"]
     lever_m: Positive = 1.0
     lever_sigma_m: NotNegative = 0.0
-    capacity_N: Positive  # noqa: N815  (the newton's own letter)
+    capacity_N: Positive  # noqa: N815  (the newton's letter)
     scale_sigma: NotNegative = 0.0
     noise_N: Positive  # noqa: N815
     zero_sigma_N: Annotated[  # noqa: N815

@@ -54,7 +54,7 @@ class PlanarRun:
     """The wrench that a run's joint motion asks for, at ticks and half-way between: the joints by a spline.
 
     Times f_x, f_y, dw, 1, w, w^2: M and h of the equation at the head of this module. With v and a the twist of a link
-    and its rate of change relative to the base, z that of a unit of yaw, all in the link's own axes, and B its momentum
+    and its rate of change relative to the base, z that of a unit of yaw, all in the link's axes, and B its momentum
     per twist, the link's wrench is ``B (a + f + dw z + w z x v) + (v + w z) x* B (v + w z)`` (Featherstone, Rigid Body
     Dynamics Algorithms, 2008, chapter 2); its columns (Limparis 2.132) have those of B.
 

@@ -2,7 +2,7 @@
 
 All vectors are in base axes; moments and momenta are about the base frame's origin. Twists are (linear, angular) of the
 base frame; wrenches (force, moment). Everything is linear in the standard parameters: ``momentum = H(v) chi`` and
-``wrench = W(v, a) chi``, with the composite spatial inertia the part of them that multiplies the base's own twist or
+``wrench = W(v, a) chi``, with the composite spatial inertia the part of them that multiplies the base's twist or
 acceleration. Pinocchio computes the same one tick at a time; predicting a whole flight needs 10,000 ticks per initial
 guess. Recursion over the chain and Newton-Euler equations: Featherstone, Rigid Body Dynamics Algorithms (2008).
 """

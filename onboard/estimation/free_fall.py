@@ -2,7 +2,7 @@
 
 A body that nothing touches shows a small specific force that changes as slowly as its own parts move. Hands and straps
 pass on the unrest of what they are tied to, so that besides the size of the specific force its roughness tells whether
-a body is held: the residual of a short cubic about each tick, against the sensor's own noise. A rate tells less: a
+a body is held: the residual of a short cubic about each tick, against the sensor's noise. A rate tells less: a
 light body turns as fast as its arm starts.
 """
 

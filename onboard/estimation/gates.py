@@ -128,7 +128,7 @@ def phase_gate(
 class ResidualGate:
     """Refuses rows with too large a normalised innovation, with a limit that adapts if the estimate itself is wrong.
 
-    The limit is ``threshold`` times the innovation's own sigma, *or* times the robust spread of the recent innovations,
+    The limit is ``threshold`` times the innovation's sigma, *or* times the robust spread of the recent innovations,
     refused ones included, whichever is larger. A few outliers do not move the median and are refused. If the estimate
     is wrong, most innovations are large, the median grows and the gate opens, so that the rows can correct the
     estimate.

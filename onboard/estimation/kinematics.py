@@ -3,7 +3,7 @@
 The signal model is four integrators driven by white noise (snap of a joint). The steady-state Kalman filter is a fixed
 linear filter; from its poles D two kernels for :class:`onboard.estimation.smoothing.SmoothingWindow` are made:
 
-- ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's own estimates of position,
+- ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's estimates of position,
   rate and acceleration pass three different bands; rows need the *same* operator on both sides, so every derivative is
   taken of the output of G. G's third derivative is the Kalman filter's estimate of the jerk.
 - ``SMOOTHER``: ``G(s) G(-s) = 1 / (1 + (s/w)^8)``: the Rauch-Tung-Striebel smoother away from the ends of a record. Its

@@ -393,7 +393,7 @@ def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = 
 
 
 def filtered_inflation(delay_s: float, period_s: float) -> float:
-    """Factor on the sigma of a mean of samples that a device's own low-pass filter makes alike.
+    """Factor on the sigma of a mean of samples that a device's low-pass filter makes alike.
 
     White noise through a filter of second order (Butterworth) with group delay d has the autocorrelation
     ``rho(t) = exp(-t/d) (cos(t/d) + sin(t/d))``. A mean of many samples then has the variance of a mean of independent

@@ -164,7 +164,7 @@ def _end(devices: subprocess.Popen[str]) -> None:
 
 
 def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress: Progress = lambda _: None) -> Flown:
-    """Fly devices that another process serves, with the flight app's own processes, on the real clock.
+    """Fly devices that another process serves, with the flight app's processes, on the real clock.
 
     Mission time begins when the flight app is ready, however long it took to start on a busy computer. The devices end
     with this process, whatever ends it.

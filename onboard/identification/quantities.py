@@ -221,7 +221,7 @@ def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: To
     moment = float(np.linalg.norm(slope)) / whole
     return {
         "centre of mass": moment * tolerance.centre_m,
-        "place": moment * tolerance.length_m if own[1:4].any() else 0.0,  # none on the joint's own axis
+        "place": moment * tolerance.length_m if own[1:4].any() else 0.0,  # none on the joint's axis
         "radius of gyration": abs(about_centre) * tolerance.inertia / whole,
     }
 

@@ -233,7 +233,7 @@ class LogWriter:
     def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a named map of strings to the log, after the data written so far.
 
-        The flight's own tells what UTC is: log times of channels that are registered after it are UTC.
+        The flight's tells what UTC is: log times of channels that are registered after it are UTC.
 
         Raises:
             OSError: the write failed; it is kept.

@@ -165,7 +165,7 @@ class WrenchColumns:
             fold: which.
             held: (n,) whether the payload is.
             q: Pinocchio's configurations, (n, nq), the base at the origin.
-            v: velocities, (n, nv), the base's own linear one zero.
+            v: velocities, (n, nv), the base's linear one zero.
             a: accelerations, (n, nv), the base's linear one its specific force.
         """
         out = np.empty((len(q), self._rows, fold.columns))

@@ -63,7 +63,7 @@ class _Place(NamedTuple):
     """A translation in the Pinocchio model that may be stretched: of a moving joint, or of a frame on a rigid body."""
 
     joint: int
-    frames: tuple[int, ...]  # none: the joint's own placement
+    frames: tuple[int, ...]  # none: the joint's placement
     axis: int
     length: Length
 

@@ -50,7 +50,7 @@ def encode_request(identifier: int, size: int) -> bytes:
 def decode_line(line: bytes) -> tuple[int, bytes] | None:
     """A line of the adapter, without its end: identifier and data of a standard data frame.
 
-    A trailing time stamp (four digits, the adapter's own milliseconds) is allowed and left. None for everything that
+    A trailing time stamp (four digits, the adapter's milliseconds) is allowed and left. None for everything that
     is no standard data frame: acknowledgements, remote and extended frames, answers to V, N and F.
 
     Raises:

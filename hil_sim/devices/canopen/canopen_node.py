@@ -189,7 +189,7 @@ class CanopenNode(PoweredTwin):
         return (times_ns - self._start_ns).astype(np.float64) * 1e-9
 
     def _timer_ns(self, period_ms: int) -> int:
-        """What the node's own oscillator makes of a period."""
+        """What the node's oscillator makes of a period."""
         return period_ms * (1_000_000 + 50 * self.node_id)
 
     def _before_start(self) -> None:

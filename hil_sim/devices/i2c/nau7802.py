@@ -212,7 +212,7 @@ class Nau7802Table(MeasuringEmulator):
     quantities = FORCES
 
     kind: Literal["nau7802"]
-    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's own letter)
+    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's letter)
     rated_load_N: PositiveFloat = 50.0  # noqa: N815
 
     @classmethod

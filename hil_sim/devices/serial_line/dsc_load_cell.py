@@ -11,7 +11,7 @@ Commands here: ``SOUT`` and ``SYS`` (force less ``SZ``), ``SZ`` (system zero, rw
 ``STN``, ``BAUD``, ``RATE``, ``DP``, ``DPB`` (rw), ``RST``. ``STN``, ``BAUD`` and ``RATE`` are taken over by ``RST`` or
 at power-up; all settings survive both. Codes: BAUD 0..7 = 2400, 4800, 9600, 19200, 38400, 57600, 76800, 115200;
 RATE 0..9 = 1, 2, 5, 10, 20, 50, 60, 100, 200, 500 conversions a second. These two tables, ``SNAP``, ``SYSN``, ``RSPT``
-and the error answer were not checked against the manual's own pages. The delay of an answer varies between two limits
+and the error answer were not checked against the manual's pages. The delay of an answer varies between two limits
 within the manual's 50 ms.
 """
 

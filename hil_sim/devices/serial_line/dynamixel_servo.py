@@ -170,7 +170,7 @@ class DynamixelTable(MeasuringEmulator):
     torque: str
     turns: PositiveFloat = 1.0
     zero_count: int = 2048
-    torque_N_m_A: PositiveFloat = 1.78  # noqa: N815  (the newton's own letter)
+    torque_N_m_A: PositiveFloat = 1.78  # noqa: N815  (the newton's letter)
     firmware: Annotated[int, Field(ge=1, le=255)] = 45
     return_delay: Annotated[int, Field(ge=0, le=254)] = 250
     channels: tuple[Literal["velocity", "torque", "status"], ...] = ()

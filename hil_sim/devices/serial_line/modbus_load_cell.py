@@ -28,7 +28,7 @@ and zero are lost with the supply, setpoints and hystereses as well unless they 
 Framing is that of "Modbus over serial line" V1.02: a frame ends after 3.5 characters of silence (1.75 ms above 19,200
 baud) and is void after a pause of more than 1.5 characters inside (0.75 ms). Left open by the manual: conversions at
 300 Hz, stable is eight of them within two divisions; an answer begins ``reply_ns`` after the end of the request. Not
-checked against the manual's own pages: status bit 9, and the codes of unit and division.
+checked against the manual's pages: status bit 9, and the codes of unit and division.
 """
 
 import math

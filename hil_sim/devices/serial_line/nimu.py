@@ -16,7 +16,7 @@ byte     content
 
 Words are signed, the high byte first. The document can be read in three ways about the checksum, so it is a choice
 here; public code that talks to real units sums all 37 bytes before it, synchronisation bytes included, at 115,200
-baud 8N1, and those are the defaults. Samples stand on the device's own clock; every word of a packet belongs to the
+baud 8N1, and those are the defaults. Samples stand on the device's clock; every word of a packet belongs to the
 instant of its timer. A packet leaves ``latency_ns`` after that instant. The device takes no commands.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
@@ -151,7 +151,7 @@ class NimuTwin(SerialTwin):
         self._arm(now_ns)
 
     def _chip_ns(self, sample: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The unit's own time of its samples since it was powered up, whole ns."""
+        """The unit's time of its samples since it was powered up, whole ns."""
         return np.floor(_BOOT_NS + sample * self._period_ns)
 
     def _arm(self, not_before_ns: int) -> None:

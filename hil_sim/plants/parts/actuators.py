@@ -1,4 +1,4 @@
-"""What a free-flyer's base has to turn itself and to push itself: reaction wheels that hold its attitude, thrusters.
+"""Actuators of a free-flyer's base: reaction wheels that hold its attitude, and thrusters.
 
 The attitude control knows the true attitude and rate. Its law is smooth, also at the largest torque of a wheel's motor.
 """

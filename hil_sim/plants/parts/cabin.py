@@ -136,7 +136,7 @@ class Cabin:
         follows_s = _STRAPPED_s if self._tied[k] else _FOLLOWS_s
         q = pose[3:] * np.sign(pose[3])
         up = np.array([np.cos(0.5 * self._pitch[k]), 0.0, np.sin(0.5 * self._pitch[k]), 0.0])
-        away = _rotation_between(q, up)  # in the base's own axes
+        away = _rotation_between(q, up)  # in the base's axes
         target = _RIGHTING_1_s * away / max(1.0, _RIGHTING_1_s * float(np.linalg.norm(away)) / _FASTEST_rad_s)
         if self._launch[k].any():
             target = np.zeros(3)  # it is steadied before it is let go

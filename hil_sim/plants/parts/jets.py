@@ -1,4 +1,4 @@
-"""Wrenches on a vehicle's base: thrusters that burn, along an axis of a frame of the base, and what nobody knows of.
+"""Wrenches on a vehicle's base: thrusters that burn along an axis of a frame of it, and disturbances unknown on board.
 
 Both rise and fall within :data:`RISE_s` as sin^2, half of it before the stated time and half after.
 """

@@ -18,7 +18,7 @@ QUESTION_BYTES, ANSWER_BYTES = 8, 21  # eight registers, 40007 to 40014
 class ModbusLoadCellDevice(PolledLoadCellDevice):
     """Load cell transmitter on Modbus-RTU (Laumas map). The first of ``values`` is the force that is estimated with.
 
-    ``scale`` and ``unit``: of a count; by the transmitter's own division and unit where not given.
+    ``scale`` and ``unit``: of a count; by the transmitter's division and unit where not given.
     """
 
     driver_configs = (ModbusLoadCellConfig,)

@@ -67,7 +67,7 @@ def rotations(chain: SerialChain, q: FloatArray) -> FloatArray:
 
 
 def offsets(chain: SerialChain, q: FloatArray) -> FloatArray:
-    """From each body's origin to the next one's (to the tip for the last), (n + 1, 3), in the body's own axes.
+    """From each body's origin to the next one's (to the tip for the last), (n + 1, 3), in the body's axes.
 
     A prismatic joint adds its travel to the body before it.
     """

@@ -1,7 +1,7 @@
 """Dynamics of an arm in the space of its joints, the base left to itself: ``H*(q) ddq + c*(q, dq) = tau``.
 
 The rows of the base in the equations of motion say that nothing acts on it, ``H_bb a_b + H_bm ddq + c_b = 0``; what is
-left of the joints' rows when they are eliminated is the arm's own inertia, ``H* = H_mm - H_mb H_bb^-1 H_bm`` (2.99,
+left of the joints' rows when they are eliminated is the arm's inertia, ``H* = H_mm - H_mb H_bb^-1 H_bm`` (2.99,
 2.110). The momentum is taken to be zero, ``H_bb nu_b + H_bm dq = 0`` (2.90): no gyro is asked. A base on a level table
 has three of the six rows, one that stands none, and gravity.
 """

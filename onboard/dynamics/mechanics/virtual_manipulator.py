@@ -36,7 +36,7 @@ def virtual_jacobian(chain: SerialChain, q: FloatArray, axes_rate: FloatArray) -
     """The tip's velocity per joint rate, (3, n), with bodies turning by ``axes_rate`` (n + 1, 3, n), base axes.
 
     ``axes_rate[i]`` is the angular velocity of body i in inertial space per joint rate; for a base that floats at zero
-    momentum the base's own part is in it (see :mod:`onboard.dynamics.mechanics.barycentric`).
+    momentum the base's part is in it (see :mod:`onboard.dynamics.mechanics.barycentric`).
     """
     R = rotations(chain, q)
     arms = np.einsum("iab,ib->ia", R, virtual_links(chain, q))  # (n + 1, 3)

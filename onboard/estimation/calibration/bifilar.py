@@ -138,7 +138,7 @@ def _fitted(
     """Parameters (6 or 7,); of the inertia, sigma by noise and slope by the gyro's scale.
 
     The residual is taken for the noise with its colour. As far as the swing does not tell the scale, which starts at
-    zero with its sigma, the gyro's own scale s is left in the result: ``-P_Is s / sigma^2``, P the covariance.
+    zero with its sigma, the gyro's scale s is left in the result: ``-P_Is s / sigma^2``, P the covariance.
     """
 
     def residual(x: FloatArray) -> FloatArray:

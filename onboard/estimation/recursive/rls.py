@@ -23,7 +23,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError, SingularError
 
 _BLOCK = 16  # block size of dtpqrt
-_RANK_TOLERANCE = 1e-11  # of a column of R against the column's own norm
+_RANK_TOLERANCE = 1e-11  # of a column of R against the column's norm
 
 
 class Solution(NamedTuple):
@@ -154,7 +154,7 @@ class SquareRootRls:
             y: (m,).
             sigma: (m,) standard deviation of each row.
             C: (m, k) columns of the considered parameters, ``d y / d c``; required when there are any.
-            forgetting: factor on the information of earlier rows, in (0, 1]; the estimator's own where not given.
+            forgetting: factor on the information of earlier rows, in (0, 1]; the estimator's where not given.
 
         Raises:
             RowError: wrong shape, number not finite, sigma not positive. The estimator is unchanged then.

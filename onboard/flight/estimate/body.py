@@ -1,4 +1,4 @@
-"""From the vehicle file of a body without joints to what predicts it."""
+"""Builds the prediction of a body without joints from its vehicle file."""
 
 from collections.abc import Mapping
 

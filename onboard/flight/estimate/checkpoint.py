@@ -1,10 +1,10 @@
 """Checkpoints of the running estimator, kept beside the rings.
 
-It is data (:mod:`onboard.flight.estimate.state`) in a file that only this user can write. A step of the estimator
-is determined by the rows named in its TICK record, so a checkpoint and the ticks after it restore the estimator of a
-dead process.
+A checkpoint is data (:mod:`onboard.flight.estimate.state`) in a file that only this user can write. A step of the
+estimator is determined by the rows named in its TICK record, so a checkpoint and the ticks after it restore the
+estimator of a dead process.
 
-Two files take turns: memory that the system has to find for a new one costs more than all else that a checkpoint does.
+Two files are written in turn: allocating the memory of a new file would cost more than the rest of a checkpoint.
 """
 
 import ctypes

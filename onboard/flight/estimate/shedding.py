@@ -1,11 +1,11 @@
 """Which rows an estimator that cannot keep up leaves out: late by more than 8 s, all until 1 s before the present.
 
-What is left out is in one piece, so that what is taken in is, too: a change is classified from windows of 1 to 4 s
-without a hole. What is late is as true as what is in time, for a payload stays what it is.
+Rows are left out in one piece, so that the others are contiguous: a change is classified from windows of 1 to 4 s
+without a gap. Late rows are as good as recent ones, since the payload is constant.
 
-Phases, pulses and other channels of few rows are never left out. A pause that it works off by itself costs no row. The
-answers hold rows of less time, and are as much wider. Each TICK record says how much was left out before it, so that a
-replay does the same; the log has the rows.
+Phases, pulses and other channels of few rows are never left out. A pause of the estimator after which it catches up
+costs no row. The answers rest on fewer rows, and their intervals are wider accordingly. Each TICK record says how much
+was left out before it, so that a replay does the same; the log has the rows.
 """
 
 LATE_NS = 2_000_000_000  # it is reported

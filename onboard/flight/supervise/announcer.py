@@ -20,7 +20,7 @@ from onboard.ring import RingError, RingReader
 
 LOGGER = logging.getLogger("heft")
 LOGGER.addHandler(logging.NullHandler())
-RECORDER_SAID = "recorder_event.said"  # a ring of the recorder's own events: what is in a *.ring it records itself
+RECORDER_SAID = "recorder_event.said"  # a ring of the recorder's events: what is in a *.ring it records itself
 SILENT = 0.9  # fraction of the nominal rate below which a channel is listed
 _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
 _NO_EVENTS = np.zeros(0, EVENT)

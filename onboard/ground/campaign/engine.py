@@ -153,7 +153,7 @@ def _collected(
                     done = Done(None, _KILLED)
                 except CancelledError:
                     continue
-                except _LOST:  # a flight's own errors come back in its result
+                except _LOST:  # a flight's errors come back in its result
                     raise
                 except Exception as error:
                     raise WorkerError(f"a worker cannot fly: {type(error).__name__}: {error}; {_REMEDY}") from error

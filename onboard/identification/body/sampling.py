@@ -1,4 +1,4 @@
-"""What a recorder does that samples commands: a change came at any time since the sample before the one that shows it.
+"""Error of commands that a recorder sampled: a change may have come at any time in the sample before it is seen.
 
 Of a clock of its own each change of a command is late by another time, evenly spread over a sample. A step of the level
 by d that comes dt later leaves the body slower by d dt F / m, and turning by so much less: all poses after it are away

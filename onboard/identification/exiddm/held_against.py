@@ -1,6 +1,6 @@
-"""A filter's corrections held against what is stated of them, once for each state of the filter.
+"""Tests a filter's corrections against their stated sigmas, once for each state of the filter.
 
-One by one, but for constants that the bank of hypotheses weighs in every direction; all together.
+Each is tested by itself, except constants that the bank of hypotheses covers in every direction; and all together.
 """
 
 from typing import NamedTuple

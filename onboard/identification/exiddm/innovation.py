@@ -19,7 +19,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.identification.exiddm.suspects import Believed, Rivals
 
-_LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
+_LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's noise
 _MOST_TOLD = 256  # batches whose errors wait to be taken out
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 

@@ -1,9 +1,8 @@
 """Maximum likelihood fit of a body on a pivot: what its IMU shows, predicted from what its wheels do.
 
 Unknown are the body (first moment and inertia about the pivot), errors of wheels, IMU and bearing within their stated
-sigmas, and for every window of :data:`WINDOW_s` rate and attitude at its first tick, so that a torque of the bearing
-that nobody knows does not add up. Wheels and gravity set the scale of nothing alone: all that is told of the body
-scales with the wheels' inertia, of which no reading knows.
+sigmas, and for every window of :data:`WINDOW_s` rate and attitude at its first tick, so that an unknown torque of the
+bearing does not accumulate. No reading shows the wheels' inertia, and all estimates of the body scale with it.
 
 Derivatives of the motion are differences of its prediction, all variants integrated at once; those of the IMU's errors
 are :func:`onboard.identification.exiddm.prediction.imu_errors.imu_reading`'s. Intervals are widened by what is left

@@ -1,4 +1,4 @@
-"""Answers of a body on a pivot while it turns: the fit of all ticks so far, made anew as they become more."""
+"""Answers of a body on a pivot while it turns: the fit of all ticks so far, repeated as their number grows."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

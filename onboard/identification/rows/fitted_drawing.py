@@ -1,8 +1,8 @@
-"""What the rows found of each link as a drawing with sigmas that ``[estimation.prior.link]`` can state.
+"""Estimates of the links as a drawing with sigmas, in the form of ``[estimation.prior.link]``.
 
-A vehicle file states for each link how well mass, centre of mass and inertia are known, each apart from all others.
-What rows tell is sums over links (:mod:`onboard.regressor.base_parameters`): errors of the links are correlated, those
-of one link among each other too. So the stated sigmas D are those of the estimates, made wider until no combination of
+A vehicle file states for each link how well mass, centre of mass and inertia are known, each independent of all others.
+Rows determine sums over links (:mod:`onboard.regressor.base_parameters`): errors of the links are correlated, those of
+one link among each other too. So the stated sigmas D are those of the estimates, made wider until no combination of
 parameters is stated to be known better than it was found:
 
     D >= J P J',  with D diagonal,

@@ -1,4 +1,4 @@
-"""What is found about an estimate by rows that its intervals do not contain."""
+"""Findings about an estimate by rows that its intervals do not cover: reasons to doubt or to refuse it."""
 
 from collections.abc import Sequence
 from typing import Protocol

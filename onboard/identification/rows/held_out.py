@@ -1,6 +1,6 @@
 """Prediction of motion that was not used: each half of the rows identified alone, the other half predicted from it.
 
-A fit shows the agreement of rows with parameters chosen for them. Whether the parameters are the body's own or
+A fit shows the agreement of rows with parameters chosen for them. Whether the parameters are the body's or
 compensate for another error (a flexible joint, a wrong sensor scale) shows on other motion. The rows are kept as normal
 equations per block of time, in constant memory, and afterwards divided into an earlier and a later half, separately
 with and without the payload.

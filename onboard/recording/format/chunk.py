@@ -11,7 +11,7 @@ from onboard.recording.format import mcap_format
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.format.schema import CDR_HEADER, message_bytes
 
-BODY_AT = mcap_format.MESSAGE_HEAD.size + len(CDR_HEADER)  # of the row's own bytes in a message record
+BODY_AT = mcap_format.MESSAGE_HEAD.size + len(CDR_HEADER)  # of the row's bytes in a message record
 
 
 class PackedRows(NamedTuple):

@@ -2,7 +2,7 @@
 
 A row of an ``align=True`` little-endian dtype has the CDR layout (OMG DDS-XTypes 1.3, section 7.4.1, plain CDR version
 1) of the same fields: natural alignment counted from the end of the 4-byte encapsulation header. So the message is the
-header and the row's own bytes up to the end of its last field: readers refuse messages with more than three bytes over.
+header and the row's bytes up to the end of its last field: readers refuse messages with more than three bytes over.
 
 What ``ros2msg`` cannot express is in the comment after a field, and the dtype is rebuilt from the text alone::
 

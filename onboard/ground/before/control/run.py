@@ -53,7 +53,7 @@ class Trial(NamedTuple):
     stage: TrialSetup
     number: int
     flown: FlownTrial
-    tip_m: FloatArray  # (m,) distance of the tip from where it should be, the base's own motion left out
+    tip_m: FloatArray  # (m,) distance of the tip from where it should be, the base's motion left out
 
     @property
     def tip_rms_m(self) -> float:

@@ -1,6 +1,6 @@
 """Bound of a free-flyer's payload by the ExIDDM: the covariance of the filter that flies, along the planned motion.
 
-The flight's own predictor gives the IMU's readings, their derivatives by all unknowns and how these are carried; sigmas
+The flight's predictor gives the IMU's readings, their derivatives by all unknowns and how these are carried; sigmas
 of instruments, links and joints are the vehicle file's. No reading is made: the covariance of an extended Kalman filter
 whose estimate is the truth depends on none, and is the Cramer-Rao bound of that truth with the prior (van Trees).
 All that the flight fuses takes part: further IMUs, load cells, and cyclic errors of encoders as unknowns.

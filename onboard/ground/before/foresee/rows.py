@@ -1,6 +1,6 @@
 """Bound of base parameters by rows: the identifier that flies takes in the rows of the planned motion.
 
-Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters and go to a fresh identifier with the
+Rows ``y = Y chi`` are made by the vehicle's regressor at nominal parameters and go to a fresh identifier with the
 sigmas that the stated noise has behind the smoothing kernel. None is drawn: what it does to the regressor is taken in
 as its mean, and what is reported is the formal covariance, with prior and considered calibrations in it.
 

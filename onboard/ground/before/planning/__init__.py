@@ -1,1 +1,1 @@
-"""The joint motion that tells most about a payload, inside limits, by the bound of the flight's own estimator."""
+"""The joint motion that tells most about a payload, inside limits, by the bound of the flight's estimator."""

@@ -1,4 +1,4 @@
-"""Covariance of what is asked as a function of the motion: the bound of the flight's own estimator, at coarse ticks.
+"""Covariance of what is asked as a function of the motion: the bound of the flight's estimator, at coarse ticks.
 
 A free-flyer's comes from one prediction of the whole motion: readings' derivatives by all unknowns, whitened, with the
 covariance at the motion's start as prior, so that what biases, misalignment, links and joints take away is taken away.
@@ -26,7 +26,7 @@ from onboard.identification.quantities import BODY
 from onboard.regressor.rows import BaseMotion, standing
 
 _ANY_RATE_rad_s = 0.1  # of the base: standard deviation before anything is known
-TICK_HZ = 5.0  # of the search; what is promised is of the estimator's own ticks
+TICK_HZ = 5.0  # of the search; what is promised is of the estimator's ticks
 
 
 class MotionBound(NamedTuple):

@@ -240,7 +240,7 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
 def body_answers(
     names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
 ) -> tuple[IdentifiedQuantity, ...]:
-    """Each is supported if its sigma is at most a fifth of the body's own scale.
+    """Each is supported if its sigma is at most a fifth of the body's scale.
 
     Args:
         names: of the ten numbers.

@@ -1,1 +1,1 @@
-"""A log through the flight's own estimator: fed in its steps, compared with what was estimated onboard."""
+"""A log through the flight's estimator: fed in its steps, compared with what was estimated onboard."""

@@ -140,7 +140,7 @@ class Csv(_Section):
 
 
 class Time(_Section):
-    """The recording's own clock: a column of times, or the nominal rate of evenly spaced samples."""
+    """The recording's clock: a column of times, or the nominal rate of evenly spaced samples."""
 
     column: Column | None = None
     unit: Literal["ns", "us", "ms", "s"] = "s"

@@ -154,7 +154,7 @@ def rescue(recorded: RecordedPair, clocks: Sequence[FittedClock], build: Build, 
 
 
 def _settled(recorded: RecordedPair, clock: FittedClock, build: Build, imu_prior: ImuPrior) -> Rescued:
-    """The fit with the clock's own share in it, joints placed anew until nothing moves."""
+    """The fit with the clock's share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))
     for done in range(1, ROUNDS + 1):
         signals, middle_s = placed_signals(recorded, clock, _SAMPLES, _WIDTH_S)

@@ -32,7 +32,7 @@ def in_turn(parts: Sequence[RecorderLog], phase: str, output: Path, *, progress:
 
     Raises:
         ChannelError: a log with other channels than the first, with one called ``phase``, or without samples.
-        ValueError: fewer than two logs, or a flight's own log.
+        ValueError: fewer than two logs, or a flight's log.
         FileExistsError: ``output`` exists.
         LogFormatError: a file is not a heft log.
         OSError: a log cannot be read, or the output not written.

@@ -1,7 +1,7 @@
 """When the samples of a channel were taken, on the clock of the computer that recorded them.
 
 A log that carries its vehicle has that vehicle's clocks. In any other, arrival stamps that rise are the times, as they
-are in an imported recording; where rows share them (a FIFO that is drained), the device's own tick count is put on the
+are in an imported recording; where rows share them (a FIFO that is drained), the device's tick count is put on the
 line through the least delayed arrivals.
 """
 

@@ -71,7 +71,7 @@ def spectra(flight: FlightData) -> Figure | None:
 
 
 def jitter(flight: FlightData) -> Figure | None:
-    """How far each interval between samples is from their median, by arrival and by the device's own clock."""
+    """How far each interval between samples is from their median, by arrival and by the device's clock."""
     names = [name for name, intervals in flight.intervals.items() if intervals.arrival() is not None]
     if not names:
         return None

@@ -98,7 +98,7 @@ class Intervals:
         return self._statistics("host_ns", 1.0)
 
     def sampled(self, period_ns: float) -> IntervalStatistics | None:
-        """By the device's own ticks of ``period_ns``."""
+        """By the device's ticks of ``period_ns``."""
         return self._statistics("tick", period_ns)
 
     def _statistics(self, field: str, factor: float) -> IntervalStatistics | None:

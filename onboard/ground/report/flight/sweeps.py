@@ -11,7 +11,7 @@ _ROWS_SHOWN = 24
 
 
 def by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> str:
-    """Figure and table of every sweep's own estimate; empty without an estimator of rows."""
+    """Figure and table of every sweep's estimate; empty without an estimator of rows."""
     if flight.identifier is None:
         return ""
     found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}

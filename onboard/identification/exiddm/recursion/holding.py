@@ -1,4 +1,4 @@
-"""What a filter knows of the payload that is held, as those ask for it who use the filter."""
+"""Reads the held payload out of a filter: parameters, covariance, and whether it is known."""
 
 import numpy as np
 

@@ -1,19 +1,20 @@
-"""Where the steps of a filter are linearised: about the constants as the last window found them, not as they are now.
+"""Linearisation point of a filter's steps: constants as the last window estimated them, not the newest estimate.
 
-Some directions of the state no motion shows: all masses times one factor, a joint's place along its own axis with all
-that hangs on it. Which directions these are depends on the state. A filter that linearises every step about its newest
-estimate counts what it has moved by as information along them: of an arm of 0.6 kg, whose masses are known to 1 %, the
-place of a gripper was told three times as well as the same ticks tell in one window, and an answer was 4 sigmas off.
-About one state the directions stay the same, and such steps tell what the window of all ticks tells (first-estimates
-Jacobians: Huang, Mourikis and Roumeliotis, A First-Estimates Jacobian EKF for Improving SLAM Consistency, 2009; values
-are linear here, too, which costs one prediction instead of two).
+Some directions of the state are not observable: all masses times one factor; a joint's place along its own axis
+together with all links beyond it. The directions depend on the state. A filter that linearises every step about its
+newest estimate therefore counts its own corrections as information along them: of an arm of 0.6 kg, whose masses are
+known to 1 %, the sigma of a gripper's place was a third of that which the same ticks give in one window, and an answer
+was 4 sigmas off. About one state the directions stay the same, and the steps have the information of the window of all
+ticks (first-estimates Jacobians: Huang, Mourikis and Roumeliotis, A First-Estimates Jacobian EKF for Improving SLAM
+Consistency, 2009; values are linear here, too, which costs one prediction instead of two).
 
-What is neglected is of second order, a product of what no motion shows and of what is not yet known: at most 0.015 of a
-sigma of one tick along six flights of that arm. Where the estimate has moved so far that a prediction changes by more
-than a sigma of a tick, it is made about the newest estimate, too; where the two differ by more than a tenth of a sigma,
-as when a motion begins that shows what none before it has, steps are linearised about that from there on. No sooner: a
-gyro's axes that were corrected by three sigmas changed predictions by one sigma, all but 0.012 of one linearly. Steps
-linearised anew told all masses of a free-flyer without a cell to 6 %, of which they tell nothing.
+The neglected terms are of second order, products of unobservable and of unknown components: at most 0.015 of a sigma of
+one tick along six flights of that arm. Where the estimate has moved so far that a prediction changes by more than a
+sigma of a tick, the prediction is also made about the newest estimate; where the two differ by more than a tenth of a
+sigma, as when a motion of a new kind begins, later steps are linearised about the newest estimate. Not sooner: when a
+gyro's axes were corrected by three sigmas, predictions changed by one sigma, all but 0.012 of it linearly. Steps that
+are always linearised anew gave all masses of a free-flyer without a cell with a sigma of 6 %, although the ticks
+contain no information on them.
 """
 
 import numpy as np

@@ -12,7 +12,7 @@ what residuals of a window have below 1.5 Hz, and half-second sums of innovation
 Where springs keep every window from being explained there are no innovations. What they swing shows in the residuals of
 the fit that came nearest, as a peak that holds most of the power of one channel: by a periodogram with Hann's window,
 which keeps slow residuals from leaking into it (Percival and Walden, Spectral Analysis for Physical Applications, 6.4).
-Up to 1 Hz the arm's own motion leaves peaks as well, whatever is wrong: none is named.
+Up to 1 Hz the arm's motion leaves peaks as well, whatever is wrong: none is named.
 """
 
 from collections import deque

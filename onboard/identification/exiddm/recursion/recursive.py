@@ -106,7 +106,7 @@ class RecursiveExiddm(Holding):
 
     @property
     def confirmed(self) -> bool:
-        """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it.
+        """What is held was not found by a second or two alone, in which a swing of the vehicle's looks like it.
 
         Nor without the motion before it, where that has shown that something is not as stated and is yet to be taken
         in.

@@ -1,16 +1,17 @@
-"""Filter steps since a window, replaced by a longer window that has them all, while the payload is not known well.
+"""While the payload is poorly known, replaces a window and the filter steps after it by one longer window.
 
-A step is linearised about what is known then. While that is still far off, each step gives information in directions
-that no motion shows, and nothing takes it back. So the window and the steps since are solved as one window, of 8 s or
-of twice the window, and again at twice that length where the mass was not known to a few percent, as of a light vehicle
-that caught much. It is solved sooner where steps are linearised about different states (:mod:`.linearised`), as when a
-part of the drawing is wrong: together they tell what no motion shows. Of a base 7 % and a gyro 1 % off, steps of 11 s
-had evidence of 430 nats for two bodies that were right, and an answer 6.7 sigmas off; the window of them has 46 nats.
+A step is linearised about the estimate of its time. While that is far off, each step adds false information in
+unobservable directions, which later steps do not remove. So the window and the steps since are solved as one window, of
+8 s or of twice the window, and again at twice that length where the mass was not known to a few percent, as of a light
+vehicle that caught a heavy payload. It is solved sooner where steps are linearised about different states
+(:mod:`.linearised`), as when a part of the drawing is wrong: the steps together then have information in unobservable
+directions. With a base 7 % and a gyro 1 % off, steps of 11 s had evidence of 430 nats against two bodies that were
+right, and an answer 6.7 sigmas off; one window of the same ticks has 46 nats.
 
-Without a payload it is the base's rate that may be hardly known: at rest nothing tells it from zeros of the gyros that
-may be large. In a short window the rate has several minima, each sharp, so it is solved again up to 8 s in any case.
-Steps about a rate that is a tenth of a rad/s off are wrong within a second, at rest too. So what an arm at rest has
-told is given up when it begins to move, but for its last second: a window begins with that, and what was known before.
+Without a payload the base's rate may be poorly known: at rest it cannot be separated from large zeros of the gyros. In
+a short window the rate has several sharp minima, so it is solved again up to 8 s in any case. Steps about a rate that
+is a tenth of a rad/s off are wrong within a second, at rest too. So the information of an arm at rest is discarded when
+it begins to move, except its last second: a new window begins with that second and the state known before.
 
 Known limit: in a window the drift of a bias is constant, in steps it is a random walk.
 """

@@ -1,7 +1,7 @@
-"""Which instrument is wrong, where a window of all is not explained or one is accused: the window without each.
+"""Finds the wrong instrument of a window that the model does not explain: the window is solved without each of them.
 
-Compared is by how much each fit is strained: squares of its corrections in their stated sigmas, and what its residuals
-exceed chance by. The noise of the readings, which differs from fit to fit, is not part of that.
+The fits are compared by their strain: the squared corrections over their stated sigmas, and the excess of their
+residuals over chance. The noise of the readings, which differs from fit to fit, is not part of that.
 
 A load cell that is accused may be right: it sees a light payload that is caught or let go, which the IMUs hardly do.
 Without the cell nothing speaks against the payload as it was. So the window is also solved with all instruments and

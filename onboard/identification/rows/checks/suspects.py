@@ -1,4 +1,4 @@
-"""What may not be as stated of an arm on a fixed base whose cells' scales are estimated, and what follows from each.
+"""Hypotheses of errors of an arm on a fixed base whose cells' scales are estimated, and the answer under each.
 
 Of each link but the payload, mass and inertia, either, the centre of mass, or all ten parameters may be off, or the
 factor and the centre of mass (a part exchanged); of an encoder, or of all, the zero, the scale, the delay; of a cell,
@@ -9,9 +9,9 @@ those of instruments, each over its stated sigma. z is found by Gauss and Newton
 again about the likeliest hypothesis (:mod:`onboard.identification.rows.checks.remade`), since gains multiply masses
 and angles turn gravity.
 
-Rows are smoothed, so neighbours say the same: a kept tick stands for as many as lie between two, but for no more than
-are alike. Noise is as large as what the likeliest leaves over of each row, no smaller than stated, and rows far off
-weigh as Huber has it.
+Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
+more than are correlated. The noise of each row is the residual of the likeliest hypothesis, no smaller than stated;
+outliers have Huber's weights.
 
 The answer is the mixture of all that count, each with the mean and covariance that it has by these rows. It takes the
 place of the recursion's, whose gains multiply masses that were not known yet when their rows came. What noise of the

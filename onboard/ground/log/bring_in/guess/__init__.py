@@ -1,1 +1,1 @@
-"""Proposes a mapping for a recording that nobody described (``heft import --guess``)."""
+"""Proposes a mapping for a recording without a description (``heft import --guess``)."""

@@ -42,7 +42,7 @@ class Clock(NamedTuple):
     why: str
     doubt: str
     seconds: NDArray[np.float64]
-    rate_Hz: float  # noqa: N815  (a unit's own letters)
+    rate_Hz: float  # noqa: N815  (a unit's letters)
     gaps: tuple[int, float]
     left_out: int
     wraps: int = 0
