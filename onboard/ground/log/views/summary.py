@@ -159,20 +159,19 @@ def _gates(found: LogOverview) -> RenderableType | None:
 
 
 def _answers(found: LogOverview) -> RenderableType | None:
-    """Table of the quantities; of base parameters if there are no others."""
-    supported = {name: row for name, row in found.answers.items() if row["supported"]}
-    supported = {name: row for name, row in supported.items() if row["unit"]} or supported
-    withdrawn = {name: row for name, row in found.answers.items() if row["unit"] and is_withdrawn(row)}
-    if not supported and not withdrawn:
+    """Table of the quantities; of base parameters if there are no others; of those left open if none is answered."""
+    answered = {name: row for name, row in found.answers.items() if row["supported"] or is_withdrawn(row)}
+    rows = answered or found.answers
+    rows = {name: row for name, row in rows.items() if row["unit"]} or rows
+    if not rows:
         return None
     table = _table("identified", "value", "95 % interval", "unit", "level")
-    for name, row in supported.items():
+    for name, row in rows.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
-        table.add_row(name, value, f"{low} .. {high}", printable(row["unit"]), _level(row))
-    for name, row in withdrawn.items():
-        table.add_row(name, "-", "-", printable(row["unit"]), Text(_level(row), "red"))
+        numbers = (value, f"{low} .. {high}") if row["supported"] else ("-", "-")
+        table.add_row(name, *numbers, printable(row["unit"]), Text(_level(row), "red" if is_withdrawn(row) else ""))
     reasons: dict[str, list[str]] = {}
-    for name, row in {**supported, **withdrawn}.items():
+    for name, row in rows.items():
         if shown(row) != _level(row):
             reasons.setdefault(shown(row), []).append(name)
     return Group(table, *(Text(f"{', '.join(names)}: {text}") for text, names in reasons.items()))

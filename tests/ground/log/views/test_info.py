@@ -12,9 +12,12 @@ from rich.console import Console
 
 from drivers import records
 from drivers.records import Severity
-from onboard import cli
+from onboard import channels, cli
+from onboard.ground.log.views import summary
 from onboard.ground.log.views.continuity import Continuity, common, count, union
 from onboard.ground.log.views.info import info, render
+from onboard.identification.standing import LEVELS, Standing
+from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
 ranges = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 6)).map(lambda t: (t[0], t[0] + t[1])), max_size=8)
@@ -156,6 +159,27 @@ def test_json_holds_what_the_screen_shows(log, capsys):
     assert told["event_counts"] == {"0": 8, "2": 7}
     assert told["clocks"] == {}
     assert told["rows"] == {"total": 0, "used": 0, "refused": {}}
+
+
+@pytest.mark.parametrize(
+    ("level", "why", "units", "names"),
+    [
+        (2, "5% of the rows contradict the others", [b"", b""], "MX_arm, ZZ_arm"),  # base parameters, all refused
+        (1, "not determined by the data so far", [b"kg", b""], "MX_arm"),  # nothing is answered
+    ],
+)
+def test_answers_that_are_not_there_are_named_with_the_reason(tmp_path, level, why, units, names):
+    rows = np.zeros(2, channels.QUANTITY)
+    rows["name"], rows["unit"], rows["level"], rows["why"] = [b"MX_arm", b"ZZ_arm"], units, level, why.encode()
+    rows["value"], rows["sequence"] = 1.25, [0, 1]
+    with LogWriter.create(tmp_path / "flight.mcap") as writer:
+        writer.register("quantity", channels.QUANTITY)
+        writer.write("quantity", rows)
+    seen = summary.summary(LogReader(tmp_path / "flight.mcap"))
+    out = io.StringIO()
+    Console(file=out, width=110).print(summary.render(seen))
+    assert f"{names}: {Standing(LEVELS[level], why).text}" in out.getvalue()
+    assert "1.25" not in out.getvalue()
 
 
 def test_a_log_without_clocks_has_nothing_to_plot(log, tmp_path, capsys):
