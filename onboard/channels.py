@@ -196,6 +196,17 @@ HEALTH_STREAM = np.dtype(  # a device's channel in the second before a HEALTH re
     align=True,
 )
 
+STANDING = np.dtype(  # how a flight stands, as its downlink tells it; in no log
+    [
+        *_HEAD,
+        ("missing", "<u8"),  # packets that did not come
+        ("damaged_bytes", "<u8"),  # that belong to no whole packet
+        ("mode", "S15"),  # of the flight
+        ("phase", "S31"),
+    ],
+    align=True,
+)
+
 
 def is_quantity(dtype: np.dtype[np.void]) -> bool:
     """Whether rows are QUANTITY, of this version or of one before it."""

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from onboard import config
+    from onboard.page.web import Source
 
 Commands = Any  # argparse keeps the type of what add_subparsers returns to itself
 
@@ -217,6 +218,31 @@ def say_page(url: str, *, json_lines: bool = False) -> None:
     said = json.dumps({"level": "info", "code": "page", "text": url}) if json_lines else f"heft: page at {url}"
     sys.stderr.write(f"{said}\n")
     sys.stderr.flush()
+
+
+def show_page(arguments: Any, address: str, source: "Source", urdf: Path | None = None) -> None:
+    """Serve the page of ``source`` until ^C, or until the flight that it is of has ended.
+
+    Args:
+        arguments: of a command with the options of :func:`add_page`.
+        address: checked, see :func:`page_address`.
+        source: a log, or a flight.
+        urdf: beside which meshes lie.
+
+    Raises:
+        ValueError: the address is not available.
+    """
+    import asyncio
+
+    from onboard.page import address as addresses
+    from onboard.page.process import serve
+
+    try:
+        with suppress(KeyboardInterrupt):
+            asyncio.run(serve(source, addresses.parse(address), say_page, arguments.page_plan, urdf=urdf))
+    except OSError as error:
+        place = address or addresses.DEFAULT_HOST
+        raise ValueError(f"--page-address {place}: {error.strerror or error}; give another address") from error
 
 
 @contextmanager

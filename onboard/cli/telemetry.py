@@ -12,7 +12,20 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, busy, complain, console, load_vehicle, warn
+from onboard.cli.common import (
+    DAMAGED,
+    FAILED,
+    OK,
+    Commands,
+    add_page,
+    busy,
+    complain,
+    console,
+    load_vehicle,
+    page_address,
+    show_page,
+    warn,
+)
 
 if TYPE_CHECKING:
     from onboard import config
@@ -50,6 +63,7 @@ def add(commands: Commands) -> None:
         "only what its [telemetry] commands arms",
     )
     telemetry.add_argument("--source", type=int, default=0, metavar="N", help="with --command: who asks (default 0)")
+    add_page(telemetry, "with --decode what comes down")
     telemetry.set_defaults(command=_telemetry)
 
 
@@ -67,10 +81,37 @@ def _telemetry(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--source {arguments.source}: give 0 to 65535")
     if arguments.send is not None:
         return _send(arguments.of, arguments.send)
+    if (shown := page_address(arguments)) is not None and (not arguments.decode or arguments.asked):
+        raise ValueError("--page shows what comes down: add --decode, without --command")
     with _vehicle(arguments.of) as vehicle:
+        if shown is not None:
+            return _page(vehicle, arguments, shown)
         if arguments.xtce is not None:
             return _database(vehicle, arguments.xtce)
         return _decode(vehicle, arguments)
+
+
+def watch(arguments: argparse.Namespace) -> int:
+    """``heft watch LINK``: as ``heft telemetry --decode LINK``."""
+    own = {"of": None, "decode": arguments.log, "xtce": None, "send": None, "asked": [], "source": 0}
+    own |= {"json_lines": False, "duration": None}
+    return _telemetry(argparse.Namespace(**vars(arguments) | own))
+
+
+def _page(vehicle: "config.Vehicle | None", arguments: argparse.Namespace, shown: str) -> int:
+    from onboard.page.received import PacketFile, Received
+    from onboard.page.recorded import Recorded
+
+    link, apids = _link(arguments.decode), _settings(vehicle).apids
+    payload = "" if vehicle is None else vehicle.file.vehicle.payload_link or ""
+    if link.kind != "file":
+        source = Received(link, apids, payload, time.monotonic)
+        show_page(arguments, shown, source)
+        source.close()
+        return OK
+    file = PacketFile(Path(link.path), apids)
+    show_page(arguments, shown, Recorded(file))
+    return OK if file.is_whole else DAMAGED
 
 
 @contextmanager

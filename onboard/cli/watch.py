@@ -15,7 +15,7 @@ from onboard.cli.common import (
     busy,
     console,
     page_address,
-    say_page,
+    show_page,
     warn,
 )
 
@@ -35,7 +35,13 @@ def add(commands: Commands) -> None:
     watch = commands.add_parser(
         "watch", help="rates, gaps, clocks, gates, the estimate: a running flight, or a log played"
     )
-    watch.add_argument("log", type=Path, nargs="?", help="log to play")
+    watch.add_argument(
+        "log",
+        type=_log_or_link,
+        nargs="?",
+        metavar="LOG|LINK",
+        help="log to play, or where a downlink comes in: udp://HOST:PORT, serial:///..., file://PATH",
+    )
     watch.add_argument("--live", action="store_true", help="the flight running on this machine")
     watch.add_argument(
         "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as possible)"
@@ -57,31 +63,20 @@ def _watch(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--speed {arguments.speed:g}: give 0 or more")
     if arguments.page_meshes is not None and not arguments.page_meshes.is_file():
         raise ValueError(f"--page-meshes {arguments.page_meshes}: there is no such file; give the vehicle's URDF")
+    if isinstance(arguments.log, str):
+        from onboard.cli.telemetry import watch
+
+        return watch(arguments)
     if (address := page_address(arguments)) is not None:
-        return _page(arguments, address)
+        log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
+        show_page(arguments, address, source, arguments.page_meshes)
+        warn([] if log is None else log.damage)
+        return OK if log is None or not log.damage else DAMAGED
     return _live() if arguments.live else _play(arguments.log, arguments.speed)
 
 
-def _page(arguments: argparse.Namespace, address: str) -> int:
-    """Serve the page of a log, or of the flight that is running, until ^C or the flight's end."""
-    import asyncio
-
-    from onboard.page import address as addresses
-    from onboard.page.process import serve
-
-    log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(
-                serve(source, addresses.parse(address), say_page, arguments.page_plan, urdf=arguments.page_meshes)
-            )
-    except OSError as error:
-        place = address or addresses.DEFAULT_HOST
-        raise ValueError(f"--page-address {place}: {error.strerror or error}; give another address") from error
-    if log is None:
-        return OK
-    warn(log.damage)
-    return DAMAGED if log.damage else OK
+def _log_or_link(text: str) -> Path | str:
+    return text if "://" in text else Path(text)
 
 
 def _recorded(path: Path) -> "tuple[LogReader, Recorded]":

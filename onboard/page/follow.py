@@ -80,6 +80,10 @@ class Followed:
         """What the page needs once: see :func:`about`."""
         return about(self.state, steps=None)
 
+    def frame_now(self, now_ns: int, *, ended: bool = False) -> dict[str, Any]:
+        """The frame of CLOCK_MONOTONIC ``now_ns``; of a flight that has ended that of its newest row."""
+        return self.state.frame(None if ended else now_ns, ended=ended)
+
     @property
     def directory(self) -> Path | None:
         """Of its rings; None before it has begun."""

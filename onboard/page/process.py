@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, cast
 
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.page import address as addresses
@@ -26,6 +26,24 @@ class _Given(NamedTuple):
     acts: list[str]
     plan: str | None
     urdf: str | None
+
+
+class LiveSource(Source, Protocol):
+    """A flight that goes on."""
+
+    ended: bool
+
+    def look(self) -> None:
+        """Take in what is new."""
+
+    def check_ended(self) -> bool:
+        """Whether it is over."""
+
+    def frame_now(self, now_ns: int, *, ended: bool = False) -> dict[str, Any]:
+        """What is shown."""
+
+    def close(self) -> None:
+        """End what was opened."""
 
 
 @contextlib.contextmanager
@@ -83,7 +101,7 @@ async def serve(
     """Serve ``source`` until SIGTERM, or until the flight that it follows has ended.
 
     Args:
-        source: a :class:`Followed` flight, or a log.
+        source: a :class:`LiveSource` flight, or a log.
         address: to bind to.
         tell: is called with the page's address.
         plan: whose expected intervals are shown.
@@ -104,15 +122,15 @@ async def serve(
     await web.start()
     tell(addresses.url(address, web.port, token))
     try:
-        if isinstance(source, Followed):
-            await _follow(source, web, over)
+        if source.live:
+            await _follow(cast(LiveSource, source), web, over)
         else:
             await over.wait()
     finally:
         await web.close()
 
 
-async def _follow(followed: Followed, web: Web, over: asyncio.Event) -> None:
+async def _follow(followed: LiveSource, web: Web, over: asyncio.Event) -> None:
     """Frames at a steady rate while there are viewers, and a last one."""
     loop = asyncio.get_running_loop()
     looks = 0
@@ -122,9 +140,9 @@ async def _follow(followed: Followed, web: Web, over: asyncio.Event) -> None:
             followed.check_ended()
         looks += 1
         if web.viewers:
-            web.send(packed(followed.state.frame(int(loop.time() * 1e9))))
+            web.send(packed(followed.frame_now(int(loop.time() * 1e9))))
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(over.wait(), FRAME_S)
     followed.look()
     followed.ended = True
-    web.send(packed(followed.state.frame(ended=True)))
+    web.send(packed(followed.frame_now(0, ended=True)))

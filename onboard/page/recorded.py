@@ -1,8 +1,9 @@
 """A log as the page shows it: the frames that a viewer of the flight would have had, kept compressed."""
 
 import zlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -10,11 +11,41 @@ from drivers.records import Batch
 from onboard.page.arm import tree_of
 from onboard.page.follow import about, packed, payload_of
 from onboard.page.state import PageState
-from onboard.recording.reader import LogReader
 
 FRAMES = 2400  # at most: of twice as many every second is kept
 _STEP_NS = 100_000_000  # between two frames of a short log
 _AHEAD_NS = 2_000_000_000  # read before a frame is made: a log has the channels of a time one after the other
+
+
+class AttachedFile(Protocol):
+    """A file that a log carries."""
+
+    @property
+    def data(self) -> bytes:
+        """Its bytes."""
+
+
+class PlayedLog(Protocol):
+    """A log, or what can be played as one is."""
+
+    @property
+    def path(self) -> Path:
+        """Of its file."""
+
+    @property
+    def position(self) -> int:
+        """Bytes read so far."""
+
+    @property
+    def attachments(self) -> Mapping[str, AttachedFile]:
+        """Files by name."""
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Facts by name of their record."""
+
+    def batches(self) -> Iterator[Batch]:
+        """Rows in the order of their times, nearly."""
 
 
 class Recorded:
@@ -34,7 +65,7 @@ class Recorded:
 
     live = False
 
-    def __init__(self, log: LogReader, told: Callable[[int], None] = lambda _: None) -> None:
+    def __init__(self, log: PlayedLog, told: Callable[[int], None] = lambda _: None) -> None:
         self._frames: list[tuple[int, bytes]] = []  # stamp, frame
         self._step_ns = _STEP_NS
         files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
@@ -68,7 +99,7 @@ class Recorded:
         return rest, max(until_ns + self._step_ns, min((int(rows["host_ns"][0]) for _, rows in rest), default=0))
 
     @staticmethod
-    def _title(log: LogReader) -> str:
+    def _title(log: PlayedLog) -> str:
         vehicle = log.metadata.get("flight", {}).get("vehicle", "")
         return f"{vehicle}: {log.path.name}" if vehicle else log.path.name
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.records import EVENT, GAP, Batch, Rows
 from onboard import channels
-from onboard.flight.health.status import CAUTION, MEANINGS, Status, words
+from onboard.flight.health.status import CAUTION, MEANINGS, NO_HEALTH, Status, words
 from onboard.page.signals import PageSignals
 from onboard.recording.format.texts import printable
 from onboard.timebase.clock import ClockState
@@ -99,6 +99,7 @@ class PageState:
         signals: of the devices.
         lost: rows that a ring no longer had when they were to be read here; the log has them.
         event_count: events so far.
+        silence: why nothing comes of a flight that is seen through a link; empty: it does.
     """
 
     def __init__(self, title: str, payload: str = "", arm: dict[str, Any] | None = None, *, live: bool) -> None:
@@ -107,12 +108,14 @@ class PageState:
         self.start_ns: int | None = None
         self.now_ns = 0
         self.signals = PageSignals()
+        self.silence = ""
         self.lost = self.event_count = 0
         self._streams: dict[str, _Stream] = {}
         self._quantities: dict[str, _Quantity] = {}
         self._events: deque[tuple[int, int, int, str, str, str]] = deque(maxlen=EVENTS)
         self._mode = self._phase = ""
         self._health: np.void | None = None
+        self._standing: np.void | None = None
         self._pss = dict.fromkeys(_PROCESSES, math.nan)
         self._request: np.void | None = None
         self._row: np.void | None = None
@@ -133,6 +136,8 @@ class PageState:
                 self._quantities.setdefault(printable(row["name"]), _Quantity(row)).add(row)
         elif {"status_word", "status_latched", "computer_idle_percent"} <= fields:
             self._take_health(rows)
+        elif rows.dtype == channels.STANDING:
+            self._standing, self._mode, self._phase = rows[-1], *map(printable, (rows["mode"][-1], rows["phase"][-1]))
         elif "channel" in fields:
             self._about_streams(rows, fields)
         elif "joint_rad" in fields:
@@ -247,7 +252,7 @@ class PageState:
 
     def _go(self, now_ns: int, ended: bool) -> dict[str, Any]:
         """``word``: go, or no-go where a reason is ``against`` or an answer is ``open``."""
-        reasons = [*self._of_health(now_ns, ended), *self._of_answers()]
+        reasons = [*self._of_link(), *self._of_health(now_ns, ended), *self._of_answers()]
         if ended:
             reasons.insert(0, ("note", "the flight has ended: these are its last numbers"))
         if not reasons:
@@ -255,6 +260,13 @@ class PageState:
         stops = {kind for kind, _ in reasons} & {"against", "open"}
         told = [{"kind": kind, "text": text} for kind, text in reasons]
         return {"word": "NO-GO" if stops else "GO", "reasons": told}
+
+    def _of_link(self) -> Iterator[tuple[str, str]]:
+        if self.silence:
+            yield "against", self.silence
+        if (row := self._standing) is not None and (row["missing"] or row["damaged_bytes"]):
+            lost = f"{row['missing']} packets did not come, {row['damaged_bytes']} bytes belong to no whole one"
+            yield "note", f"{lost}: the log has all"
 
     def _of_health(self, now_ns: int, ended: bool) -> Iterator[tuple[str, str]]:
         if self._health is None:
@@ -264,13 +276,16 @@ class PageState:
             return
         age_ns = now_ns - int(self._health["host_ns"])
         if self.live and not ended and age_ns > SILENT_NS:
-            yield "against", f"no health record for {age_ns * 1e-9:.0f} s: the flight's supervisor does not answer"
+            why = "the flight's supervisor does not answer" if self._standing is None else "no status came down"
+            yield "against", f"no health record for {age_ns * 1e-9:.0f} s: {why}"
         word = int(self._health["status_word"])
+        if word & NO_HEALTH:
+            yield "against", "health is not known: there is no record of it on board that is new"
         for bit in Status:
             if word & bit:
                 kind = "note" if bit & CAUTION else "against"
                 yield kind, f"{words(bit)}: {MEANINGS[bit].replace('`', '')}"
-        if other := word & ~sum(Status):
+        if other := word & ~sum(Status) & ~NO_HEALTH:
             yield "against", f"status {words(other)}: of another version of heft"
 
     def _of_answers(self) -> Iterator[tuple[str, str]]:
@@ -307,7 +322,7 @@ class PageState:
 
     def _processes(self) -> list[dict[str, Any]]:
         row = self._health
-        if row is None:
+        if row is None or self._standing is not None:  # a downlink does not have them
             return []
         return [
             {"name": name, "cpu_percent": _known(row[f"{name}_cpu_percent"]), "pss_mb": _known(self._pss[name])}
@@ -319,8 +334,8 @@ class PageState:
         if row is None:
             return None
         numbers = {name: _known(row[name]) for name in _COMPUTER if name in (row.dtype.names or ())}
-        word, latched = int(row["status_word"]), int(row["status_latched"])
-        return numbers | {"status": words(word), "before": words(latched & ~word) if latched & ~word else ""}
+        word, before = int(row["status_word"]), int(row["status_latched"]) & ~int(row["status_word"])
+        return numbers | {"status": words(word), "before": words(before) if before else ""}
 
     def _joints(self) -> list[float] | None:
         """Positions of the newest row of the regression that has them, rad or m, in the model's order."""

@@ -9,8 +9,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from onboard.flight.health.status import CAUTION, standing
-from onboard.telemetry.packets import NO_HEALTH, Packet
+from onboard.flight.health.status import CAUTION, NO_HEALTH, standing
+from onboard.telemetry.packets import Packet
 from onboard.telemetry.stream import Series, Stream
 
 SILENT_S = 5.0  # without a packet, of which some come every second

@@ -18,13 +18,13 @@ import numpy as np
 from drivers.records import EVENT as EVENT_ROW
 from drivers.records import Batch, Severity
 from onboard import channels
+from onboard.flight.health.status import NO_HEALTH
 from onboard.recording.format.texts import printable
 from onboard.telemetry.packets import (
     COUNTS,
     KINDS,
     LONGEST,
     MODES,
-    NO_HEALTH,
     PUS_C,
     UNKNOWN_MODE,
     UNKNOWN_PHASE,

@@ -33,7 +33,6 @@ HEADER_BYTES, SECONDARY, CRC_BYTES = 6, struct.Struct(">BI3sBH"), 2
 _LARGEST = 3.4028234e38  # of single precision
 UNKNOWN_MODE, UNKNOWN_PHASE = 255, -1
 PUS_C = 2 << 4  # version of the PUS, and 0: status of the time reference is not told
-NO_HEALTH = 1 << 31  # in the status words: no health record for three seconds, what they say is old
 
 # Words of onboard.flight.supervise.modes and onboard.identification.standing, without what those import: a process that
 # only sends stays small. A test compares them.

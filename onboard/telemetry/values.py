@@ -9,7 +9,7 @@ from onboard.channels import numbers_of
 from onboard.recording.format.texts import printable
 from onboard.telemetry.packets import KINDS
 
-_OF_HEALTH = {  # fields of the status, of the row HEALTH
+OF_HEALTH = {  # fields of the status, of the row HEALTH
     "latched": "status_latched",
     "word": "status_word",
     "rows": "rows",
@@ -30,7 +30,7 @@ _OF_HEALTH = {  # fields of the status, of the row HEALTH
 _HEALTH_FIELDS = {
     field.name: field
     for field in KINDS["status"].fields
-    if field.name in (*_OF_HEALTH, "health_age", "clocks_locked", "clocks_not_locked")
+    if field.name in (*OF_HEALTH, "health_age", "clocks_locked", "clocks_not_locked")
 }
 
 
@@ -38,7 +38,7 @@ def health_values(row: np.void | None, now_ns: int) -> dict[str, Any]:
     """Those of a status that are of a HEALTH row; zeros and NaN without one."""
     if row is None:
         return {name: 0 if field.code in "BHIQ" else math.nan for name, field in _HEALTH_FIELDS.items()}
-    health = {name: row[of].item() for name, of in _OF_HEALTH.items()}
+    health = {name: row[of].item() for name, of in OF_HEALTH.items()}
     health["health_age"] = max(0, now_ns - int(row["host_ns"])) * 1e-9
     clocks = {state: int(row[f"clocks_{state}"]) for state in ("acquiring", "locked", "flywheel", "invalid")}
     health["clocks_locked"] = clocks.pop("locked")

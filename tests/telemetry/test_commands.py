@@ -11,6 +11,7 @@ from space_packet_parser.xtce.definitions import XtcePacketDefinition
 from onboard import cli
 from onboard.cli.common import console
 from onboard.config.telemetry import Telemetry
+from onboard.flight.health.status import NO_HEALTH
 from onboard.flight.supervise.modes import Mode
 from onboard.identification.standing import LEVELS
 from onboard.telemetry import link, packets, xtce
@@ -71,9 +72,9 @@ def test_go_and_no_go() -> None:
     assert verdict(status, []) == "NO-GO: no answer yet; status ok (before: rows missing)"
     assert verdict(status, [good | {"level": "weak"}]).startswith("NO-GO: 1 of 1 answers are not good")
     assert verdict(status, [good | {"unit": "N", "level": "weak"}]).startswith("NO-GO: no answer yet")
-    silent = {"word": packets.NO_HEALTH, "latched": packets.NO_HEALTH | 4, "health_age": 7.2}
+    silent = {"word": NO_HEALTH, "latched": NO_HEALTH | 4, "health_age": 7.2}
     assert verdict(silent, [good]) == "NO-GO: health not known for 7 s; status ok (before: rows missing)"
-    again = verdict(status | {"latched": packets.NO_HEALTH}, [good])
+    again = verdict(status | {"latched": NO_HEALTH}, [good])
     assert again == "GO: status ok (health was not known for some time)"
 
 

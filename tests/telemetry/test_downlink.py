@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.records import Batch, Severity
+from onboard.flight.health.status import NO_HEALTH
 from onboard.telemetry.downlink import Downlink
-from onboard.telemetry.packets import KINDS, LONGEST, NO_HEALTH, Packet
+from onboard.telemetry.packets import KINDS, LONGEST, Packet
 from tests.telemetry.rows import FLIGHT, NAMES, SECOND_NS, START_NS, downlink, estimates, health, said, sent
 
 STEP_NS = 50_000_000

@@ -27,6 +27,7 @@ class Status(IntFlag):
     NOT_REALTIME = 1 << 18
 
 
+NO_HEALTH = 1 << 31  # in the words of a downlink: no health record for three seconds, what they say is old
 CAUTION = (  # shown, and no reason against going on: the numbers of the flight are not touched by them
     Status.ROWS_MISSING
     | Status.RECORDER_BEHIND
@@ -74,7 +75,8 @@ def words(word: int) -> str:
     """The bits of a status word in words; ``ok`` for none."""
     word = int(word)  # rows hold unsigned ones
     known = [str(bit.name).lower().replace("_", " ") for bit in Status if bit & word]
-    other = word & ~sum(Status)
+    other = word & ~sum(Status) & ~NO_HEALTH
+    known += ["health not known"] if word & NO_HEALTH else []
     return ", ".join([*known, *([f"bits 0x{other:x}"] if other else [])]) or "ok"
 
 

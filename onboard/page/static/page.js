@@ -220,7 +220,7 @@ function follow() {
     const slow = next.skipped ? `; ${count(next.skipped)} frames left out: this connection is slow` : "";
     const lost = next.lost ? `; ${count(next.lost)} rows came too fast for the page (the log has them)` : "";
     if (next.ended) { link("the flight has ended", "over"); acts.end(); ended(mine); }
-    else if (!next.devices.length && !next.event_count) link("waiting for the flight to begin", "slow");
+    else if (!next.devices.length && !next.event_count && !next.held.length) link("waiting for the flight to begin", "slow");
     else link(`live${slow}${lost}`, slow || lost ? "slow" : "ok");
   };
   stream.onerror = () => {
