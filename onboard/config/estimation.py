@@ -1,10 +1,12 @@
 """``[estimation]``: phases, gates, priors, rows and what is reported."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
 from onboard.section import NotNegative, Positive, Section
+
+LAG_MS, LAG_OF_WIDTH = 200.0, 0.75  # of rows where none is stated: half of the kernel, and what channels come late
 
 
 class Resumed(Section):
@@ -244,7 +246,7 @@ class Estimation(Section):
         free vehicle, estimates the payload, detects capture and ejection; it uses ``imu_prior``, ``exiddm`` and
         ``prior.link``.
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
-    or its smoother; see :mod:`onboard.estimation.kinematics`.
+    or its smoother; see :mod:`onboard.estimation.kinematics`. ``lag_ms``: 0.75 times that, where 200 are too few.
     ``block_ms``: distance at which errors of rows are taken as independent; default: five times ``smoothing_ms``.
     ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
     "estimated" makes each a parameter, for several cells that measure the same load.
@@ -261,7 +263,7 @@ class Estimation(Section):
     method: Literal["rows", "instrumental", "exiddm"] = "rows"
     step_ms: Annotated[float, Field(ge=1, le=1000)] = 50
     row_rate_hz: Annotated[float, Field(ge=0.1, le=10_000)] = 100
-    lag_ms: Annotated[float, Field(ge=1, le=5000)] = 200
+    lag_ms: Annotated[float, Field(ge=1, le=5000)] = LAG_MS
     smoothing_ms: Annotated[float, Field(ge=1, le=5000)] = 100
     smoothing: Literal["spline", "filter", "smoother"] = "spline"
     block_ms: Positive | None = None
@@ -286,3 +288,20 @@ class Estimation(Section):
     imu_prior: ImuPriorKeys = Field(
         default_factory=ImuPriorKeys.model_construct, validation_alias=AliasChoices("imu_prior", "doubt")
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _waits_for_the_kernel(cls, given: Any) -> Any:
+        width_ms = given.get("smoothing_ms") if isinstance(given, dict) else None
+        if isinstance(width_ms, int | float) and LAG_OF_WIDTH * width_ms > LAG_MS:
+            return {"lag_ms": LAG_OF_WIDTH * width_ms} | given
+        return given
+
+    @model_validator(mode="after")
+    def _kernel_is_full(self) -> "Estimation":
+        if self.smoothing == "spline" and self.lag_ms < (half_ms := 0.5 * self.smoothing_ms):
+            raise ValueError(
+                f"lag_ms = {self.lag_ms:g}: a kernel of smoothing_ms = {self.smoothing_ms:g} ends {half_ms:g} ms after "
+                f"its row, so no row would be made; write {LAG_OF_WIDTH * self.smoothing_ms:g}, or take lag_ms out"
+            )
+        return self

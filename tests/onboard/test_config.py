@@ -2,6 +2,7 @@
 
 import random
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -268,6 +269,7 @@ def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
         ("step_ms = 100", "step_ms = 1e-300", "1 or more is wanted"),
         ("lag_ms = 300", "lag_ms = inf", "finite number"),
         ("lag_ms = 300", "lag_ms = 9e9", "5000 or less is wanted"),
+        ("lag_ms = 300", "lag_ms = 120", "ends 125 ms after its row, so no row would be made; write 187.5"),
         ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (found true)"),
         ("row_rate_hz = 100", 'row_rate_hz = "100"', "write it without quotes"),
         ("[device.load_cell]", "[device.recorder_gap]", "is heft's"),
@@ -281,6 +283,16 @@ def test_what_would_be_fatal_in_flight_is_refused_with_its_line(old: str, new: s
     message = refuse(old, new)
     assert expected in message
     assert re.search(r"vehicle\.toml:[1-9][0-9]*: ", message)
+
+
+def test_rows_wait_until_a_wide_kernel_is_full(tmp_path: Path) -> None:
+    """With 200 ms in any case, nothing was estimated with 600 ms and nobody was told."""
+    text = config.packaged("dymaflex").read_text(encoding="utf-8")
+    shutil.copytree(config.packaged("dymaflex").parent, tmp_path, dirs_exist_ok=True)
+    for width_ms, lag_ms in ((250, 200.0), (600, 450.0)):
+        changed = re.sub(r"(?m)^lag_ms = .*$", "", text.replace("smoothing_ms = 250", f"smoothing_ms = {width_ms}"))
+        (tmp_path / "vehicle.toml").write_text(changed, encoding="utf-8")
+        assert config.load(tmp_path / "vehicle.toml").file.estimation.lag_ms == lag_ms
 
 
 TOKEN = re.compile(r'"[^"]*"|-?\b\d[\d_]*(?:\.\d+)?(?:[eE][-+]?\d+)?\b|\btrue\b|\bfalse\b')
@@ -313,7 +325,7 @@ def test_any_value_put_for_any_other_is_refused_or_can_be_flown(name: str) -> No
     assert outcomes["flown"] > 3
 
 
-def test_tables_laid_over_a_file_are_its_text_too():
+def test_tables_laid_over_a_file_are_its_text_too() -> None:
     """The log keeps the text: what flew can be replayed."""
     vehicle = config.load(config.packaged("rocksat"))
     tree = config.laid_over(vehicle.tree, {"estimation": {"step_ms": 40}})

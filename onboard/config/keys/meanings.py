@@ -101,7 +101,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "step_ms": _M("The estimator runs this often; answers come at 10 Hz at most.", "the computer is slow"),
         "row_rate_hz": _M("Rows of the regression a second.", "the motion is faster than a tenth of it"),
         "lag_ms": _M(
-            "Rows are made this long after the fact, when every channel has arrived.",
+            "Rows are made this long after the fact, when every channel has arrived; 0.75 times `smoothing_ms` where "
+            "that is more and none is given. Less than half of it is refused.",
             "a device reports late: rows are then refused as gaps",
         ),
         "smoothing_ms": _M(

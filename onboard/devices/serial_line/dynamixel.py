@@ -59,7 +59,7 @@ noise_rad = 7e-4               # one sample: a count / sqrt(12), and its sensor'
     new_torque = """gain_N_m_A = 1.78              # yours: stall torque / stall current, here of an XM430-W350
 torque_scale_sigma = 0.1       # yours: of that, relative
 """
-    new_smoothing_ms = 300  # its noise is that of an AS5600
+    new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
     kind: Literal["dynamixel"]
     id: Annotated[int, Field(ge=0, le=252)] = DynamixelConfig.id
     counts_per_revolution: int = COUNTS

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
+from onboard.config.estimation import LAG_OF_WIDTH
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.estimator import Estimator
@@ -42,7 +43,7 @@ def with_width(vehicle: config.Vehicle, width_ms: float, rows: float = _ROWS) ->
 
 def with_settings(vehicle: config.Vehicle, width_ms: float, **more: float) -> config.Vehicle:
     """The same vehicle with another smoothing, a lag that it fits into, and other settings of its estimation."""
-    own = {"smoothing_ms": width_ms, "lag_ms": max(vehicle.file.estimation.lag_ms, 0.75 * width_ms), **more}
+    own = {"smoothing_ms": width_ms, "lag_ms": max(vehicle.file.estimation.lag_ms, LAG_OF_WIDTH * width_ms), **more}
     settings = vehicle.file.estimation.model_copy(update=own)
     return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
 
