@@ -1,8 +1,9 @@
-"""Triangles of the URDF's visual meshes, as few as a browser draws with ease on a plain canvas.
+"""Triangles of the URDF's visuals, as few as a browser draws with ease on a plain canvas.
 
-Files are read where the URDF lies and nowhere else, STL (binary or text) and OBJ, no larger than :data:`MOST_BYTES`.
-What cannot be read is left out: the joints' lines are drawn all the same. Corners that lie in one cell of a grid are
-joined, the grid as coarse as it takes (vertex clustering: Rossignac and Borrel, 1993).
+Boxes, cylinders and spheres are made of their sizes. Files are read where the URDF lies and nowhere else, STL (binary
+or text) and OBJ, no larger than :data:`MOST_BYTES`. What cannot be read is left out: the joints' lines are drawn all
+the same. Corners that lie in one cell of a grid are joined, the grid as coarse as it takes (vertex clustering:
+Rossignac and Borrel, 1993).
 """
 
 import re
@@ -19,6 +20,7 @@ MOST_BYTES = 16 << 20  # of a file
 MOST_TRIANGLES, MOST_MESHES = 3000, 60  # of a vehicle
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _CORNER = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_SIDES = 16  # of a round body
 _FINEST, _COARSEST = 64, 2  # cells along the longest side
 Triangles = NDArray[np.float64]  # (n, 3, 3): corners, m
 
@@ -48,18 +50,48 @@ def meshes_of(urdf: bytes, directory: Path) -> dict[str, list[float]]:
 
 
 def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
-    mesh = visual.find("geometry/mesh")
-    if mesh is None:
+    shape = visual.find("geometry/*")
+    if shape is None:
         return
-    scale = [float(word) for word in mesh.attrib.get("scale", "1 1 1").split()]
     origin = visual.find("origin")
     given = {} if origin is None else origin.attrib
     xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
-    triangles = read(_path(mesh.attrib["filename"], directory)) * scale
-    triangles = triangles @ rotation(np.array(rpy)).T + xyz
+    triangles = _shaped(shape, directory) @ rotation(np.array(rpy)).T + xyz
     if not np.isfinite(triangles).all():
         raise ValueError("its corners are no numbers")
     yield triangles
+
+
+def _shaped(shape: ET.Element, directory: Path) -> Triangles:
+    """Of a ``<mesh>``, ``<box>``, ``<cylinder>`` (along z) or ``<sphere>``, in its own frame.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+
+    def numbers(name: str, otherwise: str = "") -> NDArray[np.float64]:
+        return np.array(shape.attrib.get(name, otherwise).split(), np.float64)
+
+    prism = np.array([[0.0, -1.0], [1.0, -1.0], [1.0, 1.0], [0.0, 1.0]])
+    if shape.tag == "mesh":
+        return read(_path(shape.attrib["filename"], directory)) * numbers("scale", "1 1 1")
+    if shape.tag == "box":
+        return _turned(prism * [2.0**0.5, 1.0], 4) * numbers("size") / 2.0
+    if shape.tag == "cylinder":
+        return _turned(prism * np.array([shape.attrib["radius"], shape.attrib["length"]], float) / [1.0, 2.0], _SIDES)
+    if shape.tag == "sphere":
+        angle = np.linspace(0.0, np.pi, _SIDES // 2 + 1)
+        return _turned(np.stack([np.sin(angle), -np.cos(angle)], axis=1) * float(shape.attrib["radius"]), _SIDES)
+    raise ValueError(f"{shape.tag} is no shape of a URDF")
+
+
+def _turned(profile: NDArray[np.float64], sides: int) -> Triangles:
+    """Surface of ``profile`` (n, 2: distance from z, z) turned about z in so many steps, seen from outside."""
+    angle = 2.0 * np.pi * (np.arange(sides + 1) + 0.5) / sides
+    distance, height = profile[:, :1], np.broadcast_to(profile[:, 1:], (len(profile), sides + 1))
+    at = np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=2)  # (n, sides + 1, 3)
+    a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]
+    return np.concatenate([np.stack(one, axis=2).reshape(-1, 3, 3) for one in ((a, b, c), (a, c, d))])
 
 
 def _path(name: str, directory: Path) -> Path:

@@ -113,6 +113,34 @@ def test_a_mesh_is_where_the_urdf_has_it(tmp_path: Path, rng: np.random.Generato
     np.testing.assert_allclose(np.reshape(corners, (-1, 3)), wanted, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("shape", "half", "volume"),
+    [
+        ('<box size="0.4 0.2 1.0"/>', (0.2, 0.1, 0.5), 0.08),
+        ('<cylinder radius="0.3" length="2"/>', (0.3, 0.3, 1.0), 2 * 8 * 0.09 * np.sin(np.pi / 8)),  # of 16 sides
+        ('<sphere radius="0.5"/>', (0.5, 0.5, 0.5), 4 / 3 * np.pi * 0.125),
+    ],
+)
+def test_a_body_of_the_urdf_has_its_size_and_is_closed(
+    shape: str, half: tuple[float, ...], volume: float, tmp_path: Path
+) -> None:
+    link = f'<link name="base"><visual><origin xyz="0 0 7"/><geometry>{shape}</geometry></visual></link>'
+    [numbers] = meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path).values()
+    corners = np.reshape(numbers, (-1, 3, 3)) - [0.0, 0.0, 7.0]
+    round_off = 0.02  # of a circle that has 16 sides
+    np.testing.assert_allclose(np.abs(corners).reshape(-1, 3).max(axis=0), half, rtol=round_off)
+    a, b, c = corners.transpose(1, 0, 2)
+    enclosed = float((a * np.cross(b, c)).sum() / 6)  # positive: they are seen from outside
+    assert enclosed == pytest.approx(volume, rel=0.08 if "sphere" in shape else 1e-3)
+    assert np.linalg.norm(np.cross(b - a, c - a).sum(axis=0)) < 1e-3
+
+
+def test_what_is_no_shape_is_left_out(tmp_path: Path) -> None:
+    for shape in ("<capsule/>", '<box size="1 2"/>', '<sphere radius="x"/>', "<cylinder/>", ""):
+        link = f'<link name="base"><visual><geometry>{shape}</geometry></visual></link>'
+        assert meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path) == {}, shape
+
+
 def test_files_are_read_beside_the_urdf_alone(tmp_path: Path) -> None:
     beside = tmp_path / "vehicle"
     (beside / "meshes").mkdir(parents=True)
