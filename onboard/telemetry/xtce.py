@@ -30,6 +30,7 @@ from yamcs.pymdb.parameters import (
     StringParameter,
 )
 from yamcs.pymdb.systems import System
+from yamcs.pymdb.verifiers import AcceptedVerifier, CompleteVerifier, ContainerCheck, ExecutionVerifier, FailedVerifier
 
 from onboard.channels import NUMBERS, Order
 from onboard.telemetry.packets import ANSWER, FRACTION, KINDS, P_FIELD, REPORT, VERSION, Field, PacketKind
@@ -37,6 +38,8 @@ from onboard.telemetry.uplink import SERVICE
 
 ROOT = "space_packet"  # container to begin with
 _ASKED = (("source", 16, "who asks: reports go to it"), ("session", 16, "of the packets that come down"))
+_REPORTED_S = 30.0  # a command that is not reported in so long got lost, as heft telemetry --command takes it
+_SENT_S = 24 * 3600.0  # a span of 10,000 rows over 20 bytes/s, what a busy line leaves it
 _ORDERS = {  # what it is, how grave, its arguments: name, bits, meaning
     Order.MARK: ("A numbered line in the log", CommandLevel.NORMAL, [("number", 16, "of the mark")]),
     Order.STOP: ("The end of the flight", CommandLevel.CRITICAL, []),
@@ -62,11 +65,27 @@ def database(name: str, apids: Mapping[str, int], quantities: Sequence[str] = ()
     for kind in KINDS.values():
         _kind(system, kind, heads[bool(kind.lead)], EqExpression(apid, apids[kind.name]), quantities)
     if command_apid:
-        _commands(system, command_apid)
+        _commands(system, command_apid, _reports(system))
     return str(system.dumps(top_comment=False))
 
 
-def _commands(system: System, apid: int) -> None:
+def _reports(system: System) -> dict[str, ContainerCheck]:
+    """What verifies a command: that its report comes. Of commands under way at once the first report is each one's."""
+    report, failure, subtype = (
+        system.find_container("report"),
+        system.find_container("failure"),
+        system.find_parameter("pus_subtype"),
+    )
+    checks = {"failed": ContainerCheck(failure)}
+    for word, number in (("accepted", 1), ("begun", 3), ("completed", 7)):
+        meaning, condition = f"a command was {word}", EqExpression(subtype, number)
+        checks[word] = ContainerCheck(
+            Container(system, f"report_{word}", [], base=report, condition=condition, short_description=meaning)
+        )
+    return checks
+
+
+def _commands(system: System, apid: int, reports: Mapping[str, ContainerCheck]) -> None:
     """Commands without what a link adds to any packet: sequence count, length, CRC-16."""
 
     def fixed(name: str, value: int, bits: int) -> FixedValueEntry:
@@ -82,7 +101,8 @@ def _commands(system: System, apid: int) -> None:
     for order, (meaning, level, own) in _ORDERS.items():
         arguments = [argument(*one) for one in (*_ASKED, *own)]
         entries = [fixed(*one) for one in (*head, *counted, *service, ("subtype", int(order), 8))]
-        Command(
+        long = order is Order.SPAN
+        command = Command(
             system,
             order.name.lower(),
             arguments=arguments,
@@ -90,6 +110,11 @@ def _commands(system: System, apid: int) -> None:
             short_description=meaning,
             level=level,
         )
+        done_s = _SENT_S if long else _REPORTED_S
+        command.accepted_verifier = AcceptedVerifier(reports["accepted"], timeout=_REPORTED_S)
+        command.execution_verifiers = [ExecutionVerifier(reports["begun"], timeout=_REPORTED_S)] if long else []
+        command.complete_verifiers = [CompleteVerifier(reports["completed"], timeout=done_s)]
+        command.failed_verifier = FailedVerifier(reports["failed"], timeout=done_s)
 
 
 def _heads(system: System, apids: Mapping[str, int]) -> tuple[Parameter[Any], tuple[Container, Container]]:

@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from space_packet_parser.generators.ccsds import ccsds_generator
+from space_packet_parser.xtce.definitions import XtcePacketDefinition
 from space_packet_parser.xtce.validation import validate_xtce
 from spacepackets.ecss.pus_1_verification import ManagedParamsVerification, Service1Tm
 from spacepackets.ecss.tm import ManagedParams
@@ -237,3 +239,25 @@ def test_the_board_says_what_became_of_a_command() -> None:
     shown = " ".join(captured.get().split())
     assert "command 77 of source 2: accepted" in shown
     assert "command 77 of source 2: not carried out, not done: see the log" in shown
+
+
+def test_the_mission_database_verifies_commands_by_their_reports(tmp_path: Any) -> None:
+    path = tmp_path / "heft.xml"
+    path.write_text(xtce.database("rocksat", Telemetry().apids, (), APID))
+    space = {"x": "http://www.omg.org/spec/XTCE/20180204"}
+    root, kinds = ET.parse(path).getroot(), ("Accepted", "Execution", "Complete", "Failed")
+    for order in Order:
+        [command] = root.findall(f".//x:MetaCommand[@name='{order.name.lower()}']", space)
+        names = {
+            kind: [one.attrib["containerRef"] for one in command.findall(f".//x:{kind}Verifier/x:ContainerRef", space)]
+            for kind in kinds
+        }
+        begun = ["report_begun"] if order is Order.SPAN else []
+        assert list(names.values()) == [["report_accepted"], begun, ["report_completed"], ["failure"]]
+    link, what = downlink(bytes_s=10_000), XtcePacketDefinition.from_xtce(path, root_container_name=xtce.ROOT)
+    for number, subtype in enumerate((1, 3, 7, 2, 8)):  # an independent reader tells the reports apart
+        link.report(subtype, told(Order.SPAN, 1, 2, count=77)[:4], 2, **({} if subtype % 2 else {"code": 8, "why": ""}))
+        data = b"".join(link.packets(START_NS + (number + 1) * SECOND_NS))
+        read = [what.parse_bytes(packet) for packet in ccsds_generator(data)]
+        [found] = [packet for packet in read if "pus_subtype" in packet]
+        assert found["pus_subtype"] == subtype
