@@ -3,6 +3,7 @@
 import fcntl
 import os
 import struct
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,10 @@ import serial
 from drivers.ports import CanFrame
 from drivers.transports import open_can, open_serial
 from hil_sim.buses.slcan import SlcanAdapter
+from onboard.config.telemetry import Telemetry
+from onboard.telemetry.process import sending
+from onboard.telemetry.stream import Series, Stream
+from tests.telemetry.test_process import Line, flight
 
 TIOCSETD = 0x5423  # asm-generic/ioctls.h
 N_SLCAN = 17  # linux/tty.h
@@ -108,3 +113,30 @@ def test_our_adapter_understands_the_kernels_slcan_driver(slcan: tuple[SlcanAdap
     statistics = Path("/sys/class/net", name, "statistics")
     assert (statistics / "tx_packets").read_text(encoding="ascii") == "3\n"
     assert (statistics / "tx_errors").read_text(encoding="ascii") == "0\n"
+
+
+def test_a_downlink_over_this_kernel_s_line_at_19200_baud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more bytes than the line carries, every packet whole and none missing; the line is set as the link says."""
+    monkeypatch.setenv("HEFT_RINGS", str(tmp_path / "rings"))
+    log, path = tmp_path / "flight.mcap", tmp_path / "tty"
+    line, number, flood = Line(path), 0, Telemetry(bytes_s=50_000, answers_hz=10)
+    with flight(log) as flown, sending(log, f"serial://{path}?baud=19200", flood):
+        began, got = time.monotonic(), 0
+        while time.monotonic() < began + 10.0:
+            number += 1
+            flown.second(number)
+            time.sleep(0.02)
+            if not got and line.data:
+                began, got = time.monotonic(), len(line.data)
+        carried = (len(line.data) - got) / (time.monotonic() - began)
+        tty = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        speeds = termios.tcgetattr(tty)[4:6]
+        os.close(tty)
+    line.pull()
+    assert speeds == [termios.B19200, termios.B19200]
+    assert 0.5 * 1920 < carried <= 0.95 * 1920 + 100
+    stream, series = Stream(flood.apids), Series()
+    found = stream.feed(line.data) + stream.finish()
+    assert len(found) > 50
+    assert all(series.place(packet) == (True, 0) for packet in found)
+    assert (stream.skipped, stream.refused) == (0, {})
