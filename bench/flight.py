@@ -1,6 +1,6 @@
 """What a flight in real time costs and how late its answers are.
 
-    python -m bench.flight [--vehicle dymaflex] [--minutes 1] [--load 0] [--nice 0] [--quick] [--telemetry]
+    python -m bench.flight [--vehicle dymaflex] [--minutes 1] [--load 0] [--nice 0] [--quick] [--telemetry] [--seen]
         [--json FILE]
 
 Prints CPU time and memory (PSS) of each process, the latency from sample to estimate, what is lost, and the answers.
@@ -8,7 +8,9 @@ Latency: a row of the regression is due ``lag_ms`` after its instant of vehicle 
 every ``step_ms``; the two are the stated lag. How much later than that the row stands in its ring is printed, seen by a
 process that looks every 2 ms. ``--load N``: N processes that only compute, beside it. ``--minutes`` lengthens the
 mission's longest motion. ``--quick``: 20 s, and no bar is judged. ``--telemetry``: the flight sends its packets over a
-serial line (a pty) at 19,200 baud, which is read all the time, and what came is printed.
+serial line (a pty) at 19,200 baud, which is read all the time, and what came is printed. ``--seen``: that, the page
+with a viewer, and the server for Foxglove, all at once; how long the first answer takes from its ring to the viewer is
+printed.
 
 Bars (exit code 1 where one is missed): p99 beyond the stated lag 20 ms without load, 1 s with it; no row lost by the
 recorder, none missing without a gap record; the answers hold the truth in their 95 % intervals; without load PSS of all
@@ -19,6 +21,7 @@ import argparse
 import json
 import os
 import pty
+import socket
 import sys
 import tempfile
 import threading
@@ -26,7 +29,7 @@ import time
 import tty
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +45,8 @@ from onboard.telemetry.stream import Series, Stream
 LOOK_S = 0.002
 WARM_UP_S = 4.0
 PRIORITY = 30
+PAGE_PORT = 8799
+SEEN = ["--live", "--page-address", f"127.0.0.1:{PAGE_PORT}"]
 QUICK_S = 20.0
 LATEST_MS, LATEST_AT_LOAD_MS = 20.0, 1000.0
 PSS_MB = 200.0
@@ -98,6 +103,46 @@ class Ground:
 
 
 @contextmanager
+def first_answer(flight: RealFlight) -> Iterator[list[str]]:
+    """A viewer of the page from the flight's start on; how long the first answer took to it."""
+    told: list[str] = []
+    over = threading.Event()
+
+    def look() -> None:
+        reader = None
+        while reader is None and not over.is_set():
+            with suppress(OSError, ValueError):
+                reader = RingReader(flight.rings / "quantity.ring")
+            time.sleep(LOOK_S)
+        while reader is not None and not reader.published and not over.is_set():
+            time.sleep(LOOK_S)
+        began_s = time.monotonic()
+        if reader is not None:
+            reader.close()
+        with suppress(TimeoutError, OSError):
+            seen.wait(20.0)
+            told.append(f"page: the first answer came to a viewer {at_s[0] - began_s:.2f} s after it stood in its ring")
+
+    def view() -> None:
+        with socket.create_connection(("127.0.0.1", PAGE_PORT), 20.0) as connection:
+            connection.sendall(f"GET /live HTTP/1.1\r\nHost: localhost:{PAGE_PORT}\r\n\r\n".encode())
+            got = b""
+            while not over.is_set() and (block := connection.recv(1 << 16)):
+                got = (got + block)[-(1 << 20) :]
+                if not seen.is_set() and b'"held":[{' in got:
+                    at_s.append(time.monotonic())
+                    seen.set()
+
+    at_s: list[float] = []
+    seen = threading.Event()
+    threads = [threading.Thread(target=one, daemon=True) for one in (look, view)]
+    for one in threads:
+        one.start()
+    yield told
+    over.set()
+
+
+@contextmanager
 def serial_line() -> Iterator[tuple[str, Ground]]:
     """The link of a line at 19,200 baud, and what comes over it."""
     master, slave = pty.openpty()
@@ -143,9 +188,11 @@ def main() -> int:
     parser.add_argument("--nice", type=int, default=0)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--telemetry", action="store_true")
+    parser.add_argument("--seen", action="store_true", help="with telemetry, page and Foxglove at once")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     seconds = QUICK_S if options.quick else 60.0 * options.minutes
+    options.telemetry |= options.seen
     settings = config.named(options.vehicle).file.estimation
     stated_ms = settings.lag_ms + settings.step_ms
     with tempfile.TemporaryDirectory() as directory:
@@ -160,8 +207,9 @@ def main() -> int:
                 name="bench",
                 over=over,
                 nice=options.nice,
-                also=["--telemetry", link] if options.telemetry else [],
+                also=[*(["--telemetry", link] if options.telemetry else []), *(SEEN if options.seen else [])],
             ) as flight,
+            first_answer(flight) if options.seen else nullcontext("") as answered,
         ):
             time.sleep(WARM_UP_S)
             late_ms, used = watch(flight, seconds, stated_ms)
@@ -192,6 +240,7 @@ def main() -> int:
     show(result, stated_ms)
     if options.telemetry:
         print(ground.told(config.named(options.vehicle).file.telemetry.apids))
+    print(*answered, sep="\n", end="\n" if answered else "")
     if options.json:
         options.json.write_text(json.dumps(result), encoding="utf-8")
     missed = [] if options.quick else judge(result, at_load=bool(options.load))
