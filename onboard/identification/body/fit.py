@@ -21,7 +21,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
-from onboard.identification.body.start import Guess, PoseWindow, guess, state
+from onboard.identification.body.start import Axes, PoseWindow, Products, guess, products, state
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
 from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
@@ -201,47 +201,65 @@ class BodyModel:
             lengths = np.quantile(lengths, np.linspace(0.0, 1.0, _LEAST_TRIED))
         return [float(length) + 1e-4 for length in lengths]
 
-    def left(self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]]) -> float:
-        """Sum of squares that a first guess leaves; infinite where there is none. Arguments as of :meth:`fit`."""
-        try:
-            windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
-            return self._guess(windows)[0].left
-        except ConvergenceError:
-            return np.inf
+    def products(
+        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
+    ) -> Products:
+        """What the commands move, with the poses, of each delay that may be. Arguments and errors as of :meth:`fit`."""
+        return self._products(
+            windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1]), self._delays_s
+        )
 
-    def _guess(self, windows: PoseWindows) -> tuple[Guess, float]:
-        """A body by :func:`guess`, and the delay."""
-        delays_s = np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s).tolist()
-        searched = np.array([self._forces(windows, delay_s, _SEARCHED) for delay_s in delays_s])
+    @property
+    def place_m(self) -> FloatArray:
+        """Of the tracked frame, (2,)."""
+        return self._tracker.place_m
+
+    @property
+    def axes(self) -> Axes:
+        """Of the tracked frame, as stated."""
+        return Axes(turn_rad=-self._tracker.yaw_rad)
+
+    @property
+    def full(self) -> FloatArray:
+        """Force of each thruster at level one and its moment about the base's origin, base axes, (j, 3)."""
+        of = self._thrusters
+        ux, uy = np.cos(of.direction), np.sin(of.direction)
+        arm = of.place_m[:, 0] * uy - of.place_m[:, 1] * ux
+        return np.asarray(of.force_N[:, None] * np.stack([ux, uy, arm], axis=1), np.float64)
+
+    @property
+    def _delays_s(self) -> list[float]:
+        return [
+            float(one) for one in np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s)
+        ]
+
+    def _products(self, windows: PoseWindows, delays_s: list[float]) -> Products:
+        searched = np.array([self._levels(windows, delay_s, _SEARCHED) for delay_s in delays_s])
         series = zip(windows.poses, windows.grid_s, searched.swapaxes(0, 1), strict=False)
-        some = [PoseWindow(time_s, measured, grid_s, force) for (time_s, measured, _), grid_s, force in series]
-        found = guess(some, self._tracker.place_m, self._tracker.yaw_rad, self._tracker.noise)
-        return found, delays_s[found.which]
+        some = [PoseWindow(time_s, measured, grid_s, level) for (time_s, measured, _), grid_s, level in series]
+        return products(some, self._tracker.noise)
 
-    def _forces(self, windows: PoseWindows, delay_s: float, most: int | None = None) -> FloatArray:
-        """Force and moment about the base's origin, base axes, means of each step of so many windows, (k, steps, 3)."""
-        thrusters, grid_s = self._thrusters, windows.grid_s[:most]
-        ux, uy = np.cos(thrusters.direction), np.sin(thrusters.direction)
-        arm = thrusters.place_m[:, 0] * uy - thrusters.place_m[:, 1] * ux
-        full = thrusters.force_N[:, None] * np.stack([ux, uy, arm], axis=1)  # (j, 3)
-        how = Opening(delay_s, 0.0, 0.0)
-        levels = [np.diff(valve.impulse_s(grid_s, how), axis=1) / windows.period_s for valve in thrusters.valves]
-        return np.asarray(np.stack(levels, axis=2) @ full, np.float64)
+    def _levels(self, windows: PoseWindows, delay_s: float, most: int | None = None) -> FloatArray:
+        """Levels of the valves, means of each step of so many windows, (k, steps, j)."""
+        grid_s, how = windows.grid_s[:most], Opening(delay_s, 0.0, 0.0)
+        levels = [np.diff(valve.impulse_s(grid_s, how), axis=1) / windows.period_s for valve in self._thrusters.valves]
+        return np.stack(levels, axis=2)
 
     def _begun(self, windows: PoseWindows) -> FloatArray:
         """Where a fit begins: a body by :func:`guess`, states by the poses of each window."""
         p, tracker = len(self.names), self._tracker
-        first, delay_s = self._guess(windows)
+        first = guess(self._products(windows, self._delays_s), self.full, self.place_m, self.axes)
+        delay_s = self._delays_s[first.which]
         x = np.zeros(p + STATE * len(windows.poses))
         x[:BODY] = np.log(first.mass_kg / self._drawn[0]), *first.centre_m, np.log(first.inertia_kg_m2)
         x[1:BODY] -= *self._drawn[1], np.log(self._drawn[2])
         x[self.names.index("delay")] = delay_s
-        forces = self._forces(windows, delay_s)
-        for own, poses, grid_s, force in zip(
-            x[p:].reshape(-1, STATE), windows.poses, windows.grid_s, forces, strict=True
+        levels = self._levels(windows, delay_s)
+        for own, poses, grid_s, level in zip(
+            x[p:].reshape(-1, STATE), windows.poses, windows.grid_s, levels, strict=True
         ):
-            window = PoseWindow(*poses[:2], grid_s, force[None])
-            own[:6] = state(window, force, first, tracker.place_m, tracker.yaw_rad)
+            window = PoseWindow(*poses[:2], grid_s, level[None])
+            own[:6] = state(window, level @ self.full, first, tracker.place_m, tracker.yaw_rad)
         return x
 
     def _descend(

@@ -2,7 +2,9 @@
 
 Each way to read it competes with the file as stated by the sum of squares that a first guess leaves
 (:mod:`onboard.identification.body.start`), which is linear and leaves several times as much of poses that are read
-wrongly. With x, y and yaw turned alike nothing changes: of the tracker's axes, sixteen ways are left.
+wrongly. Of a delay all that is linear comes from the products of what each valve alone would move, with the poses:
+another way to read them is another sum of these, so that pairs of mistakes compete, too. With x, y and yaw turned alike
+nothing changes: of the tracker's axes, sixteen ways are left.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,6 +15,7 @@ import numpy as np
 
 from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.body.fit import BodyModel
+from onboard.identification.body.start import Axes, solved
 from onboard.identification.body.windows import TrackedPoses
 
 _OTHER = "the other way"
@@ -22,6 +25,8 @@ _MIRRORED = (  # by quarter turns of the yaw
     f"x counts {_OTHER}",
     "x and y are exchanged",
 )
+_AXES = tuple(product((1.0, -1.0), (1.0, -1.0), range(4)))  # signs of y and of the yaw, quarter turns of the yaw
+_LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
 
 
 class Reading(NamedTuple):
@@ -32,37 +37,100 @@ class Reading(NamedTuple):
     poses: TrackedPoses
 
 
-def likelier(now: Reading, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()) -> Reading | None:
-    """Of all that differ from ``now`` by one mistake, that which leaves least; None: it leaves hardly less.
+class _Commands(NamedTuple):
+    """A way to read the commands."""
+
+    said: tuple[str, ...]
+    valves: tuple[int, ...]  # of each thruster, the valve that its commands are of
+    signs: tuple[int, ...]
+
+
+class _Way(NamedTuple):
+    """A way to read all of it, and what a first guess leaves of it."""
+
+    left: float
+    axes: int  # of _AXES
+    commands: _Commands
+
+    @property
+    def mistakes(self) -> int:
+        """How many."""
+        return (self.axes > 0) + len(self.commands.said)
+
+    @property
+    def score(self) -> float:
+        """The smaller, the likelier."""
+        return self.left / _LIKELIER**self.mistakes
+
+
+def others(
+    model: BodyModel,
+    poses: TrackedPoses,
+    known_s: tuple[float, float],
+    unknown: Sequence[tuple[float, float]] = (),
+) -> Iterator[Reading]:
+    """Ways to read a recording otherwise that leave much less of it, the likeliest of one, two and three mistakes.
+
+    Axes of the tracker are one mistake. Two mistakes compete in all pairs, the third one is added to the best pair.
 
     Args:
-        now: a way to read it.
-        known_s: as of :meth:`onboard.identification.body.fit.BodyModel.fit`.
+        model: of the body.
+        poses: as of :meth:`onboard.identification.body.fit.BodyModel.fit`.
+        known_s: the same.
         unknown: the same.
+
+    Raises:
+        ConvergenceError: there are no windows of poses.
     """
-    left = now.model.left(now.poses, known_s, unknown)
-    every = [(other.model.left(other.poses, known_s, unknown), other) for other in _others(now)]
-    least, found = min(every, key=lambda one: one[0])
-    return found if least < left / MISFIT_REFUSED else None
+    found, full, names = model.products(poses, known_s, unknown), model.full, model.thrusters.names
+
+    def weighed(axes: int, some: Sequence[_Commands]) -> Iterator[_Way]:
+        forces = np.zeros((len(some), *full.shape))
+        for k, one in enumerate(some):
+            forces[k, list(one.valves)] = np.array(one.signs)[:, None] * full
+        least = solved(found, forces, model.place_m, _read(model, axes)).least
+        return (_Way(left, axes, one) for left, one in zip(least.tolist(), some, strict=True))
+
+    stated = _Commands((), tuple(range(len(names))), (1,) * len(names))
+    once = [*_changed(stated, names)]
+    twice = [two for one in once for two in _changed(one, names)]
+    ways = [way for axes in range(len(_AXES)) for way in weighed(axes, [stated, *once, *(twice if not axes else ())])]
+    pair = min((way for way in ways if way.mistakes == 2), key=lambda way: way.left)
+    ways += weighed(pair.axes, [*_changed(pair.commands, names)])
+    ways += [way for axes in range(1, len(_AXES)) if not pair.axes for way in weighed(axes, [pair.commands])]
+    best = [min((way for way in ways if way.mistakes == n), key=lambda way: way.left) for n in range(4)]
+    for way in sorted(best[1:], key=lambda way: way.score):
+        if way.score < best[0].score:
+            yield _reading(way, model, poses)
 
 
-def _others(now: Reading) -> Iterator[Reading]:
-    thrusters = now.model.thrusters
-    for i, j in combinations(range(len(thrusters.names)), 2):
-        order = [*range(len(thrusters.names))]
-        order[i], order[j] = j, i
-        valves = tuple(thrusters.valves[k] for k in order)
-        said = f"{thrusters.names[i]} and {thrusters.names[j]} are exchanged"
-        yield Reading((*now.said, said), now.model.with_thrusters(thrusters._replace(valves=valves)), now.poses)
-    for j, name in enumerate(thrusters.names):
-        turned = thrusters.direction + np.pi * (np.arange(len(thrusters.names)) == j)
-        model = now.model.with_thrusters(thrusters._replace(direction=turned))
-        yield Reading((*now.said, f"{name} pushes {_OTHER}"), model, now.poses)
-    for mirrored, sign, quarters in product((False, True), (1.0, -1.0), range(4)):
-        if said := _of_axes(mirrored, sign < 0.0, quarters):
-            x, y, yaw = now.poses.measured.T
-            measured = np.stack([x, -y if mirrored else y, sign * yaw + 0.5 * np.pi * quarters], axis=1)
-            yield Reading((*now.said, said), now.model, now.poses._replace(measured=measured))
+def _changed(now: _Commands, names: Sequence[str]) -> Iterator[_Commands]:
+    """Commands with one mistake more: two columns exchanged, a thruster the other way."""
+    for i, j in combinations(range(len(names)), 2):
+        valves = [*now.valves]
+        valves[i], valves[j] = valves[j], valves[i]
+        yield _Commands((*now.said, f"{names[i]} and {names[j]} are exchanged"), tuple(valves), now.signs)
+    for j, name in enumerate(names):
+        signs = tuple(-sign if k == j else sign for k, sign in enumerate(now.signs))
+        yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, signs)
+
+
+def _read(model: BodyModel, axes: int) -> Axes:
+    y, yaw, quarters = _AXES[axes]
+    return Axes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
+
+
+def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Reading:
+    of, (sign_y, sign_yaw, quarters) = model.thrusters, _AXES[way.axes]
+    valves = tuple(of.valves[k] for k in way.commands.valves)
+    turned = of.direction + np.pi * (np.array(way.commands.signs) < 0)
+    x, y, yaw = poses.measured.T
+    measured = np.stack([x, sign_y * y, sign_yaw * yaw + 0.5 * np.pi * quarters], axis=1)
+    axes = _of_axes(sign_y < 0.0, sign_yaw < 0.0, quarters)
+    said = (*way.commands.said, *([axes] if axes else ()))
+    return Reading(
+        said, model.with_thrusters(of._replace(valves=valves, direction=turned)), poses._replace(measured=measured)
+    )
 
 
 def _of_axes(mirrored: bool, backwards: bool, quarters: int) -> str:

@@ -18,7 +18,7 @@ from onboard.flight.estimate.body import body_model, key_of, thrusters_of, track
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
-from onboard.identification.body.misread import Reading, likelier
+from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import SHORTEST, TrackedPoses, WINDOW_s
 from onboard.identification.corrections import contradicted, doubtful, together
@@ -29,7 +29,6 @@ from onboard.identification.windows import against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
-_MISTAKES = 3  # in reading one recording
 _MISSED = 3.5  # periods without a command: what was commanded then is not known
 _TOLD = "of what the motion tells"
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
@@ -48,16 +47,16 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     names = (*model.names[:BODY], "delay")
-    reading = Reading((), model, poses)
-    try:
-        fit = model.fit(poses, known_s, unknown)
-    except EstimationError as error:
-        failure = _misread(reading, known_s, unknown) or f"the fit failed: {error}"
+    fit, failure = None, _misread(model, poses, known_s, unknown)
+    if not failure:
+        try:
+            fit = model.fit(poses, known_s, unknown)
+        except EstimationError as error:
+            failure = f"the fit failed: {error}"
+    if fit is None:
         nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=failure)
         return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
     answers, findings = _answers(vehicle, model, fit), _findings(model, fit)
-    if findings.against and (misread := _misread(reading, known_s, unknown)):
-        findings = Findings((misread,), ())
     evidence = Evidence(
         fit.found.rows,
         {},
@@ -177,16 +176,15 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[I
     )
 
 
-def _misread(reading: Reading, known_s: tuple[float, float], unknown: list[tuple[float, float]]) -> str:
-    """As what a recording is to be read so that nothing refuses it; empty where that is not found."""
-    for _ in range(_MISTAKES):
-        other = likelier(reading, known_s, unknown)
-        if other is None:
-            break
-        reading = other
-        with suppress(EstimationError):
-            if not _findings(reading.model, reading.model.fit(reading.poses, known_s, unknown)).against:
-                return f"the poses are as predicted if {' and '.join(reading.said)}: correct the mapping, or the URDF"
+def _misread(
+    model: BodyModel, poses: TrackedPoses, known_s: tuple[float, float], unknown: list[tuple[float, float]]
+) -> str:
+    """As what a recording is to be read so that nothing refuses it, if that leaves much less; else empty."""
+    with suppress(EstimationError):  # of poses: said by the fit
+        for other in others(model, poses, known_s, unknown):
+            with suppress(EstimationError):
+                if not _findings(other.model, other.model.fit(other.poses, known_s, unknown)).against:
+                    return f"the poses are as predicted if {' and '.join(other.said)}: correct the mapping, or the URDF"
     return ""
 
 

@@ -106,6 +106,10 @@ WRONG = {
         "if the tracker's x counts the other way and its yaw counts the other way:",
     ),
     "exchanged": (lambda: exchanged(fly(79, 30.0), 3, 6), "if t4 and t7 are exchanged:"),
+    "both": (
+        lambda: turned(exchanged(fly(81, 30.0), 1, 4), (1, -1, 1)),
+        "if t2 and t5 are exchanged and the tracker's y counts the other way:",
+    ),
     "cycle": (
         lambda: exchanged(exchanged(fly(80, 30.0), 0, 1), 1, 2),
         r"if (t\d and t\d are exchanged( and )?){2}:",
