@@ -4,9 +4,10 @@
 
 A seed is flown by ``heft hil rocksat``, identified with the packaged file, then with the one that
 ``heft calibrate balance --link tip_mass --hil`` made of it: knife edges, read to 0.2 mm, on the part that flies with
-that seed (docs/calibration.md). The error is told with half of the 95 % interval, and by the truth it is taken apart:
-what the drawing adds, ``m / ZZ`` in the file over the true one; what the load cell adds, its true gain; what the seat
-does, by how far the part sits from the joint; and the rest, the rows', in the sigmas of ``--budget`` without the cell.
+that seed (docs/calibration.md). The error is printed with half of the 95 % interval, and by the truth it is taken
+apart: what the drawing adds, ``m / ZZ`` in the file over the true one; what the load cell adds, its true gain; what the
+seat does, by how far the part sits from the joint; and the rest, the rows', in the sigmas of ``--budget`` without the
+cell.
 """
 
 import argparse

@@ -143,7 +143,7 @@ def judged(runs: Sequence[Run], bars: Sequence[Bar], covered: tuple[float, float
     Args:
         runs: of one kind, one at least.
         bars: on errors.
-        covered: least and most share of all answers that are inside their 95 % intervals; told only where None.
+        covered: least and most share of all answers that are inside their 95 % intervals; printed only where None.
     """
     levels = [run.verdict for run in runs]
     counts = ", ".join(f"{levels.count(level)} {level}" for level in dict.fromkeys(sorted(levels)))

@@ -13,7 +13,7 @@ it (``bench/honest_flights/drawn.py``). Counted are
 - flights with a harmless fault (samples are missing, none is false) that still answer,
 - healthy flights of which some answer is not to be used,
 - faults on an instrument that another one stands beside, and whether an event names it,
-- all numbers told: how many lie outside their 95 % and 99.9 % intervals, and the rms of their errors in sigmas.
+- all numbers reported: how many lie outside their 95 % and 99.9 % intervals, and the rms of their errors in sigmas.
 
 Exit code 1: confident nonsense.
 """
@@ -114,7 +114,7 @@ def counts(flights: list[Flight]) -> list[str]:
 
 
 def _reported(rows: list[dict[str, Any]]) -> str:
-    """Numbers told, and their errors beside their intervals: of exact ones 0.1 % lie beyond that of 99.9 %."""
+    """Numbers reported, and their errors beside their intervals: of exact ones 0.1 % lie beyond that of 99.9 %."""
     known = [row for row in rows if row["truth"] is not None and row["value"] is not None]
     if not known:
         return "numbers told: none"

@@ -7,7 +7,7 @@ device's ring (median and p99, looked at every 5 ms), CPU and memory of the page
 and that they were left out, how soon the first answer of the page comes. One viewer has 200 kbit/s.
 
 Bars (exit code 1 where one is missed): nothing missing or unrecorded, the page at most 5 % of a core and 60 MB, every
-fast viewer has every frame. Latency is told and not judged: on a busy computer it is the computer's.
+fast viewer has every frame. Latency is printed and not judged: on a busy computer it is the computer's.
 """
 
 import argparse

@@ -62,7 +62,7 @@ OBJECTS: dict[tuple[int, int, int], bytes] = {
 
 
 class Clock:
-    """CLOCK_MONOTONIC that moves when told."""
+    """CLOCK_MONOTONIC that the caller advances."""
 
     def __init__(self, now_ns: int = 10_000_000_000) -> None:
         self.now_ns = now_ns

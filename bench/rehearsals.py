@@ -2,8 +2,8 @@
 
     python -m bench.rehearsals [--seeds 10] [--first 1] [--only NAME ...] [--directory DIR] [--planned SECONDS]
 
-By vehicle: flights that answered, and of all answers how many are told, inside their 95 % interval, and beyond four of
-their sigmas; what is not told must be said to be weak. Then the promise made before the flight: errors in sigmas
+By vehicle: flights that answered, and of all answers how many are given, inside their 95 % interval, and beyond four of
+their sigmas; what is not answered must be said to be weak. Then the promise made before the flight: errors in sigmas
 that were expected (rms 1 where the promise is kept; a payload lighter than the one assumed gives more), and reported
 over expected sigmas (median). With ``--directory`` results stay there, and flights whose result is there are read.
 ``--planned``: the longest swing is replaced by the motion of so many seconds that ``heft plan`` finds.
@@ -48,11 +48,11 @@ CASES = {
 
 
 class Tally(NamedTuple):
-    """Answers of one flight: 1 sigma errors of those told, and what else there is."""
+    """Answers of one flight: 1 sigma errors of those given, and what else there is."""
 
     told: list[float]  # errors in reported sigmas
     inside: int
-    silent: list[str]  # neither told nor said to be weak
+    silent: list[str]  # neither answered nor said to be weak
     promised: list[float]  # errors in expected sigmas
     wider: list[float]  # reported over expected sigmas
     answered: bool

@@ -7,8 +7,8 @@ Each log is spoilt in one or two streams, or cut, and identified, from its onboa
 A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
 
 ``--on-board`` runs the onboard estimator on each copy instead. Wrong is a supported quantity at any time of the flight,
-or one before anything is held; what was left out and every capture told are printed with their times. ``--from 0.5``:
-streams are spoilt from the middle of the flight on. ``--pairs``: two instruments each.
+or one before anything is held; what was left out and every capture reported are printed with their times. ``--from
+0.5``: streams are spoilt from the middle of the flight on. ``--pairs``: two instruments each.
 """
 
 import argparse

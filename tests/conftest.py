@@ -1,4 +1,4 @@
-"""What every room's tests share: a seeded generator, a clock that moves when told, the recorded data sets."""
+"""What every room's tests share: a seeded generator, a clock that the test advances, the recorded data sets."""
 
 import gc
 import os
@@ -41,7 +41,7 @@ def _cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 class VirtualClock:
-    """Stands where ``time.monotonic_ns`` is expected, and moves only when told."""
+    """Stands where ``time.monotonic_ns`` is expected, and moves only when the test advances it."""
 
     def __init__(self, now_ns: int = 1_000_000_000) -> None:
         self.now_ns = now_ns

@@ -1,4 +1,4 @@
-"""What a target raises, told by place, shortened and saved."""
+"""What a target raises, grouped by place, shortened and saved."""
 
 import hashlib
 import signal

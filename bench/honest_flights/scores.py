@@ -11,9 +11,9 @@ from onboard.ground.campaign.results import Outcome
 from onboard.identification.standing import Level
 
 _MISS = 2.0 / 0.05  # Gneiting and Raftery 2007, eq. 43: what a truth outside of a 95 % interval costs
-_UNTOLD = 2.0  # interval score of a number that is not told: as one of +-100 % that holds the truth
+_UNTOLD = 2.0  # interval score of a number that is not reported: as one of +-100 % that holds the truth
 _USEFUL = 0.2  # half width over value of a mass that can be used
-_SIZED = ("m_", "M_", "I_xx", "I_yy", "I_zz", "ZZ_")  # told relative to their truth
+_SIZED = ("m_", "M_", "I_xx", "I_yy", "I_zz", "ZZ_")  # relative to their truth
 
 Rows = list[dict[str, Any]]
 HEADINGS = (
@@ -34,7 +34,7 @@ class Score(NamedTuple):
         inside: share of the numbers at the end that lie in their 95 % interval.
         rms: of their errors in sigmas.
         half_width: median of masses, of their truth.
-        score: mean interval score of masses and principal moments, of their truth; one not told: :data:`_UNTOLD`.
+        score: mean interval score of masses and principal moments, of their truth; one not reported: :data:`_UNTOLD`.
         named: flights whose events, reasons or leanings hold the culprit's name; NaN where nothing is wrong.
         blamed: flights whose events or reasons say of an instrument that is right that it contradicts.
     """

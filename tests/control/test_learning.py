@@ -30,7 +30,7 @@ def test_the_boundary_of_stability_is_the_closed_form(rng, kind):
             law = Learning(*scalar(phi, 0.0, second), low_pass_hz=1e9)
         stable = phi < 2.0 * kv and max(ratios) < 1.0
         if phi < 2.0 * kv and abs(max(ratios) - 1.0) < 0.02:
-            continue  # too near to be told on a grid
+            continue  # too near to be separated on a grid
         left = contraction(law, Gains(*scalar(kp, kv)), np.array([[M]]), np.zeros(1), frequency)
         assert bool(left.max() <= 1.0 + 1e-9) == stable
         seen.add(bool(stable))

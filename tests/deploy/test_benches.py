@@ -1,4 +1,4 @@
-"""The benches run one after another: what each printed is kept, and one that fails is told."""
+"""The benches run one after another: what each printed is kept, and one that fails is reported."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The benches of bodies without joints and of a balanced tip mass: what misses a bar is told, and by how much."""
+"""The benches of bodies without joints and of a balanced tip mass: what misses a bar is named, and by how much."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def test_what_misses_a_bar_is_told() -> None:
     fine = [run(1, 0.019, True), run(2, 0.0, True), run(3, 0.0, True), run(4, 0.0, True)]
     spoilt = run(5, 0.021, False, 21e-6)
     met = [one for _, one in judged([*fine, run(5, 0.0, True)._replace(told=spoilt.told[6:])], (OFFSET,), None)]
-    assert met == [True, False, True]  # of errors; a coverage without a bar is told only
+    assert met == [True, False, True]  # of errors; a coverage without a bar is printed only
     lines = dict(judged([*fine, spoilt], (INERTIA_1, OFFSET), COVERED))
     assert list(lines.values()) == [True, False, False, False]  # six of 45 outside
     assert "largest error 1.05 % (I_xx, seed 5; bar 1), 24 of 30 inside" in "\n".join(lines)

@@ -161,7 +161,7 @@ class PeerNode:
 
 
 class Encoder(PeerNode):
-    """CiA 406; its position is made of the SYNC number, so that every row can be told."""
+    """CiA 406; its position is made of the SYNC number, so that every row can be recognised."""
 
     def __init__(self, number=1, offset=0, **changes) -> None:
         self.offset = offset

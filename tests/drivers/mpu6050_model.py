@@ -16,7 +16,7 @@ FIFO_BYTES = 1024
 
 
 def sample_words(number: int) -> tuple[int, ...]:
-    """The seven words of sample ``number``: it is written into accel x and y, so that every row can be told."""
+    """The seven words of sample ``number``: it is written into accel x and y, so that every row can be recognised."""
     return (number & 0x3FFF, number >> 14 & 0x3FFF, 100, -3920, -200, 300, 5)
 
 

@@ -188,7 +188,7 @@ def test_trouble_on_the_bus_is_a_reason_to_ask_at_once(bench):
 
 
 def test_a_node_that_was_unplugged_for_a_while_is_asked_what_it_did(clock):
-    """It ran on and knows by its counter what it told nobody."""
+    """It ran on, and its counter includes changes that nobody heard."""
     bench = bench_of(clock, COUNTED)
     bench.start()
     bench.nodes[3].deaf = True

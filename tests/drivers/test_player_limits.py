@@ -1,6 +1,6 @@
 """What drives are sent keeps every limit: random axes, motions and starts; calls that are late, SYNCs that are lost.
 
-The drives are ideal: where the last target told them to be at a SYNC, they are. What is looked at is what they were
+The drives are ideal: where the last target put them at a SYNC, they are. What is looked at is what they were
 told at each SYNC, so that no property of a drive hides a step. A drive that gets no target stands: the stop is not the
 player's; how it goes on from there is.
 """

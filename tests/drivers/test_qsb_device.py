@@ -153,7 +153,7 @@ def test_a_spoiled_line_is_told_and_named(flight):
 
 
 def test_a_digit_that_turned_into_another_is_not_valid_and_leaves_no_turn_behind(flight):
-    """A line has no checksum: of what its count may be, only what no joint does can be told."""
+    """A line has no checksum: a wrong count is recognised only where no joint can move so."""
     numbers = iter(range(10**6))
     spoiled = {40, 41, 55, 90}
     flight.fly(20, lambda line: line[:5] + b"7" + line[6:] if next(numbers) in spoiled else line)

@@ -1,4 +1,4 @@
-"""A bus with an encoder, a load cell and an arm controller, as the driver is told of it."""
+"""A bus with an encoder, a load cell and an arm controller, as the driver is configured for it."""
 
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, Cia404Config, Cia406Config, SyncConfig
 from tests.drivers.batches import of

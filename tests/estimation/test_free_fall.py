@@ -1,4 +1,4 @@
-"""Free fall is told by the size of the specific force and by its roughness."""
+"""Free fall is recognised by the size of the specific force and by its roughness."""
 
 import numpy as np
 import pytest

@@ -81,7 +81,7 @@ def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
 
 
 def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: Path) -> None:
-    """Asked for by the estimation, played by the acquisition, felt by the base, told by the answer."""
+    """Asked for by the estimation, played by the acquisition, felt by the base, seen in the answer."""
     vehicle, segments = written(tmp_path), tmp_path / "plan" / "segments.npz"
     vehicle.write_text(vehicle.read_text().replace('motion = "motion.csv"', ""))
     fast = ["--segments", "--masses", "0.7,3", "--starts", "2", "--iterations", "3"]

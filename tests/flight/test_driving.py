@@ -1,6 +1,6 @@
 """Drives that are driven: a motion through the acquisition worker, on simulated servo drives, in virtual time.
 
-The drives are ``hil_sim``'s; what they are told is read off the wire, what they did off their axes.
+The drives are ``hil_sim``'s; their commands are read off the wire, what they did off their axes.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """DYNAMIXEL servos that are driven: a motion through the acquisition worker, on simulated servos, in virtual time.
 
-The servos are ``hil_sim``'s; what they are told is read off their control tables, what they did off their axes.
+The servos are ``hil_sim``'s; their commands are read off their control tables, what they did off their axes.
 """
 
 import struct

@@ -31,7 +31,7 @@ def answers(result):
 
 
 def honest(rows):
-    """What is told is right within its interval's four sigmas; what is not told is said to be weak."""
+    """Each answer is right within four sigmas; what is not answered is weak."""
     for row in rows.values():
         if row["supported"]:
             assert abs(row["value"] - row["truth"]) < FOUR_SIGMA * row["sigma"], row
@@ -55,7 +55,7 @@ def test_a_free_flyer_of_one_s_own(tmp_path, capsys):
 
 
 def test_a_planar_arm_without_a_load_cell(tmp_path):
-    """Both axes are parallel: what turns about them is told, and nothing is claimed of the rest."""
+    """Both axes are parallel: what turns about them is determined, and nothing is claimed of the rest."""
     result, code = rehearsed(tmp_path, ["--base", "free", "--urdf", str(OWN / "planar_arm.urdf")], seed=2)
     rows = answers(result)
     assert code == 0
@@ -114,11 +114,11 @@ def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
     assert {f"Fc_a{n}" for n in (1, 2, 3)} <= told
     assert len(told) > 20
     assert abs(rows["Fc_a1"]["our_error_percent"]) < 5.0
-    assert abs(rows["m_payload"]["our_error_percent"]) < 3.0  # told from the last link, which is stated to 2 %
+    assert abs(rows["m_payload"]["our_error_percent"]) < 3.0  # beside the last link, which is stated to 2 %
 
 
 def test_a_spinning_body_with_a_mass_on_a_boom(tmp_path):
-    """One IMU and a telescoping mass: the mass of a payload of 0.13 kg on 8.5 kg is told, the rest is weak."""
+    """One IMU and a telescoping mass: the mass of a payload of 0.13 kg on 8.5 kg is determined, the rest is weak."""
     spin = "[release]\nspin_rad_s = [0.1, -0.05, 1.2]\n"
     result, code = rehearsed(tmp_path, ["--base", "free", "--urdf", str(OWN / "spinner.urdf")], spin, seed=61004)
     rows = answers(result)

@@ -1,4 +1,4 @@
-"""What is wrong in a scenario file is told as in a vehicle file: line, key, the nearest known one, in our words."""
+"""What is wrong in a scenario file is reported as in a vehicle file: line, key, the nearest known one, in our words."""
 
 import re
 from pathlib import Path

@@ -20,7 +20,7 @@ def flown(path: Path, swing_s: float, *faults: dict[str, object]) -> Result:
 
 
 def mass(run: Result) -> dict[str, float]:
-    """What was told of the payload's mass."""
+    """Answers on the payload's mass."""
     [row] = [row for row in run.table["parameters"] if row["quantity"] == "M_payload"]
     return row
 

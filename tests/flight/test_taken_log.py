@@ -1,4 +1,4 @@
-"""A rehearsal whose log somebody removes or cuts off: answers are printed, what is lost is told, the exit code is 1."""
+"""A rehearsal whose log somebody removes or cuts off: answers and losses are printed, the exit code is 1."""
 
 import os
 import shutil

@@ -162,7 +162,7 @@ def test_the_mission_flies_and_the_table_comes_out(tmp_path: Path, capsys: pytes
     gaps = rows_of_kind(flown, records.GAP)
     imu = counted["imu_base"]
     imu_gaps = int((gaps["channel"] == b"imu_base").sum())
-    late_host_ms = 20  # what a gap holds is told by host stamps, and those may be two polls late
+    late_host_ms = 20  # the length of a gap is by host stamps, and those may be two polls late
     assert abs(imu["recorded"] + imu["missing"] - imu["produced"]) <= imu_gaps * late_host_ms
     sync = counted["can_sync"]
     after_the_end = sync["produced"] - sync["recorded"] - sync["missing"]

@@ -109,7 +109,7 @@ def test_a_bus_that_fails_for_a_while_costs_what_the_fifo_could_not_hold(serve: 
     assert missing(batches) > 200  # 0.3 s, less the 73 samples that the FIFO holds
     chip_ms = sample_ms(rows[[0, -1]])
     numbers = rows["sequence"][[0, -1]].astype(np.int64)
-    late_host_ms = 20  # what is lost is told by host stamps, and those may be two polls late
+    late_host_ms = 20  # what is lost is counted by host stamps, and those may be two polls late
     assert abs(np.diff(chip_ms) - np.diff(numbers)) <= late_host_ms
 
 

@@ -42,7 +42,7 @@ def rows(first: int, count: int, dtype: np.dtype[np.void] = records.SCALAR) -> n
 
 @contextlib.asynccontextmanager
 async def subscribed(port: int, **options: Any) -> AsyncIterator[tuple[ClientConnection, dict[str, Any]]]:
-    """A client that has asked for the first channel it was told of, and that channel."""
+    """A client that has asked for the first channel that was announced, and that channel."""
     async with connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], max_size=None, **options) as client:
         channel: dict[str, Any] | None = None
         while channel is None:
@@ -169,7 +169,7 @@ def test_it_only_reads_and_starts_with_what_is_new(tmp_path: Path) -> None:
         assert server.pump(tmp_path) == 7
         writer.push(rows(57, 150))
         server.pump(tmp_path)
-        assert server.lost == 50  # told, and only the viewer's loss: another reader has what the ring has
+        assert server.lost == 50  # reported, and only the viewer's loss: another reader has what the ring has
         assert len(RingReader(tmp_path / "joint.ring").read()[0]) == 100
     finally:
         server.close()

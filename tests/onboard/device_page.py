@@ -304,7 +304,7 @@ def _type(schema: dict[str, Any]) -> str:
             return f"{len(schema['prefixItems'])} numbers"
         return "tables" if "oneOf" in schema["items"] else f"list of {_type(schema['items'])}"
     name = {"integer": "integer", "number": "number", "string": "text", "boolean": "true, false"}[schema["type"]]
-    if abs(schema.get("maximum", 0)) == LARGEST:  # any number that a vehicle can have: only its sign is told
+    if abs(schema.get("maximum", 0)) == LARGEST:  # any number that a vehicle can have: only its sign is stated
         sign = {-LARGEST: "", 0: " at least 0", 1 / LARGEST: " above 0"}
         return name + sign[schema["minimum"]]
     low, high = schema.get("minimum"), schema.get("maximum")

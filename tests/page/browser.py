@@ -26,7 +26,7 @@ class Tab:
     """One tab.
 
     Attributes:
-        said: what its console was told, errors of the network included.
+        said: lines of its console, errors of the network included.
     """
 
     def __init__(self, socket: ClientConnection) -> None:

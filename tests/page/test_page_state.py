@@ -1,4 +1,4 @@
-"""What the page is told is what the rows say, of a log and of rings."""
+"""The page is sent what the rows say, of a log and of rings."""
 
 import json
 from pathlib import Path

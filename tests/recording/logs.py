@@ -19,7 +19,7 @@ LARGE = np.dtype([("sequence", "<u8"), ("host_ns", "<i8"), ("used", "<u4", (4,))
 
 
 def reading_rows(first, count, step_ns=1000):
-    """Rows of READING with numbers ``first ..`` whose every field can be told from the number."""
+    """Rows of READING with numbers ``first ..`` whose every field follows from the number."""
     rows = np.zeros(count, READING)
     rows["sequence"] = np.arange(first, first + count)
     rows["host_ns"] = rows["sequence"].astype(np.int64) * step_ns
@@ -154,7 +154,7 @@ class MemorySink:
 
 
 class FailingSink(MemorySink):
-    """Refuses while told to; a refused write leaves part of its bytes, a refused sync drops what it was for."""
+    """Refuses on demand; a refused write leaves part of its bytes, a refused sync drops what it was for."""
 
     def __init__(self, path=None):
         super().__init__(path)

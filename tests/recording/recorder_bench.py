@@ -12,7 +12,7 @@ STEP_NS = 50_000_000
 
 
 class FakeRing:
-    """Hands out what it is told to, as a ring would."""
+    """Hands out the rows that the test gives it, as a ring would."""
 
     def __init__(self, name, dtype=READING):
         self.name, self.dtype, self.capacity = name, dtype, 10**9
@@ -27,7 +27,7 @@ class FakeRing:
 
 
 class Bench:
-    """A recorder on a disk that can be told to fail."""
+    """A recorder on a disk that fails on demand."""
 
     def __init__(self, path, *rings, space=None):
         self.sink = FailingSink(path)

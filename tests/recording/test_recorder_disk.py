@@ -103,7 +103,7 @@ def test_a_write_that_stalls_costs_what_the_ring_overran_and_that_is_told(tmp_pa
 
 
 class FakeSpace:
-    """Says what it is told to."""
+    """Says what the test wants."""
 
     def __init__(self):
         self.for_all, self.removed, self.closed = True, (), False
@@ -133,7 +133,7 @@ def test_on_a_full_disk_events_go_on_and_all_else_is_told_as_missing(tmp_path):
     space.for_all = False
     second(60)
     halfway = len(gaps_so_far(bench))
-    assert halfway >= 2  # told while it lasts, once a second
+    assert halfway >= 2  # reported while it lasts, once a second
     space.for_all, space.removed = True, (tmp_path / "old_000.mcap",)
     second()
     space.removed = ()

@@ -1,4 +1,4 @@
-"""A log that somebody removes, renames or cuts off while it is written: seen at once, told, gone on with."""
+"""A log that somebody removes, renames or cuts off while it is written: noticed at once, reported, continued."""
 
 import os
 import shutil

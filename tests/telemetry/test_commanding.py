@@ -1,4 +1,4 @@
-"""Commands of a flight that goes on: what is asked is done, told and logged; what is not armed is not done."""
+"""Commands of a flight that goes on: what is asked is done, reported and logged; what is not armed is not done."""
 
 import re
 import socket

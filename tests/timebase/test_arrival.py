@@ -78,7 +78,7 @@ def test_a_free_channel_is_recorded_and_used(rng: np.random.Generator) -> None:
     times = timebase.time_ns("tip", rows)
     assert times is not None
     assert abs(times - [taken for _, taken, _ in packets[-len(rows) :]]).max() < 100e3
-    assert 1e6 < timebase.sigma_ns("tip", int(times[-1])) < 1.2e6  # its delay is told to a millisecond
+    assert 1e6 < timebase.sigma_ns("tip", int(times[-1])) < 1.2e6  # its delay is stated to a millisecond
     assert np.concatenate(recorded)["state"][-1] == ClockState.LOCKED
 
 

@@ -170,7 +170,7 @@ def test_ticks_that_went_on_elsewhere_are_noticed_and_never_called_locked(rng: n
     edges = pulses(rng, 20.0)
     half = len(edges) // 2
     fly(chip, edges[:half], clock)
-    for edge in edges[half:]:  # ticks 700 ms behind: as after a reset nobody told of
+    for edge in edges[half:]:  # ticks 700 ms behind: as after a reset that was not reported
         clock.mark(chip.mark(edge, -700))
         if clock.state is ClockState.LOCKED:
             tick = chip.tick_of(edge)

@@ -134,7 +134,7 @@ def test_before_anything_is_known_nothing_is_said(rng: np.random.Generator) -> N
 
 @pytest.mark.parametrize("cycle", [0, 1, 2, 7, 14])
 def test_a_line_first_heard_hours_after_its_start_gives_the_same_clock(cycle: int) -> None:
-    """The code repeats after 2.07 h: which SYNC a pulse belongs to is told by which SYNC came about then."""
+    """The code repeats after 2.07 h: which SYNC a pulse belongs to follows from the SYNC that came about then."""
     fleet = Fleet(11, 1000 + cycle * code.CODE_LENGTH)
     fleet.run(120, lambda _: None)
     assert fleet.states["sync"] is ClockState.LOCKED

@@ -37,7 +37,7 @@ def said(answers: Answers, supported: bool, level: Level) -> list[str]:
 
 def test_an_answer_that_was_told_and_is_not_to_be_used_is_withdrawn_once() -> None:
     answers = Answers(channels.estimate_dtype(0, 0), (), Useful())
-    assert said(answers, False, Level.DO_NOT_USE) == []  # nothing was told yet
+    assert said(answers, False, Level.DO_NOT_USE) == []  # nothing was reported yet
     assert said(answers, True, Level.GOOD) == []
     assert said(answers, False, Level.WEAK) == []  # not determined for some ticks
     assert said(answers, False, Level.DO_NOT_USE) == ["withdrawn"]

@@ -42,7 +42,7 @@ class Cell(NamedTuple):
     """A fault of a device, and what must come of it.
 
     Attributes:
-        reported: codes of events and causes of gaps, all of which must be told.
+        reported: codes of events and causes of gaps, all of which must be reported.
         recovery_s: rows of the device flow again so long after the fault at the latest.
         start_s: when it begins.
         unnamed: samples of one of its channels that may be lost without a gap record.

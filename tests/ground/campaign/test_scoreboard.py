@@ -18,7 +18,7 @@ from onboard.ground.campaign.store import Content, Store
 
 
 def row(flight: str = "a", **fields: Any) -> dict[str, Any]:
-    """A mass of 1 kg, told as 1.0 +- 0.1 kg (95 %), good."""
+    """A mass of 1 kg, reported as 1.0 +- 0.1 kg (95 %), good."""
     told = {"quantity": "m_payload", "unit": "kg", "truth": 1.0, "value": 1.0, "low": 0.9, "high": 1.1}
     told |= {"sigma": 0.04, "low_999": 0.5, "high_999": 1.2}
     said = {"supported": True, "level": "good", "why": "", "leans": "", "outcome": "right", "events": []}

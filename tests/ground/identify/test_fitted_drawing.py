@@ -30,7 +30,7 @@ def body_covariance(body: RigidBody, one: Any) -> np.ndarray:
 
 
 def test_nothing_is_stated_to_be_known_better_than_it_was_found(rng: np.random.Generator) -> None:
-    """Correlated errors of two links; the third is not told of, and stays as it is."""
+    """Correlated errors of two links; the third is not estimated, and stays as it is."""
     for _ in range(5):
         bodies = [
             RigidBody(float(rng.uniform(1, 9)), rng.uniform(-0.2, 0.2, 3), np.diag(rng.uniform(0.05, 0.06, 3)))

@@ -101,7 +101,7 @@ def test_a_wheel_of_the_wrong_sign_makes_a_body_that_cannot_exist(tmp_path: Path
 def test_a_throw_cut_short_gives_no_answer_and_no_urdf(
     tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its moments are told from the wide prior, and not from zero."""
+    """Its moments are tested against the wide prior, and not against zero."""
     log = throw(tmp_path, TUMBLES[0], rng)
     reader = LogReader(log)
     rows = {name: reader.read(name) for name in reader.channels}

@@ -204,7 +204,7 @@ def test_several_slaves_without_a_bus(clock):
 
 
 class Sink:
-    """A link that keeps what it is given, and sends what it is told."""
+    """A link that keeps what it is given, and sends what it is given to send."""
 
     listening = True
 

@@ -45,7 +45,7 @@ def test_frame_length_lies_between_no_stuffing_and_the_worst(identifier, data):
 
 
 class Talker:
-    """Sends what it is told, when it is told; hears everything."""
+    """Sends the frames of a list at their times; hears everything."""
 
     def __init__(self, *script):
         self.script = sorted(script)

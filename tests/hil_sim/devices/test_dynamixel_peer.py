@@ -105,7 +105,7 @@ def test_it_reads_all_at_once(arm, fast):
 
 @pytest.fixture
 def driven(tmp_path):
-    """Two servos that turn what they are told to, and a master."""
+    """Two servos that turn as commanded, and a master."""
     start_ns = time.monotonic_ns()
     terminal = PtySerial(tmp_path / "tty")
     bus = SerialBus(terminal)

@@ -54,7 +54,7 @@ def test_a_client_of_others_reads_it_once_and_as_a_stream():
     with served() as (host, port):
         client = NetFT.Sensor(host)
         client.sock.close()
-        client.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # its port cannot be told
+        client.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # its port cannot be chosen
         client.sock.settimeout(5.0)
         client.sock.connect((host, port))
         assert client.getMeasurement() == COUNTS

@@ -1,4 +1,4 @@
-"""The fault vocabulary in the serial twins: what they say differs from a healthy twin's as told, and then no more."""
+"""The fault vocabulary in the serial twins: output differs from a healthy twin's while a fault lasts."""
 
 import struct
 

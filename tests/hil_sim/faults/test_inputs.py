@@ -1,4 +1,4 @@
-"""Faults of inputs: scalars and IMUs that stick, saturate, are wrong or late; phases as they are told."""
+"""Faults of inputs: scalars and IMUs that stick, saturate, are wrong or late; phases as reported."""
 
 import math
 

@@ -35,7 +35,7 @@ def test_servos_of_an_arm_in_gravity_follow_the_command(arm) -> None:
     away = np.abs(arm.rows_true.joints - commanded)
     assert (moved > 0.1).all()
     assert (away.max(axis=0) < 0.1 * moved).all()
-    assert away.max() > 1e-5  # it is no longer as told
+    assert away.max() > 1e-5  # it is no longer as commanded
     assert away[:, 1].max() < 1e-3  # its weight, 29 N m there, is fed forward: 5 mrad without
 
 

@@ -1,4 +1,4 @@
-"""Springs in a vehicle: stiff ones change nothing, soft ones swing as told, and momentum stays what it was."""
+"""Springs in a vehicle: stiff ones change nothing, soft ones swing as stated, and momentum stays what it was."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A captured body's motion, told on board once the payload is known: of captures that the filter finds by itself."""
+"""Motion of a captured body, reported on board once the payload is known; captures are detected by the filter."""
 
 import pickle
 

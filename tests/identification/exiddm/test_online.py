@@ -1,4 +1,4 @@
-"""What is told of a payload while an instrument is left out."""
+"""What is reported of a payload while an instrument is left out."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""What is told of the filter's prediction errors: as wide as is said, in order of time, outliers marked."""
+"""The filter's prediction errors as reported: as wide as is said, in order of time, outliers marked."""
 
 from types import SimpleNamespace
 

@@ -200,7 +200,7 @@ def test_what_counts_is_freed_once_and_taken_back_where_it_is_weighed(predictor:
 
 
 def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predictor: ImuPredictor) -> None:
-    """By 2 %, told to 0.1 %; the filter, which does not follow it, still has what is stated."""
+    """By 2 %, estimated to 0.1 %; the filter, which does not follow it, still has what is stated."""
     rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")
     x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
     assert rivals.adds(x, P) is None

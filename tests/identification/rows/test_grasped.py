@@ -125,7 +125,7 @@ def test_a_tool_is_weighed(run):
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_light_tool_is_a_body_that_can_exist(seed):
-    """Of 50 g in a cube of 2 cm the inertia is told to a few of its sizes: what was found had none that a body has."""
+    """Of 50 g in a cube of 2 cm the inertia is known to a few times its size: the raw estimate was no body's."""
     tool = Body.box(0.05, (0.02, 0.02, 0.02), (0.0, 0.0, 0.01))
     who = identifier()
     feed(who, signals(seed, who.model.vehicle, tool))
@@ -209,7 +209,7 @@ def test_a_gripper_that_is_not_what_it_was_weighed_as_is_said(run):
 
 
 def test_what_contradicts_the_prior_is_held_against_all_parameters(run):
-    """Of the gripper's too: 3 % of its mass had been told as good beside a tool that was refused."""
+    """Of the gripper's too: 3 % of its mass had been reported as good beside a tool that was refused."""
     who = identifier()
     feed(who, run._replace(measured=3.0 * run.measured))
     assert any("had to be corrected" in said or "was known" in said for said in who.findings().against)

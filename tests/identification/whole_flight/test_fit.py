@@ -163,7 +163,7 @@ def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_
     at = found.found.names.index(f"scale_{name}")
     assert abs(found.found.fit.x[at] / wrong.sigma[at]) < refused_from(100)  # hardly moved: it is bound to 0.02 %
     assert abs(found.of_bodies[f"scale_{name}"]) > refused_from(100)
-    assert f"scale_{name}" not in found.corrections  # told once
+    assert f"scale_{name}" not in found.corrections  # counted once
     assert any(
         one.startswith(f"the motion contradicts what is stated of scale_{name} by 1") for one in found.findings.against
     )
@@ -244,7 +244,7 @@ def test_a_kind_as_stated_is_likely_and_not_freed(fitted):
 
 
 def test_links_and_joints_are_tested_together_in_what_the_flight_tells_of_them(ticks, predictor, fitted):
-    """Spoilt: 1.4 sigmas in each direction that is told; no error of a link or joint is far out by itself."""
+    """Spoilt: 1.4 sigmas in each direction that is determined; no error of a link or joint is far out by itself."""
     flight, found = fitted
     sound, at = bodies_of(flight, found), flight.of_bodies
     assert 3 < sound.freedom < at.size

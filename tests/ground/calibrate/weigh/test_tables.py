@@ -11,7 +11,7 @@ from onboard.ground.calibrate.weigh import columns, conventions, table
 from onboard.ground.calibrate.weigh.errors import PosesError
 from tests.ground.calibrate.weigh.wrist_bench import HEADER, holds, weighed, write
 
-pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # what a table means is told by the fits of its meanings
+pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # the meaning of a table is chosen by fits
 WRENCH = HEADER[4:]
 
 

@@ -71,7 +71,7 @@ def test_one_axis_with_a_wrong_scale_is_told_and_the_answer_is_that_of_the_other
 
 
 def test_one_moment_with_a_wrong_scale_leaves_the_mass_as_sure_and_the_centre_inside():
-    """A sixth off: it, or the other moment of the long lever, is told; one alone where another lever tells which."""
+    """A sixth off: it, or the other moment of the long lever, is named; one alone where another lever decides."""
     named = 0
     for seed, odd in ((544, 3), (545, 4), (546, 3), (548, 3), (549, 4)):
         one, widths = record(seed, count=24), []

@@ -140,7 +140,7 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_zeros_of_the_gyro_as_large_as_a_data_sheet_allows_are_told_by_the_motion(seed):
-    """At rest they cannot be told from the base's rate; steps about that were 15 sigmas off before the arm moved."""
+    """At rest they look like the base's rate; steps about that were 15 sigmas off before the arm moved."""
     rng = np.random.default_rng(seed)
     late = Late(free_flyer.JointMotion.draw(rng), 3.0)
     flight = free_flyer.fly(free_flyer.world(None), late, rng.uniform(-0.05, 0.05, 3), 9.0)

@@ -1,4 +1,4 @@
-"""Captures, releases, pushes and exchanges, found tick by tick or told: what happened is named, the rest is kept."""
+"""Captures, releases, pushes and exchanges, detected or announced: what happened is named, the rest is kept."""
 
 from typing import NamedTuple
 
@@ -197,7 +197,7 @@ def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
 
 def _alike(told, found):
     sigmas = [np.sqrt(np.diag(recursive.estimate().covariance))[:4] for recursive in (told, found)]
-    np.testing.assert_allclose(*sigmas, rtol=0.08)  # the time of the contact is not used where it is not told
+    np.testing.assert_allclose(*sigmas, rtol=0.08)  # the time of the contact is not used where it is not announced
 
 
 def test_what_it_told_of_a_wrong_drawing_is_in_the_first_answer(rng, monkeypatch):

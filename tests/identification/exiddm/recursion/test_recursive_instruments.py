@@ -1,4 +1,4 @@
-"""Ticks that are missing, wrong or noisier than told, IMU or joints: left out or shown, and no alarm."""
+"""Ticks that are missing, wrong or noisier than stated, IMU or joints: left out or shown, and no alarm."""
 
 import pickle
 

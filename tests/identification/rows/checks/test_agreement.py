@@ -51,7 +51,7 @@ def noisy_fits(rng, late_s, vibration, jump=0.06, drawn=TRUTH):
 
 
 def test_vibration_of_a_fast_sweep_hides_no_step_that_a_slow_one_shows():
-    """What vibration leaves over is told of the blocks that vibrate: the quiet ones before tell of their own gain."""
+    """Residuals of vibration count in the blocks that vibrate: the quiet blocks before have their own gain."""
     chances = [noisy_fits(np.random.default_rng(seed), 8.0, 0.2).step.chance for seed in range(10)]
     assert np.median(chances) < 1e-4
     sound = [noisy_fits(np.random.default_rng(seed), 8.0, 0.2, jump=0.0).step.chance for seed in range(60)]
@@ -59,7 +59,7 @@ def test_vibration_of_a_fast_sweep_hides_no_step_that_a_slow_one_shows():
 
 
 def test_an_interval_contains_what_a_suspected_step_does():
-    """Most rows read 3 % too much: by so much the parameters of bodies are off, and as much is told."""
+    """Most rows read 3 % too much: the parameters of bodies are off by as much, and that is reported."""
     suspected = [noisy_fits(np.random.default_rng(seed), 4.0, 0.05, jump=0.03).step for seed in range(10)]
     off = [np.abs(step.suspected[:2] / (0.03 * TRUTH[:2])).max() for step in suspected]
     assert np.median(off) == pytest.approx(1.0, abs=0.4)
@@ -157,7 +157,7 @@ def test_what_is_left_of_a_wrench_that_is_zero_is_a_share_of_what_the_known_bodi
 
 
 def test_what_the_other_cell_leaves_over_is_no_step_of_this_one():
-    """A step at the release is told by the other cell alone: as well as that one fits, not as well as this one does."""
+    """A step at the release is seen by the other cell alone: as well as that one fits, not as well as this one does."""
     steps = [two_cells(np.random.default_rng(seed), (0.01, 0.2))[0].step for seed in range(40)]
     assert min(step.chance for step in steps if step is not None) > 1e-3
 
@@ -260,7 +260,7 @@ def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
 
 
 def test_rows_without_the_payload_are_judged_by_themselves(rng):
-    """A tenth of all power is told late: what the whole hides, its part shows."""
+    """A tenth of all power is left over late: the mean of the whole hides it, a part shows it."""
     t = 0.01 * np.arange(4000)
     held = t < 30.0
     Y = np.column_stack([np.where(held, 3.0, 0.0) * np.sin(5.0 * t), np.sin(5.0 * t), np.ones(t.size)])

@@ -63,7 +63,7 @@ def test_what_is_hardly_wider_is_not_said_to_be():
 
 
 def test_gains_that_contradict_each_other_are_considered_as_wide_as_they_differ(rng):
-    """Two that differ by 10 %, of a body that may weigh anything: what they have in common is not told.
+    """Two that differ by 10 %, of a body that may weigh anything: what they have in common is not determined.
 
     ``w = 4.5 s^2 / (4 s^2 + 25)``, ``5 s^2 = 4 + 50 w``.
     """

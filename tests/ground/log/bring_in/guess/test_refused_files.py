@@ -1,4 +1,4 @@
-"""Files that are no recording, in part or at all: what is refused, and what is told of the rest."""
+"""Files that are no recording, in part or at all: what is refused, and what is said of the rest."""
 
 import struct
 import zlib
