@@ -40,6 +40,9 @@ def kind_of(path: Path) -> Kind:
         return "bag"
     if path.is_dir():
         raise SourceError(f"{path} is a directory; give one recording of it")
+    if path.suffix.lower() in (".yaml", ".yml"):
+        save = "json.dump([*yaml.safe_load_all(open('FILE.yaml'))], open('FILE.json', 'w'))"
+        raise SourceError(f"{path} is YAML, which is not read here: save it as JSON, in Python by {save}")
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if not head:

@@ -310,3 +310,19 @@ def test_translations_beside_rotations_are_no_moments(tmp_path):
     names = ("time", "RX", "RY", "RZ", "TX", "TY", "TZ")
     log, _, _ = brought_in(made.text(tmp_path / "a.csv", names, [T, T, T, T, 900.0 + T, T, T]))
     held(log, {"position_x": 0.9 + 1e-3 * T})
+
+
+def test_a_gyro_beside_an_attitude_is_no_imu_of_a_vehicle(tmp_path):
+    """Said first by heft identify, three commands later, before."""
+    columns = np.column_stack([T, np.cos(T)[:, None] * [0.1, 0.2, 0.3], np.tile([1.0, 0.0, 0.0, 0.0], (COUNT, 1))])
+    path = tmp_path / "bed.csv"
+    np.savetxt(path, columns, delimiter=",", header="t,gyro_x,gyro_y,gyro_z,qw,qx,qy,qz", comments="")
+    assert any("imu_base; gyro and accelerometer" in one for one in propose(path, Names(imus=("imu_base",))).doubts)
+    assert not any("imu_base" in one for one in propose(path, Names()).doubts)
+
+
+def test_yaml_is_refused_with_what_to_do(tmp_path):
+    path = tmp_path / "poses.yaml"
+    path.write_text("poses:\n" + "".join(f"- {{t: {k}, q: [1, 0, 0, 0]}}\n" for k in range(30)))
+    with pytest.raises(SourceError, match="YAML, which is not read here: save it as JSON"):
+        propose(path, Names())
