@@ -242,6 +242,7 @@ def test_in_a_browser_it_goes_red_when_nothing_comes(
             until(shown)
             tab.shot(tmp_path / f"{scheme}-{word}.png")
         assert "nothing has come over the link for 30 s" in tab.text("#reasons")
+        assert not tab.run("document.querySelector('#devices').closest('table').offsetHeight")  # no empty table
         assert tab.run("document.documentElement.scrollWidth") <= size[0]
 
 

@@ -117,6 +117,7 @@ function card(one) {
 function health(next) {
   const box = next.computer, over = next.ended || ["safe", "stopped"].includes(next.mode);  // then silence is no fault
   put(at("status"), box ? `status ${box.status}${box.before ? ` (before: ${box.before})` : ""}` : flight.live ? "" : "this log has no health records");
+  at("devices").closest("table").hidden = !next.devices.length;
   fill(at("devices"), next.devices, () => {
     const row = make("tr");
     row.append(make("td"), make("td", "n"), make("td", "n"), make("td", "n"), make("td"));
