@@ -268,6 +268,7 @@ zero_count = 0                 # what it reads at joint angle zero
 noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
 """
     new_smoothing_ms: ClassVar[int] = 100  # of the rows, in a file that heft init makes: by its noise
+    new_floating_smoothing_ms: ClassVar[int | None] = None  # of the joints of a base that floats; None: the same
     keeps_zero: ClassVar[bool] = True  # over a reset of the device
     joint: str
     counts_per_revolution: int

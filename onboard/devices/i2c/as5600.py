@@ -36,7 +36,8 @@ class As5600Device(I2cDevice, JointDevice):
 sample_period_ms = 5
 noise_rad = 9e-4               # one sample: 0.043 degrees, and a count / sqrt(12)
 """
-    new_smoothing_ms = 600  # its noise, through 300 ms, biases what a free-flyer holds
+    new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
+    new_floating_smoothing_ms = 600  # and through 300 ms what a free-flyer holds
     addresses: ClassVar[tuple[int, ...]] = (0x36,)
     identify: ClassVar[Identify | None] = staticmethod(identify)
     kind: Literal["as5600"]

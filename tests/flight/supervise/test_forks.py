@@ -17,6 +17,18 @@ from tests.conftest import is_alive
 from tests.flight import forked
 
 
+@pytest.fixture(scope="module", autouse=True)
+def others() -> set[int]:
+    """Processes that earlier tests of this worker have left."""
+    return children()
+
+
+def children() -> set[int]:
+    """Of this process, by their names of heft's."""
+    pids = map(int, Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split())
+    return {pid for pid in pids if Path(f"/proc/{pid}/comm").read_text().startswith("heft-")}
+
+
 @pytest.fixture(scope="module")
 def prepared(light: ForkServer) -> Iterator[PreparedServer]:
     server = PreparedServer(light, workers.prepare_estimation, config.load(config.packaged("workshop")))
@@ -82,12 +94,10 @@ def test_a_vehicle_that_cannot_be_estimated_is_refused(light: ForkServer, tmp_pa
 
 
 def test_servers_that_were_killed_are_replaced_and_their_processes_live_on(
-    light: ForkServer, prepared: PreparedServer
+    light: ForkServer, prepared: PreparedServer, others: set[int]
 ) -> None:
     processes = [light.fork(forked.tell), prepared.fork(forked.tell)]
-    children = [int(pid) for pid in Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()]
-    children = [pid for pid in children if Path(f"/proc/{pid}/comm").read_text().startswith("heft-")]  # not pytest's
-    servers = set(children) - {process.pid for process in processes}
+    servers = children() - others - {process.pid for process in processes}
     assert len(servers) == 2
     for server in servers:
         os.kill(server, signal.SIGKILL)

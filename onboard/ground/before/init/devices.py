@@ -44,10 +44,11 @@ def with_torque() -> tuple[str, ...]:
     return tuple(kind for kind in kinds(JointDevice) if issubclass(_model(kind), MotorDevice))
 
 
-def smoothing_ms(kind: str) -> int:
-    """Of rows of joints that a kind measures."""
+def smoothing_ms(kind: str, *, floats: bool) -> int:
+    """Of joints that a kind measures: of their rows, or where the motion of a floating base is predicted from them."""
     model = DEVICES.get(kind, JointDevice)
-    return model.new_smoothing_ms if issubclass(model, JointDevice) else JointDevice.new_smoothing_ms
+    model = model if issubclass(model, JointDevice) else JointDevice
+    return (floats and model.new_floating_smoothing_ms) or model.new_smoothing_ms
 
 
 def _model(kind: str) -> type[BusDevice]:

@@ -219,7 +219,7 @@ accelerometer_bias_m_s2 = 0.03
 
 
 def _rest(wanted: NewVehicle) -> str:
-    smoothing = devices.smoothing_ms(wanted.encoder)
+    smoothing = devices.smoothing_ms(wanted.encoder, floats=KINDS[wanted.base].follows)
     if KINDS[wanted.base].follows:
         known = "".join(
             f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
