@@ -261,9 +261,14 @@ class PageState:
         told = [{"kind": kind, "text": text} for kind, text in reasons]
         return {"word": "NO-GO" if stops else "GO", "reasons": told}
 
+    @property
+    def _of_silence(self) -> str:
+        """What it is as a reason: after a flight that has stopped nothing is to come."""
+        return "note" if self._mode == "stopped" else "against"
+
     def _of_link(self) -> Iterator[tuple[str, str]]:
         if self.silence:
-            yield "against", self.silence
+            yield self._of_silence, self.silence
         if (row := self._standing) is not None and (row["missing"] or row["damaged_bytes"]):
             lost = f"{row['missing']} packets did not come, {row['damaged_bytes']} bytes belong to no whole one"
             yield "note", f"{lost}: the log has all"
@@ -277,10 +282,10 @@ class PageState:
         age_ns = now_ns - int(self._health["host_ns"])
         if self.live and not ended and age_ns > SILENT_NS:
             why = "the flight's supervisor does not answer" if self._standing is None else "no status came down"
-            yield "against", f"no health record for {age_ns * 1e-9:.0f} s: {why}"
+            yield self._of_silence, f"no health record for {age_ns * 1e-9:.0f} s: {why}"
         word = int(self._health["status_word"])
         if word & NO_HEALTH:
-            yield "against", "health is not known: there is no record of it on board that is new"
+            yield self._of_silence, "health is not known: there is no record of it on board that is new"
         for bit in Status:
             if word & bit:
                 kind = "note" if bit & CAUTION else "against"

@@ -138,6 +138,21 @@ def test_silence_lost_packets_and_health_that_is_not_known_are_said(ground: Grou
     assert any("health is not known" in text for text in reasons(unknown))
 
 
+def test_silence_after_a_flight_that_has_stopped_is_no_fault(ground: Ground, sender: Sender) -> None:
+    sender.second()
+    sender.downlink.add(said(sender.now_ns, "stopped: the flight ends", code="mode"))
+    sender.now_ns += 10 * SECOND_NS
+    for packet in sender.downlink.packets(sender.now_ns):
+        sender.send(packet)
+    over = ground.until(lambda frame: frame["t"] >= 10)
+    ground.now_s += 30.0
+    for frame in (over, ground.until(lambda frame: True)):
+        assert frame["mode"] == "stopped"
+        assert frame["go"]["word"] == "GO", frame["go"]
+        assert any("note: health is not known" in text for text in reasons(frame))
+    assert "note: nothing has come over the link for 30 s" in reasons(frame)
+
+
 def test_a_status_that_does_not_come_is_no_go(ground: Ground, sender: Sender) -> None:
     sender.second()
     ground.until(lambda frame: frame["computer"])
