@@ -252,7 +252,8 @@ class PageState:
 
     def _go(self, now_ns: int, ended: bool) -> dict[str, Any]:
         """``word``: go, or no-go where a reason is ``against`` or an answer is ``open``."""
-        reasons = [*self._of_link(), *self._of_health(now_ns, ended), *self._of_answers()]
+        silence = "note" if self._mode == "stopped" else "against"  # after it nothing is to come
+        reasons = [*self._of_link(silence), *self._of_health(now_ns, ended, silence), *self._of_answers()]
         if ended:
             reasons.insert(0, ("note", "the flight has ended: these are its last numbers"))
         if not reasons:
@@ -261,19 +262,13 @@ class PageState:
         told = [{"kind": kind, "text": text} for kind, text in reasons]
         return {"word": "NO-GO" if stops else "GO", "reasons": told}
 
-    @property
-    def _of_silence(self) -> str:
-        """What it is as a reason: after a flight that has stopped nothing is to come."""
-        return "note" if self._mode == "stopped" else "against"
-
-    def _of_link(self) -> Iterator[tuple[str, str]]:
+    def _of_link(self, silence: str) -> Iterator[tuple[str, str]]:
         if self.silence:
-            yield self._of_silence, self.silence
-        if (row := self._standing) is not None and (row["missing"] or row["damaged_bytes"]):
-            lost = f"{row['missing']} packets did not come, {row['damaged_bytes']} bytes belong to no whole one"
-            yield "note", f"{lost}: the log has all"
+            yield silence, self.silence
+        if (row := self._standing) is not None and any(lost := row[["missing", "damaged_bytes"]].tolist()):
+            yield "note", "{} packets did not come, {} bytes belong to no whole one: the log has all".format(*lost)
 
-    def _of_health(self, now_ns: int, ended: bool) -> Iterator[tuple[str, str]]:
+    def _of_health(self, now_ns: int, ended: bool, silence: str) -> Iterator[tuple[str, str]]:
         if self._health is None:
             if self.live:
                 waiting = self.start_ns is None or now_ns - self.start_ns < SILENT_NS
@@ -282,10 +277,10 @@ class PageState:
         age_ns = now_ns - int(self._health["host_ns"])
         if self.live and not ended and age_ns > SILENT_NS:
             why = "the flight's supervisor does not answer" if self._standing is None else "no status came down"
-            yield self._of_silence, f"no health record for {age_ns * 1e-9:.0f} s: {why}"
+            yield silence, f"no health record for {age_ns * 1e-9:.0f} s: {why}"
         word = int(self._health["status_word"])
         if word & NO_HEALTH:
-            yield self._of_silence, "health is not known: there is no record of it on board that is new"
+            yield silence, "health is not known: there is no record of it on board that is new"
         for bit in Status:
             if word & bit:
                 kind = "note" if bit & CAUTION else "against"
