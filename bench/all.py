@@ -13,6 +13,7 @@ as a page of evidence. Exit code 1 where one failed or missed a bar that it judg
 import argparse
 import os
 import platform
+import re
 import resource
 import subprocess
 import sys
@@ -144,6 +145,7 @@ def page(done: BenchResult, about: str, printed: str, path: Path) -> None:
     )
     command = done.command.replace(str(DATASETS), "$HEFT_DATASETS")
     printed = printed.strip().replace(str(DATASETS), "$HEFT_DATASETS")
+    printed = re.sub(rf"{re.escape(tempfile.gettempdir())}/\S+/", "", printed)  # of logs that are gone
     shown = printed if printed.startswith("|") else f"```text\n{printed}\n```"  # a table, or as on a terminal
     text = f"""# {done.name.replace("_", " ").capitalize()}
 

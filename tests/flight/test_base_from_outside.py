@@ -5,10 +5,7 @@ the base, so the answers are those of a prescribed base. Nothing of heft names t
 """
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,28 +17,19 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.regressor.base_parameters import SampledMotion
 from onboard.regressor.rows import base_force_rows, base_moment_rows
+from tests.flight import elsewhere
+from tests.flight.elsewhere import heft
 from tests.flight.missions import Result
 
-ROOT = Path(__file__).parents[2]
 RAIL = BaseKind("rail", "slides along x and tilts about it, measured", (0, 3))
 PACKAGE = f"from onboard.dynamics.model.bases import BaseKind\nRAIL = {RAIL!r}\nSQUARE = 'no kind'\n"
 POINTS = "[heft.bases]\nrail = rails:RAIL\nsquare = rails:SQUARE\nfree = rails:RAIL\n"
 
 
-def heft(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": f"{directory / 'site'}:{ROOT}"}
-    command = [sys.executable, "-m", "onboard.cli", *arguments]
-    return subprocess.run(command, env=environment, cwd=directory, capture_output=True, text=True, check=False)
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("rails")
-    information = directory / "site" / "rails-1.0.dist-info"
-    information.mkdir(parents=True)
-    (directory / "site" / "rails.py").write_text(PACKAGE)
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: rails\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(POINTS)
+    (elsewhere.installed(directory, "rails", POINTS) / "rails.py").write_text(PACKAGE)
     packaged = config.packaged("rocksat")
     shutil.copy(packaged.parent / "rocksat.urdf", directory)
     for base in ("prescribed", "rail", "square"):

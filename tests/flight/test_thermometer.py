@@ -2,18 +2,16 @@
 
 import csv
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from onboard.recording.reader import LogReader
+from tests.flight import elsewhere
+from tests.flight.elsewhere import heft
 
-ROOT = Path(__file__).parents[2]
 POINTS = """\
 [heft.devices]
 thermometer = thermometer.device:ThermometerDevice
@@ -31,21 +29,11 @@ bus = "tty"
 SHORT = '[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 6.0\n'
 
 
-def heft(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": f"{directory / 'site'}:{ROOT}"}
-    command = [sys.executable, "-m", "onboard.cli", *arguments]
-    return subprocess.run(command, env=environment, cwd=directory, capture_output=True, text=True, check=False)
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("warm")
-    information = directory / "site" / "thermometer-1.0.dist-info"
-    information.mkdir(parents=True)
-    code = Path(__file__).with_name("thermometer")
-    shutil.copytree(code, directory / "site" / code.name, ignore=shutil.ignore_patterns("__pycache__"))
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: thermometer\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(POINTS)
+    code, site = Path(__file__).with_name("thermometer"), elsewhere.installed(directory, "thermometer", POINTS)
+    shutil.copytree(code, site / code.name, ignore=shutil.ignore_patterns("__pycache__"))
     (directory / "short.toml").write_text(SHORT)
     said = heft(directory, "init", "mine", "--base", "fixed", "--joints", "1", "--load-cell", "cia404")
     assert said.returncode == 0, said.stderr
