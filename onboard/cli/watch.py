@@ -51,7 +51,7 @@ def add(commands: Commands) -> None:
         "--page-meshes",
         type=Path,
         metavar="URDF",
-        help="draw on it the meshes that lie beside this file of the vehicle",
+        help="draw on it the mesh files that lie beside this URDF; a log has the URDF alone",
     )
     watch.set_defaults(command=_watch)
 

@@ -24,13 +24,19 @@ def tree_of(files: Mapping[str, bytes], payload: str = "") -> dict[str, Any] | N
         files: that a log carries, by name; one ends with ``.urdf``.
         payload: link.
     """
-    text = next((data for name, data in files.items() if name.endswith(".urdf")), b"")
-    if not text or len(text) > MOST_BYTES:
+    text = urdf_of(files)
+    if not text:
         return None
     try:
         return _tree(ET.fromstring(text), payload)
     except (ET.ParseError, ValueError, KeyError):
         return None  # the flight has said what is wrong with it; the page draws nothing
+
+
+def urdf_of(files: Mapping[str, bytes]) -> bytes:
+    """The URDF among files by name; empty where there is none, or it is too large to be drawn."""
+    text = next((data for name, data in files.items() if name.endswith(".urdf")), b"")
+    return text if len(text) <= MOST_BYTES else b""
 
 
 def _tree(robot: ET.Element, payload: str) -> dict[str, Any] | None:

@@ -13,7 +13,7 @@ from drivers.records import EVENT, GAP, Batch
 from onboard import channels
 from onboard.flight.store import manifest
 from onboard.flight.store.directories import is_free
-from onboard.page.arm import tree_of
+from onboard.page.arm import tree_of, urdf_of
 from onboard.page.state import PageState, is_device
 from onboard.ring import RingReader
 
@@ -31,6 +31,7 @@ class Followed:
 
     Attributes:
         state: so far.
+        urdf: that the log carries, or empty.
         ended: whether the flight is over.
     """
 
@@ -39,7 +40,7 @@ class Followed:
     def __init__(self, log: Path, left: Callable[[], bool] = lambda: False) -> None:
         self.log, self._left = log, left
         self.state = PageState(log.name, live=True)
-        self.ended = False
+        self.urdf, self.ended = b"", False
         self._directory: Path | None = None
         self._rings: dict[Path, RingReader] = {}
 
@@ -97,7 +98,7 @@ class Followed:
             return
         self._directory = found.directory
         files = {one.name: one.data for one in found.preamble.attachments}
-        payload = payload_of(found.preamble.metadata, files)
+        payload, self.urdf = payload_of(found.preamble.metadata, files), urdf_of(files)
         self.state = PageState(f"{found.vehicle}: {self.log.name}", payload, tree_of(files, payload), live=True)
 
     def _open(self) -> None:

@@ -1,15 +1,17 @@
 """Triangles of the URDF's visuals, as few as a browser draws with ease on a plain canvas.
 
 Boxes, cylinders and spheres are made of their sizes. Files are read where the URDF lies and nowhere else, STL (binary
-or text) and OBJ, no larger than :data:`MOST_BYTES`. What cannot be read is left out: the joints' lines are drawn all
-the same. Corners that lie in one cell of a grid are joined, the grid as coarse as it takes (vertex clustering:
-Rossignac and Borrel, 1993).
+or text) and OBJ, no larger than :data:`MOST_BYTES`; of a URDF out of a log, which lies nowhere, none is. What cannot be
+read is left out and counted; a link of which nothing is left is drawn as its collision geometry. Corners that lie in
+one cell of a grid are joined, the grid as coarse as it takes (vertex clustering: Rossignac and Borrel, 1993).
 """
 
+import contextlib
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,31 +27,51 @@ _FINEST, _COARSEST = 64, 2  # cells along the longest side
 Triangles = NDArray[np.float64]  # (n, 3, 3): corners, m
 
 
-def meshes_of(urdf: bytes, directory: Path) -> dict[str, list[float]]:
-    """Corners of triangles by link, nine numbers each, in the link's frame, m.
+class DrawnMeshes(NamedTuple):
+    """What is drawn of a vehicle."""
+
+    corners: dict[str, list[float]]  # of triangles by link, nine numbers each, in the link's frame, m
+    left_out: int  # visuals that cannot be read, or are too many
+
+
+def meshes_of(urdf: bytes, directory: Path | None) -> DrawnMeshes:
+    """Triangles of a vehicle's links.
 
     Args:
         urdf: of the vehicle.
-        directory: where it lies.
+        directory: where it lies; None: no file is read.
     """
     try:
         links = ET.fromstring(urdf).findall("link")
     except ET.ParseError:
-        return {}
-    visuals = [(link.attrib.get("name", ""), visual) for link in links for visual in link.findall("visual")]
-    of_link: dict[str, list[Triangles]] = {}
-    for name, visual in visuals[:MOST_MESHES]:
-        try:
-            of_link.setdefault(name, []).extend(_placed(visual, directory))
-        except (OSError, ValueError, KeyError):
-            continue  # not there, or not to be read
-    whole = {name: np.concatenate(parts) for name, parts in of_link.items() if parts}
+        return DrawnMeshes({}, 0)
+    whole: dict[str, Triangles] = {}
+    left_out, room = 0, MOST_MESHES
+    for link in links:
+        visuals = link.findall("visual")
+        parts = _parts(visuals[:room], directory)
+        left_out += len(visuals) - len(parts)
+        room -= min(room, len(visuals))
+        if len(visuals) > len(parts) == 0:
+            parts = _parts(link.findall("collision")[:room], directory)
+            room -= len(parts)
+        if parts:
+            whole[link.attrib.get("name", "")] = np.concatenate(parts)
     total = sum(map(len, whole.values()))
     kept = {name: _fewer(mesh, max(12, MOST_TRIANGLES * len(mesh) // total)) for name, mesh in whole.items()}
-    return {name: _short(mesh) for name, mesh in kept.items()}
+    return DrawnMeshes({name: _short(mesh) for name, mesh in kept.items()}, left_out)
 
 
-def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
+def _parts(shapes: Sequence[ET.Element], directory: Path | None) -> list[Triangles]:
+    """Of those that can be read."""
+    found: list[Triangles] = []
+    for shape in shapes:
+        with contextlib.suppress(OSError, ValueError, KeyError):  # not there, or not to be read
+            found += _placed(shape, directory)
+    return found
+
+
+def _placed(visual: ET.Element, directory: Path | None) -> Iterator[Triangles]:
     shape = visual.find("geometry/*")
     if shape is None:
         return
@@ -62,18 +84,18 @@ def _placed(visual: ET.Element, directory: Path) -> Iterator[Triangles]:
     yield triangles
 
 
-def _shaped(shape: ET.Element, directory: Path) -> Triangles:
+def _shaped(shape: ET.Element, directory: Path | None) -> Triangles:
     """Of a ``<mesh>``, ``<box>``, ``<cylinder>`` (along z) or ``<sphere>``, in its own frame.
 
     Raises:
-        ValueError: it is none of these.
+        ValueError: it is none of these, or in a file that cannot be had.
     """
 
     def numbers(name: str, otherwise: str = "") -> NDArray[np.float64]:
         return np.array(shape.attrib.get(name, otherwise).split(), np.float64)
 
     prism = np.array([[0.0, -1.0], [1.0, -1.0], [1.0, 1.0], [0.0, 1.0]])
-    if shape.tag == "mesh":
+    if shape.tag == "mesh" and directory is not None:
         return read(_path(shape.attrib["filename"], directory)) * numbers("scale", "1 1 1")
     if shape.tag == "box":
         return _turned(prism * [2.0**0.5, 1.0], 4) * numbers("size") / 2.0
@@ -82,7 +104,7 @@ def _shaped(shape: ET.Element, directory: Path) -> Triangles:
     if shape.tag == "sphere":
         angle = np.linspace(0.0, np.pi, _SIDES // 2 + 1)
         return _turned(np.stack([np.sin(angle), -np.cos(angle)], axis=1) * float(shape.attrib["radius"]), _SIDES)
-    raise ValueError(f"{shape.tag} is no shape of a URDF")
+    raise ValueError(f"{shape.tag} is no shape of a URDF, or in a file")
 
 
 def _turned(profile: NDArray[np.float64], sides: int) -> Triangles:

@@ -29,13 +29,14 @@ class Received:
 
     Attributes:
         state: so far.
+        urdf: none comes down.
         ended: never: another flight may follow.
 
     Raises:
         OSError: the link cannot be opened.
     """
 
-    live, ended = True, False
+    live, ended, urdf = True, False, b""
 
     def __init__(self, address: Address, apids: Mapping[str, int], payload: str, clock: Callable[[], float]) -> None:
         self._address, self._payload, self._clock = address, payload, clock

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.records import Batch
-from onboard.page.arm import tree_of
+from onboard.page.arm import tree_of, urdf_of
 from onboard.page.follow import about, packed, payload_of
 from onboard.page.state import PageState
 
@@ -57,6 +57,7 @@ class Recorded:
 
     Attributes:
         state: at the end.
+        urdf: that the log carries, or empty.
 
     Raises:
         OSError: the log cannot be read.
@@ -69,7 +70,7 @@ class Recorded:
         self._frames: list[tuple[int, bytes]] = []  # stamp, frame
         self._step_ns = _STEP_NS
         files: dict[str, bytes] = {name: one.data for name, one in log.attachments.items()}
-        payload = payload_of(log.metadata, files)
+        payload, self.urdf = payload_of(log.metadata, files), urdf_of(files)
         self.state = PageState(self._title(log), payload, tree_of(files, payload), live=False)
         due_ns = 0
         ahead: list[Batch] = []

@@ -43,6 +43,7 @@ class Source(Protocol):
 
     state: PageState
     live: bool
+    urdf: bytes
 
     def about(self) -> dict[str, Any]:
         """What the page needs once."""
@@ -81,7 +82,7 @@ class Web:
         token: that paths begin with; empty: none.
         plan: expected intervals by quantity, see :func:`onboard.page.plan.read`.
         acts: what can be done through the page; None: nothing.
-        urdf: file beside whose meshes lie; None: none are shown.
+        urdf: file of the vehicle, beside which its meshes lie; that of the source, without files, where not given.
     """
 
     def __init__(
@@ -183,15 +184,15 @@ class Web:
             await _reply(writer, "200 OK", _TYPES[name.rpartition(".")[2]], self._files[name])
         elif name == "flight":
             acts = [] if self._acts is None else self._acts.armed
-            more = {"plan": dict(self._plan), "acts": acts, "meshes": self._urdf is not None}
+            more = {"plan": dict(self._plan), "acts": acts, "meshes": self._has_meshes}
             await _reply(writer, "200 OK", "application/json", packed(self.source.about() | more).encode())
         elif name == ACT and self._acts is not None and request.body is not None:
             body = await asyncio.wait_for(reader.readexactly(request.body), REQUEST_S)
             status, said = await self._acts.do(body)
             await _reply(writer, status, "application/json", packed({"said": said}).encode())
-        elif name == "meshes" and self._urdf is not None:
+        elif name == "meshes" and self._has_meshes:
             if self._meshes is None:  # read once, in a thread: the others do not wait
-                self._meshes = asyncio.create_task(asyncio.to_thread(_meshes, self._urdf))
+                self._meshes = asyncio.create_task(asyncio.to_thread(_meshes, self._urdf, self.source.urdf))
             await _reply(writer, "200 OK", "application/json", await asyncio.shield(self._meshes))
         elif name == "signals":
             await _reply(writer, "200 OK", "application/json", self._signals(request.query))
@@ -201,6 +202,10 @@ class Web:
             await _reply(writer, "200 OK", "application/json", frame)
         else:
             await _reply(writer, "404 Not Found", "text/plain", b"404 Not Found")
+
+    @property
+    def _has_meshes(self) -> bool:
+        return self._urdf is not None or bool(self.source.urdf)
 
     def _signals(self, query: str) -> bytes:
         """Names of all signals, and the steps of one from a time on: ``signals?name=imu_0+rate&since=12.5`` (s)."""
@@ -238,11 +243,12 @@ class Web:
             self._viewers.discard(viewer)
 
 
-def _meshes(urdf: Path) -> bytes:
-    try:
-        return packed(meshes_of(urdf.read_bytes(), urdf.parent)).encode()
-    except OSError:
-        return b"{}"  # the joints' lines are drawn
+def _meshes(given: Path | None, urdf: bytes) -> bytes:
+    """Of the file that is given, or of the source's own."""
+    with contextlib.suppress(OSError):  # the source's is drawn
+        if given is not None:
+            return packed(meshes_of(given.read_bytes(), given.parent)._asdict()).encode()
+    return packed(meshes_of(urdf, None)._asdict()).encode()
 
 
 def _static() -> dict[str, bytes]:

@@ -3,6 +3,7 @@
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,7 +91,8 @@ def test_what_is_no_mesh_is_left_out(name: str, data: bytes, tmp_path: Path) -> 
     (tmp_path / "b.stl").write_bytes(stl(BOX))
     with pytest.raises(ValueError):  # noqa: PT011 whatever the parts of the file say
         read(tmp_path / name)
-    assert set(meshes_of(urdf(base=name, payload="b.stl"), tmp_path)) == {"payload"}
+    drawn = meshes_of(urdf(base=name, payload="b.stl"), tmp_path)
+    assert (set(drawn.corners), drawn.left_out) == ({"payload"}, 1)
 
 
 def urdf(origin: str = "", scale: str = "", **files: str) -> bytes:
@@ -108,7 +110,7 @@ def test_a_mesh_is_where_the_urdf_has_it(tmp_path: Path, rng: np.random.Generato
     (tmp_path / "box.stl").write_bytes(stl(BOX))
     rpy, xyz = rng.uniform(-1.5, 1.5, 3), rng.uniform(-2, 2, 3)
     origin = f'<origin rpy="{" ".join(map(str, rpy))}" xyz="{" ".join(map(str, xyz))}"/>'
-    [corners] = meshes_of(urdf(origin, ' scale="0.001 -0.002 0.5"', base="box.stl"), tmp_path).values()
+    [corners] = meshes_of(urdf(origin, ' scale="0.001 -0.002 0.5"', base="box.stl"), tmp_path).corners.values()
     wanted = Rotation.from_euler("xyz", rpy).apply((BOX * [0.001, -0.002, 0.5]).reshape(-1, 3)) + xyz
     np.testing.assert_allclose(np.reshape(corners, (-1, 3)), wanted, atol=1e-4)
 
@@ -125,7 +127,7 @@ def test_a_body_of_the_urdf_has_its_size_and_is_closed(
     shape: str, half: tuple[float, ...], volume: float, tmp_path: Path
 ) -> None:
     link = f'<link name="base"><visual><origin xyz="0 0 7"/><geometry>{shape}</geometry></visual></link>'
-    [numbers] = meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path).values()
+    [numbers] = meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path).corners.values()
     corners = np.reshape(numbers, (-1, 3, 3)) - [0.0, 0.0, 7.0]
     round_off = 0.02  # of a circle that has 16 sides
     np.testing.assert_allclose(np.abs(corners).reshape(-1, 3).max(axis=0), half, rtol=round_off)
@@ -138,7 +140,7 @@ def test_a_body_of_the_urdf_has_its_size_and_is_closed(
 def test_what_is_no_shape_is_left_out(tmp_path: Path) -> None:
     for shape in ("<capsule/>", '<box size="1 2"/>', '<sphere radius="x"/>', "<cylinder/>", ""):
         link = f'<link name="base"><visual><geometry>{shape}</geometry></visual></link>'
-        assert meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path) == {}, shape
+        assert meshes_of(URDF.replace(b'<link name="base"/>', link.encode()), tmp_path) == ({}, 1), shape
 
 
 def test_files_are_read_beside_the_urdf_alone(tmp_path: Path) -> None:
@@ -153,25 +155,24 @@ def test_files_are_read_beside_the_urdf_alone(tmp_path: Path) -> None:
         "package://meshes/box.stl",
         "./meshes/../meshes/box.stl",
     ):
-        assert set(meshes_of(urdf(base=name), beside)) == {"base"}, name
+        assert set(meshes_of(urdf(base=name), beside).corners) == {"base"}, name
     for name in ("../secret.stl", str(tmp_path / "secret.stl"), "link.stl", "package://../secret.stl", "/dev/zero", ""):
-        assert meshes_of(urdf(base=name), beside) == {}, name
-    assert meshes_of(b"<robot", beside) == {}
+        assert meshes_of(urdf(base=name), beside) == ({}, 1), name
+    assert meshes_of(b"<robot", beside) == ({}, 0)
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "box.stl").write_bytes(stl(BOX))
-    assert meshes_of(urdf(base="box.stl"), tmp_path)
+    assert meshes_of(urdf(base="box.stl"), tmp_path).left_out == 0
     monkeypatch.setattr(meshes, "MOST_BYTES", len(stl(BOX)) - 1)
-    assert meshes_of(urdf(base="box.stl"), tmp_path) == {}
+    assert meshes_of(urdf(base="box.stl"), tmp_path) == ({}, 1)
 
 
 def test_many_triangles_become_few_of_the_same_shape(tmp_path: Path) -> None:
     (tmp_path / "ball.stl").write_bytes(stl(0.3 * sphere(150)))
     (tmp_path / "box.stl").write_bytes(stl(BOX))
-    found = {
-        k: np.reshape(v, (-1, 3, 3)) for k, v in meshes_of(urdf(base="ball.stl", payload="box.stl"), tmp_path).items()
-    }
+    drawn = meshes_of(urdf(base="ball.stl", payload="box.stl"), tmp_path)
+    found = {k: np.reshape(v, (-1, 3, 3)) for k, v in drawn.corners.items()}
     ball = found["base"]
     assert 500 < len(ball) <= meshes.MOST_TRIANGLES
     assert np.linalg.norm(ball, axis=2) == pytest.approx(0.3, abs=0.02)
@@ -180,19 +181,48 @@ def test_many_triangles_become_few_of_the_same_shape(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["payload"], BOX)
 
 
-def test_the_server_has_them_only_where_they_were_asked_for(made_log: Path, tmp_path: Path) -> None:
+SPHERE = '<geometry><sphere radius="0.1"/></geometry>'
+
+
+def test_of_a_link_without_a_visual_that_can_be_read_the_collision_geometry_is_drawn(tmp_path: Path) -> None:
+    (tmp_path / "box.stl").write_bytes(stl(BOX))
+    also = urdf(base="box.stl", payload="gone.stl").replace(
+        b"</link>", f"<collision>{SPHERE}</collision></link>".encode()
+    )
+    drawn = meshes_of(also, tmp_path)
+    assert drawn.left_out == 1
+    assert len(drawn.corners["base"]) == 9 * len(BOX)
+    assert max(drawn.corners["payload"]) == pytest.approx(0.1, rel=0.02)
+    drawn = meshes_of(also, None)
+    assert drawn.left_out == 2
+    assert drawn.corners["base"] == drawn.corners["payload"]
+
+
+def test_the_server_has_those_of_the_file_that_is_given_or_of_the_log_without_its_files(
+    made_log: Path, tmp_path: Path
+) -> None:
     (tmp_path / "box.stl").write_bytes(stl(BOX))
     (tmp_path / "made.urdf").write_bytes(urdf(base="box.stl"))
     source = Recorded(LogReader(made_log))
+    assert source.urdf == URDF
+
+    def told(given: str = "") -> dict[str, Any]:
+        with served(source, urdf=tmp_path / given if given else None) as one:
+            assert json.loads(ask(one.port, "/flight").body)["meshes"] is True
+            ask(one.port, "/meshes")
+            found: dict[str, Any] = json.loads(ask(one.port, "/meshes").body)
+            return found
+
+    assert len(told("made.urdf")["corners"]["base"]) == 9 * len(BOX)
+    source.urdf = urdf(base="box.stl").replace(
+        b'<link name="payload"/>', f'<link name="payload"><visual>{SPHERE}</visual></link>'.encode()
+    )
+    for given in ("", "gone.urdf"):
+        assert (set(told(given)["corners"]), told(given)["left_out"]) == ({"payload"}, 1)
+    source.urdf = b""
     with served(source) as one:
         assert ask(one.port, "/meshes").status == 404
         assert json.loads(ask(one.port, "/flight").body)["meshes"] is False
-    with served(source, urdf=tmp_path / "made.urdf") as one:
-        for _ in range(2):
-            assert len(json.loads(ask(one.port, "/meshes").body)["base"]) == 9 * len(BOX)
-        assert json.loads(ask(one.port, "/flight").body)["meshes"] is True
-    with served(source, urdf=tmp_path / "gone.urdf") as one:
-        assert json.loads(ask(one.port, "/meshes").body) == {}
 
 
 def test_a_urdf_that_is_not_there_is_refused(made_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -222,8 +252,13 @@ def test_in_a_browser_they_move_with_their_links(
         filled = tab.run(ink)
         tab.run(f"{canvas}.scrollIntoView({{block: 'center'}})")
         tab.shot(tmp_path / f"meshes_{width}_{scheme}.png")
-    with opened(tab, Recorded(LogReader(made_log))):
+    log = Recorded(LogReader(made_log))
+    with opened(tab, log):
         tab.wait("document.getElementById('arm').dataset.triangles === '0'")
         assert tab.run(ink) < 0.3 * filled
+    log.urdf = text.replace(b'<link name="base">', f'<link name="base"><visual>{SPHERE}</visual>'.encode())
+    with opened(tab, log):
+        tab.wait("document.getElementById('arm').dataset.triangles > 50")
+        assert "2 shapes of the URDF are not drawn" in tab.text("#arm p")
     with Image.open(tmp_path / f"meshes_{width}_{scheme}.png") as shot:
         assert shot.size == (width, height)

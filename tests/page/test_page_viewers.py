@@ -28,7 +28,7 @@ from tests.page.served import Stream, ask, served
 class Flying:
     """A flight in this process."""
 
-    live = True
+    live, urdf = True, b""
 
     def __init__(self) -> None:
         self.state = PageState("made", live=True)

@@ -67,7 +67,7 @@ export class Arm {
   constructor(box) {
     this.box = box;
     this.canvas = box.querySelector("canvas");
-    this.tree = null; this.q = null; this.from = null; this.since = 0; this.held = []; this.waiting = false; this.meshes = []; this.cost = 0;
+    this.tree = null; this.q = null; this.from = null; this.since = 0; this.held = []; this.waiting = false; this.meshes = []; this.leftOut = 0; this.cost = 0;
     this.turn = 0.7; this.tilt = 0.45; this.middle = null;
     this.canvas.onpointerdown = event => this.canvas.setPointerCapture(event.pointerId);
     this.canvas.onpointermove = event => {
@@ -87,8 +87,8 @@ export class Arm {
   begin(tree, meshes) {
     this.tree = tree; this.q = this.from = this.middle = null; this.held = [];
     this.box.hidden = true;
-    this.reach = 0; this.meshes = []; this.cost = 0;
-    if (tree && meshes) fetched().then(meshes => { if (this.tree === tree) { this.meshes = meshes; this.later(); } });
+    this.reach = 0; this.meshes = []; this.leftOut = 0; this.cost = 0;
+    if (tree && meshes) fetched().then(got => { if (this.tree === tree) { Object.assign(this, got); this.later(); } });
     if (tree) for (const joint of tree.joints) this.reach += Math.hypot(...joint.xyz) * (joint.moves ? 1 : 0.3);
   }
 
@@ -158,7 +158,9 @@ export class Arm {
 
   body(at, line, colour) {
     const frame = at[this.tree.payload], body = frame && bodyOf(this.held, this.tree.payload);
-    put(this.box.querySelector("p"), body ? `${body.semi ? "ellipsoid of its inertia; " : ""}cross: its centre, 95 %` : "");
+    const said = body ? [`${body.semi ? "ellipsoid of its inertia; " : ""}cross: its centre, 95 %`] : [];
+    if (this.leftOut) said.push(`${this.leftOut} shapes of the URDF are not drawn: their files are not at hand, or no STL or OBJ`);
+    put(this.box.querySelector("p"), said.join("; "));
     if (!body) return;
     const inBase = v => plus(frame.p, rotate(frame.R, v));
     body.half.forEach((half, i) => {

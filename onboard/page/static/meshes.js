@@ -2,14 +2,14 @@
 // closed surface those that face away are left out.
 const LIGHT = 0.45, CLOSED = 0.03;
 
-// `corners` by link, nine numbers a triangle, in the link's frame.
+// `corners` by link, nine numbers a triangle, in the link's frame; and how many visuals are left out.
 export async function fetched() {
   try {
     const response = await fetch("meshes", {cache: "no-store"});
-    const corners = response.ok ? await response.json() : {};
-    return Object.entries(corners).map(([link, numbers]) => ({link, corners: Float64Array.from(numbers), ...shape(numbers)}));
+    const {corners, left_out} = response.ok ? await response.json() : {corners: {}, left_out: 0};
+    return {meshes: Object.entries(corners).map(([link, numbers]) => ({link, corners: Float64Array.from(numbers), ...shape(numbers)})), leftOut: left_out};
   } catch {
-    return [];  // the page says that there is no connection; lines are drawn
+    return {meshes: [], leftOut: 0};  // the page says that there is no connection; lines are drawn
   }
 }
 
