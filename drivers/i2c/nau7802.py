@@ -4,11 +4,8 @@ Source: data sheet revision 1.7. Set-up: RR, PUD, wait for PUR, the settings, PU
 shorted, CALMOD 0). Its result (OCAL1) is written back after a brown-out, so that the cell's zero stays where it was.
 The chip converts at a rate of its own RC oscillator; CR says that a conversion has ended since the last reading.
 
-The chip does not number its conversions. A conversion ended between the look that did not find it and the one that
-did; how many were missed follows from the period fitted to these times. Where that number is not sure, the next row is
-marked AFTER_RESET: clocks begin anew there. A sample that a late look found, and that may be this conversion or the
-next, is dropped. Known limits: channel 1 only; the length of the digital filter is not in the data sheet that this was
-written from, see ``onboard.devices.i2c.nau7802``.
+The chip does not number its conversions: ``drivers.conversions`` does. Known limits: channel 1 only; the length of the
+digital filter is not in the data sheet that this was written from, see ``onboard.devices.bridge``.
 """
 
 from collections.abc import Iterator
@@ -17,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from drivers.conversions import ConversionCount
 from drivers.errors import ConfigurationError, FrameError, WrongDeviceError
 from drivers.i2c.sensor import MS, I2cSensor, Watched
 from drivers.ports import I2cPort
@@ -37,10 +35,7 @@ RESET_NS, READY_NS, READY_LIMIT_NS = 10 * MS, 1 * MS, 400 * MS
 ANALOG_NS = 200 * MS  # of the regulator and the reference
 CALIBRATION_LOOK_NS, CALIBRATION_LIMIT = 20 * MS, 100  # looks
 SETTLING = 4  # conversions, after which the filter has forgotten what was before
-OSCILLATOR = 0.03  # relative bound of the period until it is fitted
-FEWEST, MOST = 16, 1000  # conversions that a period is fitted to; then the fit begins anew, from half of them on
-DRIFT_S = 5e-6  # of its oscillator, relative: 0.05 K/s of a chip that warms, at 100 ppm/K
-SURE = 0.25  # conversions: error of a count below which the clock goes on
+OSCILLATOR = 0.03  # relative bound of its period
 SILENCE_PERIODS = 8
 MOST_EARLY = 8
 
@@ -103,91 +98,6 @@ def identify(port: I2cPort, address: int) -> str | None:
     return "NAU7802" if port.write_read(address, bytes([REVISION]), 1).data[0] & 0x0F == IDENTITY else None
 
 
-class ConversionCount:
-    """Numbers conversions by the times at which they were seen to have ended.
-
-    Args:
-        period_ns: Nominal period.
-
-    Attributes:
-        number: Of the last conversion seen; -1 before the first.
-        ended_ns: About when it ended.
-    """
-
-    def __init__(self, period_ns: float) -> None:
-        self.number = -1
-        self.ended_ns = 0.0
-        self.period_ns = self._nominal_ns = period_ns
-        self._error = OSCILLATOR  # relative, of the period
-        self._blur_ns = 0.0  # bound of the error of ``ended_ns``: what all looks leave, one after the other
-        self._first: tuple[int, float, float] | None = None  # number, end and bound of the first one of the fit
-        self._later = (0, 0.0, 0.0)  # from which the next fit begins
-
-    def seen(self, not_before_ns: int, at_ns: int) -> tuple[int, bool] | None:
-        """A conversion was found at ``at_ns`` that was not there at ``not_before_ns``.
-
-        Returns:
-            How many were missed before it, and whether that is sure; None: it ended at about the time of a late look,
-            and may be this one or the one after it.
-        """
-        width_ns = float(max(at_ns - not_before_ns, 0))
-        ended_ns = at_ns - 0.5 * width_ns
-        if self.number < 0:
-            since = 1
-        elif width_ns <= 0.5 * self.period_ns:
-            since = max(round((ended_ns - self.ended_ns) / self.period_ns), 1)
-        else:  # a late look finds the newest of several: the last that has ended by then
-            since = max(self.passed(at_ns), 1)
-            phase = (at_ns - self.ended_ns) / self.period_ns - since
-            if (
-                self._first is not None
-                and min(phase, 1.0 - phase) < self._blur_ns / self.period_ns + since * self._error
-            ):
-                return None
-            ended_ns = self.ended_ns + since * self.period_ns
-        sure = self.number < 0 or since * self._error < SURE
-        if width_ns <= 0.5 * self.period_ns:
-            ended_ns, self._blur_ns = self._narrowed(ended_ns, 0.5 * width_ns, since)
-        else:
-            self._blur_ns += since * self._error * self.period_ns
-        self.number, self.ended_ns = self.number + since, ended_ns
-        if self._first is None or not sure:
-            self._first = self._later = self.number, ended_ns, self._blur_ns
-        counted = self.number - self._first[0]
-        if counted >= FEWEST:
-            spanned_ns = ended_ns - self._first[1]
-            if abs(spanned_ns / counted / self._nominal_ns - 1.0) < 2.0 * OSCILLATOR:
-                self.period_ns = spanned_ns / counted
-                wide_ns = self._first[2] + self._blur_ns
-                self._error = min(OSCILLATOR, wide_ns / spanned_ns + 1e-9 * DRIFT_S * spanned_ns)
-        if self.number - self._later[0] >= MOST // 2:
-            self._first, self._later = self._later, (self.number, ended_ns, self._blur_ns)
-        return (0 if self.number == 0 else since - 1), sure
-
-    def _narrowed(self, ended_ns: float, blur_ns: float, since: int) -> tuple[float, float]:
-        """When it ended and the bound of that, by its own look and by those before it, where these agree."""
-        if self._first is None:
-            return ended_ns, blur_ns
-        expected_ns = self.ended_ns + since * self.period_ns
-        wide_ns = self._blur_ns + since * self._error * self.period_ns
-        first_ns = max(ended_ns - blur_ns, expected_ns - wide_ns)
-        last_ns = min(ended_ns + blur_ns, expected_ns + wide_ns)
-        return (ended_ns, blur_ns) if first_ns > last_ns else (0.5 * (first_ns + last_ns), 0.5 * (last_ns - first_ns))
-
-    def is_early(self, now_ns: int) -> bool:
-        """Whether none can have ended since the last one seen."""
-        earliest_ns = self.ended_ns - 2.0 * self._blur_ns + (1.0 - self._error) * self.period_ns
-        return self._first is not None and now_ns < earliest_ns
-
-    def passed(self, now_ns: int) -> int:
-        """Conversions that have ended since the last one seen."""
-        return int((now_ns - self.ended_ns) // self.period_ns)
-
-    def anew(self) -> None:
-        """The chip began anew: the phase of its conversions is another."""
-        self._first = None
-
-
 class Nau7802(I2cSensor):
     """An NAU7802 on an ``I2cPort``, as SCALAR rows in N on the channel of its name.
 
@@ -206,7 +116,7 @@ class Nau7802(I2cSensor):
         self.config = config or Nau7802Config()
         super().__init__(name, port, self.ADDRESS, round(self.config.poll_period_ms * MS))
         self._offset: bytes | None = None  # OCAL1, as calibrated
-        self._count = ConversionCount(self.config.period_ns)
+        self._count = ConversionCount(self.config.period_ns, OSCILLATOR)
         self._skip = SETTLING  # rows that are not valid yet
         self._looked_ns = 0  # the last look, which found nothing or took what it found
         self._sampled_ns = 0

@@ -340,10 +340,12 @@ class FreeSource(TickSource):
         period_ns: nominal length of a tick.
         delay_ns: lower bound of the time from the sample to the arrival of its last byte.
         delay_sigma_ns: its standard deviation.
+        tolerance: largest relative error of ``period_ns``.
     """
 
-    def __init__(self, period_ns: float, delay_ns: float, delay_sigma_ns: float) -> None:
-        super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, 0.06, delay_ns, delay_sigma_ns), False)
+    def __init__(self, period_ns: float, delay_ns: float, delay_sigma_ns: float, tolerance: float = 0.06) -> None:
+        arrival = ArrivalClock(period_ns, tolerance, delay_ns, delay_sigma_ns)
+        super().__init__(DeviceClock(period_ns, tolerance), arrival, False)
 
 
 class Bracket:

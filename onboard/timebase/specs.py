@@ -23,11 +23,15 @@ class MarkedChannel(NamedTuple):
 
 
 class FreeChannel(NamedTuple):
-    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, waiting for a poll too."""
+    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, waiting for a poll too.
+
+    ``tolerance``: largest relative error of ``period_ns``.
+    """
 
     period_ns: float
     delay_ns: float = 0.0
     delay_sigma_ns: float = 0.0
+    tolerance: float = 0.06
 
 
 class PolledChannel(NamedTuple):

@@ -203,8 +203,8 @@ def _source(spec: ChannelClock, line: SyncLine | None) -> TickSource | None:
             return FlaggingSource(period_ns) if line else FreeSource(period_ns, 0.0, period_ns)
         case MarkedChannel(period_ns, _, latches_counts):
             return LatchingSource(period_ns, latches_counts) if line else FreeSource(period_ns, 0.0, UNTOLD_DELAY_NS)
-        case FreeChannel(period_ns, delay_ns, delay_sigma_ns):
-            return FreeSource(period_ns, delay_ns, delay_sigma_ns)
+        case FreeChannel():
+            return FreeSource(*spec)
         case ProducerChannel(period_ns, delay_ns):
             return SyncSource(period_ns, delay_ns, line is not None and line.coded)
         case _:

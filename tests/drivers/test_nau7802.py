@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.conversions import ConversionCount
 from drivers.errors import ConfigurationError, FrameError
-from drivers.i2c.nau7802 import ConversionCount, Nau7802, Nau7802Config, decode_sample
+from drivers.i2c.nau7802 import OSCILLATOR, Nau7802, Nau7802Config, decode_sample
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.i2c_model import MS, Nau7802Model
@@ -85,7 +86,7 @@ def test_any_bytes_are_a_sample_or_refused(data):
 def test_the_count_is_right_whatever_the_phase(error, width, seed):
     """Looks of a given width, a gap of ten: no number is wrong without being said to be unsure."""
     rng, period = np.random.default_rng(seed), 12.5e6
-    count = ConversionCount(period)
+    count = ConversionCount(period, OSCILLATOR)
     true = [period * (1.0 + error) * n for n in [*range(1, 100), *range(110, 140)]]
     numbers, surely = [], []
     for end in true:
@@ -122,7 +123,7 @@ def test_a_bus_that_others_keep_busy_costs_few_rows_and_no_number(rng, drift_s):
     """An oscillator that drifts; drains of 5 to 8 ms now and then hide when a conversion of 12.5 ms ended."""
     steps = np.arange(8000)
     ends = 3e6 + 12.53e6 * (steps + 0.5 * drift_s * 12.53e-3 * steps**2)
-    count, dropped, off = ConversionCount(12.5e6), 0, set()
+    count, dropped, off = ConversionCount(12.5e6, OSCILLATOR), 0, set()
     for before, now, number in looks(rng, ends, (5.0, 8.0)):
         if count.seen(before, now) is None:
             dropped += 1
@@ -135,7 +136,7 @@ def test_a_bus_that_others_keep_busy_costs_few_rows_and_no_number(rng, drift_s):
 @pytest.mark.parametrize(("lost", "sure"), [(3000, True), (6000, False)])
 def test_how_many_conversions_an_outage_may_hide_is_what_its_oscillator_drifts_by(rng, lost, sure):
     """The fit of 500 to 1000 conversions is good for 5e-6/s of its 6 to 12 s: a quarter of a conversion in 4000."""
-    count, ends = ConversionCount(12.5e6), 3e6 + 12.53e6 * np.arange(3001)
+    count, ends = ConversionCount(12.5e6, OSCILLATOR), 3e6 + 12.53e6 * np.arange(3001)
     for before, now, _ in looks(rng, ends, (0.0, 1.0)):
         count.seen(before, now)
     end_ns = round(ends[-1] + 12.53e6 * lost)
