@@ -274,6 +274,7 @@ def row_dtype(rows: int, joints: int) -> np.dtype[np.void]:
             ("measured", "<f8", (rows,)),
             ("sigma", "<f8", (rows,)),
             ("gate", "<u4", (rows,)),  # onboard.estimation.gates.GateReason
+            ("innovation", "<f4", (rows,)),  # measured less expected, sigmas; NaN: not compared
         ],
         align=True,
     )

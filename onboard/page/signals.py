@@ -25,6 +25,7 @@ _KINDS: dict[np.dtype[np.void], tuple[_Kind, ...]] = {
     POSE: (("position", "m", ("x", "y", "z")), ("attitude", "1", ("w", "x", "y", "z"))),
 }
 _ERRORS: tuple[_Kind, ...] = (("rate", "sigma", ("x", "y", "z")), ("specific force", "sigma", ("x", "y", "z")))
+_LINE: tuple[_Kind, ...] = (("", "sigma", ("",)),)
 _ROWS: tuple[_Kind, ...] = (("rows", "%", ("used", "contradicting")),)
 
 
@@ -72,6 +73,9 @@ class PageSignals:
             gate = rows["gate"].reshape(len(rows), -1)  # (n, lines of the regression)
             against = gate & (GateReason.RESIDUAL | GateReason.LEFT_OUT) != 0
             self._add(name, _ROWS, rows, 100.0 * np.stack([(gate == 0).mean(axis=1), against.mean(axis=1)], axis=1))
+            if "innovation" in (rows.dtype.names or ()):
+                for number, line in enumerate(rows["innovation"].reshape(len(rows), -1).T, 1):
+                    self._add(f"innovation line {number}", _LINE, rows, line[:, None])
             return
         if rows.dtype == INNOVATION:
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -92,7 +92,9 @@ def test_contamination_is_gated_by_name(mission: Result) -> None:
         assert (gate[near] & GateReason.SATURATED).all()
     reentry = seconds > seconds[-1] - 5.0
     assert (gate[reentry] & GateReason.DRAG).any()
-    used = gate == 0
+    used, innovation = gate == 0, rows["innovation"][:, 0]
+    assert (np.isfinite(innovation) == (gate & ~GateReason.RESIDUAL == 0)).all()
+    assert 0.2 < np.sqrt((innovation[used] ** 2).mean()) < 2.0
     assert 1500 < np.count_nonzero(used) < 5000
 
 

@@ -62,11 +62,16 @@ def test_share_of_the_regression_s_lines_that_is_used_or_contradicts() -> None:
         [0, GateReason.RESIDUAL, GateReason.LEFT_OUT | GateReason.GAP, 0],
         [GateReason.PHASE] * 4,
     ]
+    rows["innovation"] = [[1.5, np.nan, np.nan, -0.5], [2.5, -9.0, np.nan, np.nan], [np.nan] * 4]
     found.add("estimator", rows)
     joint = np.ones(1, records.SCALAR)
     joint["status"], joint["unit"] = 0, b"rad"
     found.add("joint_1", joint)
-    assert found.names() == ["joint_1", "estimator rows"]
+    lines = [f"innovation line {number}" for number in (1, 2, 4)]  # nothing was compared in the third
+    assert found.names() == ["joint_1", "estimator rows", *lines]
+    told = [found.of(name, START) for name in lines]
+    assert {one["unit"] for one in told} == {"sigma"}
+    assert [one["points"] for one in told] == [[[0, 1.5, 1.5], [1, 2.5, 2.5]], [[1, -9, -9]], [[0, -0.5, -0.5]]]
     told = found.of("estimator rows", START)
     assert (told["unit"], told["components"]) == ("%", ("used", "contradicting"))
     assert told["points"] == [[0, 100, 100, 0, 0], [1, 50, 50, 50, 50], [2, 0, 0, 0, 0]]

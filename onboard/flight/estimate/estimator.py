@@ -346,10 +346,10 @@ class Estimator:
         found: NDArray[np.int64],
     ) -> Batch:
         made = np.zeros(len(at_ns), self.outputs["row"])
-        made["host_ns"], made["vehicle_ns"] = now_ns, at_ns
-        for field, values in zip(("joint_rad", "joint_rad_s", "joint_rad_s2"), joints, strict=True):
+        innovation = self.online.innovation if isinstance(self.online, Identifier | Hypotheses) else np.nan
+        fields = (now_ns, at_ns, *joints, measured, sigma, found, innovation)
+        for field, values in zip((made.dtype.names or ())[1:], fields, strict=True):
             made[field] = values
-        made["measured"], made["sigma"], made["gate"] = measured, sigma, found
         return self._numbered("row", made)
 
     def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:

@@ -101,6 +101,11 @@ class Hypotheses:
         return self.chosen.rows_used
 
     @property
+    def innovation(self) -> FloatArray:
+        """Of the selected identifier."""
+        return self.chosen.innovation
+
+    @property
     def refused(self) -> dict[GateReason, int]:
         """Of the selected identifier."""
         return self.chosen.refused

@@ -78,6 +78,8 @@ class Identifier:
     Attributes:
         recursion: of the rows.
         payload: what is held, where its rows can tell all of it.
+        innovation: of the last update, (n, rows): measured less what the rows before let expect, over its sigma, as the
+            residual gate judges it; NaN where another gate left the row out.
         batch_ticks: ticks whose rows are gated and made linear with one estimate before they update it; at most.
 
     Raises:
@@ -126,14 +128,13 @@ class Identifier:
         if instruments_lag_s is None:
             self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
         else:
-            instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
-            self.recursion = instrumental
+            self.recursion = instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
         self._as_stated = Taken.of(self.rls, considered, base, prior_root)
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
-        self.rows_used = 0
+        self.rows_used, self.innovation = 0, np.zeros((0, len(rows)))
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
         self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
@@ -213,6 +214,7 @@ class Identifier:
             whole &= finite(signals.noise[:6])
             found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
+        self.innovation = np.full((n, m), np.nan)
         for first in range(0, n, self.batch_ticks):
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         if self.suspects is not None:
@@ -252,6 +254,7 @@ class Identifier:
         sigma = sigma * (widening := self.gate.widening(innovation, spread))
         which, column = np.nonzero(use)
         reasons[ticks[which], column] |= verdict
+        self.innovation[at[which], column] = innovation / spread
         if self.suspects is not None:
             self.suspects.take(signals, at, attached[at], use, sigma)
         if not kept.any():

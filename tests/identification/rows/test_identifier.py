@@ -96,6 +96,27 @@ def test_a_row_weighs_what_its_motion_is_known_to(rng):
         feed(identifier(considered=()), exact._replace(noise=None), held)
 
 
+def test_a_row_s_innovation_is_what_it_is_off_what_the_rows_before_it_let_expect(rng):
+    signals, held, _ = flight(rng)
+    before, at = 1000, slice(1000, 1001)
+
+    def innovation(off_sigma, reason=0):
+        who = identifier()
+        feed(who, part(signals, slice(before)), held[:before], step=50)
+        assert np.isfinite(who.innovation).all()
+        moved = signals._replace(measured=signals.measured + off_sigma * signals.sigma)
+        found = who.update(part(moved, at), held[at], np.full(1, reason, np.int64))
+        assert who.innovation.shape == (1, 1)
+        return float(who.innovation[0, 0]), int(found[0, 0])
+
+    (own, as_measured), (near, _), (far, refused) = innovation(0.0), innovation(1.0), innovation(100.0)
+    assert far - own == pytest.approx(100.0 * (near - own))
+    assert 0.3 < near - own <= 1.0  # its sigma holds what the motion's noise and the estimate's do, besides the cell's
+    assert abs(own) < 3.0
+    assert (as_measured, refused) == (0, GateReason.RESIDUAL)
+    assert np.isnan(innovation(0.0, GateReason.DRAG)[0])
+
+
 def test_batches_of_any_size_agree(rng):
     signals, held, _ = flight(rng)
     one, two = identifier(), identifier()
