@@ -30,8 +30,13 @@ def test_a_flight_without_a_single_bus_says_so_and_leaves_a_log(tmp_path: Path) 
         ("sync_line", "gpio:///dev/none?line=1"),
     )]  # fmt: skip
     command = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--log", str(log), "--duration", "1", *missing]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    told = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}  # its workers too say what they import
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False, env=told)
     assert done.returncode == cli.FAILED, done.stderr
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
+    assert imported >= {"onboard.flight.estimate.estimator", "onboard.flight.supervise.runner", "pinocchio"}
+    asked_for = ("onboard.page", "onboard.telemetry", "onboard.live", "spacepackets", "foxglove", "websockets")
+    assert not [name for name in imported if name.startswith(asked_for)]
     for bus in ("can_0", "i2c_1", "sync_line"):
         assert f"{bus}: bus_failed" in done.stderr
         assert f"bus {bus} was missing all flight" in done.stderr
