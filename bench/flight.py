@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.real_flight import WORKERS, RealFlight, all_processes, busy, cpu_s, flying, longer, pss_mb
+from bench.real_flight import WORKERS, RealFlight, all_processes, busy, cpu_s, flying, longer, pss_mb, waited_s
 from onboard import config
 from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
@@ -54,14 +54,14 @@ CPU_PERCENT = {"supervisor": 1.0, "recording": 3.0, "acquisition": 8.0, "estimat
 
 
 def watch(flight: RealFlight, seconds: float, lag_ms: float) -> tuple[np.ndarray, dict[str, Any]]:
-    """Latency of each row beyond ``lag_ms`` [ms], and CPU and PSS by process, in so many seconds."""
+    """Latency of each row beyond ``lag_ms`` [ms], and by process CPU, waits for a core and PSS, in so many seconds."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:
         print("the bench has no real-time priority: latencies contain its own")
     reader = RingReader(flight.rings / "row.ring")
     reader.position = reader.published
-    before = {pid: cpu_s(pid) for pid in all_processes(flight.process.pid)}
+    before = {pid: (cpu_s(pid), waited_s(pid)) for pid in all_processes(flight.process.pid)}
     began_s = time.monotonic()
     late: list[np.ndarray] = []
     while time.monotonic() - began_s < seconds and flight.process.poll() is None:
@@ -72,13 +72,13 @@ def watch(flight: RealFlight, seconds: float, lag_ms: float) -> tuple[np.ndarray
     passed_s = time.monotonic() - began_s
     used: dict[str, list[float]] = {}
     for pid, name in all_processes(flight.process.pid).items():
-        cpu, pss = used.setdefault(WORKERS.get(name, name), [0.0, 0.0])
-        used[WORKERS.get(name, name)] = [
-            cpu + 100 * (cpu_s(pid) - before.get(pid, 0.0)) / passed_s,
-            pss + pss_mb(pid),
-        ]
+        cpu, waits, pss = used.setdefault(WORKERS.get(name, name), [0.0, 0.0, 0.0])
+        had = before.get(pid, (0.0, 0.0))
+        spent = [100 * (now - past) / passed_s for now, past in zip((cpu_s(pid), waited_s(pid)), had, strict=True)]
+        used[WORKERS.get(name, name)] = [cpu + spent[0], waits + spent[1], pss + pss_mb(pid)]
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    said = {name: {"cpu_percent": cpu, "pss_mb": pss} for name, (cpu, pss) in used.items()}
+    keys = ("cpu_percent", "waits_percent", "pss_mb")
+    said = {name: dict(zip(keys, numbers, strict=True)) for name, numbers in used.items()}
     return np.concatenate([np.empty(0), *late]), said
 
 
@@ -226,9 +226,8 @@ def main() -> int:
             "load_average": load,
             "exit_code": code,
             "rows": len(late_ms),
-            "late_ms": {f"p{share}": float(np.percentile(late_ms, share)) for share in (50, 99, 100)}
-            if len(late_ms)
-            else {},
+            "late_ms": shares(late_ms),
+            "late_end_ms": shares(late_ms[len(late_ms) // 2 :]),
             "processes": used,
             "pss_mb": sum(one["pss_mb"] for one in used.values()),
             "recorder_gaps": len(log.read("recorder_gap")),
@@ -249,6 +248,11 @@ def main() -> int:
     return int(bool(missed))
 
 
+def shares(late_ms: np.ndarray) -> dict[str, float]:
+    """Median, p99 and largest; nothing of nothing."""
+    return {f"p{share}": float(np.percentile(late_ms, share)) for share in (50, 99, 100)} if len(late_ms) else {}
+
+
 def show(result: dict[str, Any], stated_ms: float) -> None:
     """Print it."""
     print(
@@ -256,10 +260,13 @@ def show(result: dict[str, Any], stated_ms: float) -> None:
         f"exit code {result['exit_code']}"
     )
     for name, one in sorted(result["processes"].items()):
-        print(f"  {name:16}{one['cpu_percent']:6.1f} % of a core{one['pss_mb']:8.1f} MB")
-    print(f"  all{sum(one['cpu_percent'] for one in result['processes'].values()):19.1f} %{result['pss_mb']:18.1f} MB")
+        waits = f"waits for one {one['waits_percent']:5.1f} % of the time"
+        print(f"  {name:16}{one['cpu_percent']:6.1f} % of a core, {waits}{one['pss_mb']:8.1f} MB")
+    print(f"  all{sum(one['cpu_percent'] for one in result['processes'].values()):19.1f} %{result['pss_mb']:50.1f} MB")
     late = ", ".join(f"{name} {value:.1f}" for name, value in result["late_ms"].items()).replace("p100", "max")
     print(f"sample to estimate, beyond lag_ms + step_ms = {stated_ms:g} ms [ms]: {late} ({result['rows']} rows)")
+    if result["late_end_ms"]:  # what it was behind after its start is worked off
+        print(f"  of their second half: p50 {result['late_end_ms']['p50']:.1f}, p99 {result['late_end_ms']['p99']:.1f}")
     print(
         f"rows missing {result['missing']}, in no gap record {result['unexplained']}, gaps of the recorder "
         f"{result['recorder_gaps']}, restarts {result['restarts']}"

@@ -94,6 +94,12 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def waited_s(pid: int) -> float:
+    """Time that a process was ready to run and had no core, all of its threads."""
+    threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(one.read_text().split()[1]) for one in threads) * 1e-9
+
+
 def memory_line(supervisor: int) -> str:
     """PSS of every process of a flight, and their sum."""
     found = [(name, pss_mb(pid)) for pid, name in all_processes(supervisor).items()]

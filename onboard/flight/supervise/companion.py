@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 _READY = "ready"
 _NICENESS = 10
@@ -45,6 +46,9 @@ def beside(module: str, arguments: Sequence[str], option: str) -> Iterator[str]:
 def settle() -> Callable[[], bool]:
     """Called first by such a process: lowers its priority, and leaves a terminal's signals to the flight.
 
+    Linux divides cores among sessions before it looks at priorities (``sched(7)``, autogroup): in the flight's
+    session the process would be paid from the flight's share.
+
     Returns:
         Whether who started it has ended without ending it.
     """
@@ -52,6 +56,9 @@ def settle() -> Callable[[], bool]:
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
+    with contextlib.suppress(OSError):  # it leads a session, or there are no autogroups
+        os.setsid()
+        Path("/proc/self/autogroup").write_text(f"{_NICENESS}\n", encoding="ascii")
     parent = os.getppid()
     return lambda: os.getppid() != parent
 

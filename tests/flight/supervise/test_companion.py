@@ -55,6 +55,10 @@ def test_a_terminal_s_signals_are_left_to_the_flight(tmp_path: Path) -> None:
     before = children(os.getpid())
     with beside("onboard.page", [str(tmp_path / "x.mcap"), ":0"], "--page"):
         [companion] = set(children(os.getpid())) - set(before)
+        assert os.getsid(companion) == companion  # sessions share the cores: it takes none of the flight's
+        group = Path(f"/proc/{companion}/autogroup")
+        assert not group.exists() or group.read_text(encoding="ascii").split()[1:] == ["nice", "10"]
+        assert os.getpriority(os.PRIO_PROCESS, companion) == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
         for number in (signal.SIGINT, signal.SIGHUP):
             os.kill(companion, number)
         time.sleep(0.5)
