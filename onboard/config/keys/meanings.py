@@ -126,7 +126,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "base_force_sigma_N": _M("How well that force is known to be zero, 1 sigma.", "thrusters, drag or cables act"),
         "base_moment_sigma_N_m": _M("The same of the moment.", "as above"),
         "zero_force_sigma_m_s2": _M(
-            "What zeroing leaves of a constant error of the specific force; estimated where given.",
+            "What zeroing leaves of a constant error of the specific force; estimated where given, and of a free body.",
             "the accelerometer is zeroed in flight",
         ),
         "phases": _M("Table: which phases of the mission are for identification."),
@@ -264,7 +264,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
     },
     ImuPriorKeys: {
-        "gyro_bias_rad_s": _M("Bias of the gyro at the start, 1 sigma by axis.", "from a data sheet or a calibration"),
+        "gyro_bias_rad_s": _M(
+            "Bias of the gyro at the start, 1 sigma by axis. Silent of a free body: 8.7e-3.",
+            "from a data sheet or a calibration",
+        ),
         "gyro_drift_rad_s2": _M("Its drift.", "the IMU warms up in flight"),
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
@@ -273,7 +276,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "the data sheet states it",
         ),
         "accelerometer_bias_m_s2": _M(
-            "Bias of the accelerometer at the start.", "from the data sheet, or a calibration"
+            "Bias of the accelerometer at the start. Silent of a free body: 0.1.",
+            "from the data sheet, or a calibration",
         ),
         "accelerometer_drift_m_s3": _M("Its drift.", "the IMU warms up in flight"),
         "accelerometer_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),

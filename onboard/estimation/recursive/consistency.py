@@ -38,6 +38,7 @@ from onboard.estimation.recursive.repeats import added_up, phases
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
+NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -191,7 +192,7 @@ class JackknifeEstimate:
         blocks: BlockScores,
         considered_sigma: ArrayLike = (),
         level: float = 0.95,
-        noise_sigma: float = 0.2,
+        noise_sigma: float = NOISE_SIGMA,
         scale: NoiseScale | None = None,
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)

@@ -143,8 +143,8 @@ class Identifier:
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
         self._of_motion = of_motion(considered)
-        moved = None if start is None else start.sensitivity
-        self._corrections = FittedCorrections(p, considered, block_s, moved) if free and self._of_motion else None
+        of_errors = p, considered, block_s, [joint.name for joint in model.vehicle.joints], start and start.sensitivity
+        self._corrections = FittedCorrections(*of_errors) if free and self._of_motion else None
         self.fits_errors = self._corrections is not None and memory == FOR_EVER  # the fit is of all times
         self._errors = ConsideredErrors(considered, model, self._fold, p)
         if self._of_motion and memory == FOR_EVER:

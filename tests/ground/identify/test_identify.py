@@ -186,8 +186,22 @@ def test_a_log_that_no_load_goes_by(tmp_path: Path, capsys: pytest.CaptureFixtur
     log = throws.write(tmp_path / "teapot.mcap", LOAD.inertia_kg_m2, LOAD.centre_of_mass_m, TUMBLES[0])
     assert "no load of" in (said := fails([str(log)], capsys))
     assert "config_a (*config_a*)" in said
+    assert "or write [[free_body.load]]" in said
     with pytest.raises(LoadError, match="more than one load"):
         load_of(TUDELFT, Path("config_a_config_b.mcap"))
+
+
+def test_a_file_without_loads_is_said_how_to_write_one(tmp_path: Path) -> None:
+    bare = without_loads(tmp_path)
+    with pytest.raises(LoadError, match=r'write \[\[free_body.load\]\] with a name, logs = "own.mcap" and mass_kg'):
+        load_of(bare, Path("own.mcap"))
+
+
+def without_loads(directory: Path) -> config.Vehicle:
+    """The device of the throws, of which no load is known."""
+    (directory / "tudelft.urdf").write_text(TUDELFT.urdf_text)
+    (directory / "vehicle.toml").write_text(TUDELFT.text.split("[[free_body.load]]")[0])
+    return config.load(directory / "vehicle.toml")
 
 
 def test_files_that_are_no_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,10 +5,11 @@ import pytest
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.stated_errors.considered import Considered, columns
+from onboard.identification.rows.stated_errors.considered import Considered, columns, misread_noise
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import base_motion
+from onboard.regressor.signals import SignalNoise
 from tests.identification.rows.rocksat_flight import (
     SCALE,
     SCALE_SIGMA,
@@ -171,6 +172,49 @@ def test_a_bias_of_the_imu_is_considered_as_it_changes_the_rows(rng, effect, sen
     C = D @ [*mean, 1.0]
     np.testing.assert_allclose(C[:, 0], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
     assert np.abs(C).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("effect", "axis"),
+    [
+        ("joint_scale", None),
+        ("gyro_scale", None),
+        ("gyro_scale", 1),
+        ("gyro_misalignment", 1),
+        ("accelerometer_scale", 0),
+        ("accelerometer_misalignment", 2),
+    ],
+)
+def test_noise_of_a_signal_is_noise_in_what_an_error_of_its_reading_does(rng, effect, axis):
+    """By differences, in signals of which rows are linear: acceleration of the joint and the base, specific force."""
+    signals, held, _ = flight(rng)
+    who, at = identifier(()), np.array([held.size // 2])
+    joint, mean, p = who.model.vehicle.joints[0].name, who.base.value(who.model.chi), len(who.base.names)
+    cause = Considered("error", joint if effect == "joint_scale" else "imu_base", effect, 0.01, axis=axis)
+    use = np.ones((1, len(who.model.rows)), np.bool_)
+
+    def done(of):
+        D = columns([cause], who.model, of, at, use, held, p, lambda each: who._errors.regressors(each, at, held))
+        assert D is not None
+        return D[:, 0] @ [*mean, 1.0]
+
+    R, place = setup()[0].pose_in_base("imu_base")
+    w, dw, f = signals.motion
+    read = [w @ R, dw @ R, (f + np.cross(dw, place) + np.cross(w, np.cross(w, place))) @ R]
+    noisy = [signals._replace(ddq=signals.ddq + 1e-3)]
+    for kind in (1, 2):
+        for each in np.eye(3):
+            parts = [value + 1e-3 * each * (kind == n) for n, value in enumerate(read)]
+            noisy.append(signals._replace(motion=base_motion(setup()[0], "imu_base", *parts)))
+    n = len(signals.time_s)
+    spread = SignalNoise(*[np.full((n, 1), 1e-3)] * 3, *[np.full((n, 3), 1e-3)] * 3)
+    changes, _ = who._noise.changes(signals, spread, at, held, mean)
+    expected = misread_noise([cause], [joint])[0] @ (changes[0] @ [*mean, -1.0]).T  # (s, rows)
+    found = np.array([done(one) - done(signals) for one in noisy])
+    of_joint = effect == "joint_scale"  # an angle multiplies the others' noise, too
+    found, expected = (found[:1], expected[2:3]) if of_joint else (found, expected[[2, *range(6, 12)]])
+    assert np.abs(found).max() > 1e-6
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9)
 
 
 def test_a_gain_of_the_recording_with_the_payload_moves_its_rows_alone(rng):

@@ -23,6 +23,7 @@ from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gain
 from onboard.flight.estimate.problem.exiddm_keys import SigmaKeys
 from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.problem.priors import (
+    biases,
     check_springs,
     disturbance_prior,
     exiddm_prior,
@@ -295,9 +296,10 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             considered += of_cell(cell, scaled=scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
         considered = [*of_gains(considered, roles), *of_motion(roles)]
-        zero_force = settings.zero_force_sigma_m_s2
+        zero_force, gyro_bias = biases(vehicle)
         if roles.imus:
-            considered += of_bias(roles.imu, settings.imu_prior, accelerometer=zero_force is None)
+            left = settings.imu_prior.model_copy(update={"gyro_bias_rad_s": gyro_bias})
+            considered += of_bias(roles.imu, left, accelerometer=zero_force is None)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:

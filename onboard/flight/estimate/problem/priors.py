@@ -19,6 +19,9 @@ from onboard.regressor.rows import RowModel
 
 # Of a silent file: air, umbilicals and valves of bench flights, 0.01 N on the 26 kg of DYMAFLEX.
 UNTOLD_m_s2 = 4e-4
+# Of a free body's IMU: as heft init writes them for a free base. A consumer's chip over its temperatures, once zeroed:
+# the data sheet of the BMI088 has 0.2 mg/K and 0.015 deg/s/K, 50 and 33 K of which these are.
+UNTOLD_BIAS_m_s2, UNTOLD_BIAS_rad_s = 0.1, 8.7e-3
 
 
 def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
@@ -64,6 +67,24 @@ def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
     keys = vehicle.file.estimation.imu_prior
     prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
     return prior.with_cross_axis(*keys.cross_axis)
+
+
+def biases(vehicle: config.Vehicle) -> tuple[float | None, float]:
+    """What rows take for the IMU's biases, 1 sigma by axis: of the accelerometer's, where it is estimated; the gyro's.
+
+    Of a free body, silent keys are what a calibration leaves: nobody's IMU is without a bias, and the rows tell a
+    turning accelerometer's. That is estimated there, whichever key states it; 0 states that it is exact.
+    """
+    settings, keys = vehicle.file.estimation, vehicle.file.estimation.imu_prior
+    estimated, gyro = settings.zero_force_sigma_m_s2, keys.gyro_bias_rad_s
+    if vehicle.file.free_body is None:
+        return estimated, gyro
+    if "gyro_bias_rad_s" not in keys.model_fields_set:
+        gyro = UNTOLD_BIAS_rad_s
+    if estimated is None:
+        silent = "accelerometer_bias_m_s2" not in keys.model_fields_set
+        estimated = UNTOLD_BIAS_m_s2 if silent else keys.accelerometer_bias_m_s2 or None
+    return estimated, gyro
 
 
 def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:

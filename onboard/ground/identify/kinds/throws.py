@@ -164,10 +164,13 @@ def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
     found = [load for load in loads if fnmatchcase(log.name, load.logs)]
     if len(found) == 1:
         return found[0]
-    known = ", ".join(f"{load.name} ({load.logs})" for load in found or loads) or "none"
-    what = "more than one load" if found else "no load"
+    own = f'[[free_body.load]] with a name, logs = "{log.name}" and mass_kg, the whole as weighed without the carrier'
+    if not loads:
+        raise LoadError(f"{log}: {vehicle.path} does not say what it weighs; write {own} (docs/free_body.md)")
+    known = ", ".join(f"{load.name} ({load.logs})" for load in found or loads)
+    what, remedy = ("more than one load", "") if found else ("no load", f", or write {own}")
     raise LoadError(
-        f"{log}: {what} of {vehicle.path} goes by this name: {known}; rename the log, or correct its 'logs'"
+        f"{log}: {what} of {vehicle.path} goes by this name: {known}; rename the log, or correct its 'logs'{remedy}"
     )
 
 

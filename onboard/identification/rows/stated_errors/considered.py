@@ -170,6 +170,37 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
     return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))
 
 
+def misread_noise(considered: Sequence[Considered], joints: Sequence[str]) -> FloatArray:
+    """By how much noise in each signal is noise in what an error does to a row: d y / d c scales or turns the signal.
+
+    Args:
+        considered: k causes.
+        joints: of the model, in its order.
+
+    Returns:
+        (k, s, s) noise of ``d y / d c`` by each of s signals of :class:`onboard.regressor.noise.RowNoise` (angles,
+        rates, accelerations of the joints; rate, angular acceleration and specific force in axes of the IMU), on what
+        one sigma of each does to the row, without products of two signals. Three axes of one kind are taken as equally
+        noisy. None of biases and zeros, which are constant; none of delays, which the fit leaves as stated, or of
+        errors of a row's own reading.
+    """
+    own = len(joints)
+    made = np.zeros((len(considered), 3 * own + 9, 3 * own + 9))
+    for k, cause in enumerate(considered):
+        if cause.effect == "joint_scale":
+            at = joints.index(cause.row) + own * np.arange(3)
+            made[k, at, at] = -1.0
+        gyro = cause.effect.startswith("gyro")
+        for first in 3 * own + (np.array([0, 3]) if gyro else np.array([6])):
+            at = first + np.arange(3)
+            if cause.effect in ("gyro_scale", "accelerometer_scale"):
+                scaled = at if cause.axis is None else at[[cause.axis]]
+                made[k, scaled, scaled] = -1.0
+            elif cause.effect in ("gyro_misalignment", "accelerometer_misalignment"):
+                made[k, at[:, None], at] = -np.cross(np.eye(3), np.eye(3)[cause.axis or 0])
+    return made
+
+
 def rate_of(signals: Signals, values: FloatArray) -> FloatArray:
     """Rate of change from tick to tick, (n, columns); zero where a neighbour is missing."""
     if len(values) < 2:

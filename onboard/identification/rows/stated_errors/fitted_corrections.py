@@ -12,6 +12,10 @@ error lies beyond what was stated of it. Rows are summed into blocks of time as 
 :mod:`onboard.estimation.recursive.consistency`; the scatter of the fit without each block is part of the sigma that it
 is compared with (derived here).
 
+What an error does to a row is made of the same noisy signals as the row: of a free body, where every left-hand side is
+zero, a fit would scale a noisy signal down rather than explain it. The noise of these columns, and what it shares with
+the rows, is subtracted as that of the regressor is, and doubt in its power is part of the sigma.
+
 An error whose effect the parameters reproduce is not determined, and its fit would follow the noise of the regressor:
 the share of its effect that they do not reproduce must exceed what they leave over of the readings, and the noise of
 the regressor. (The scale of a free body's rotor: it multiplies all inertias.)
@@ -31,8 +35,8 @@ from scipy.special import stdtrit
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import HALF, INTERVAL
-from onboard.estimation.recursive.consistency import BlockScores, NoiseScale, noise_scale
-from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.estimation.recursive.consistency import NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
+from onboard.identification.rows.stated_errors.considered import Considered, misread_noise
 from onboard.identification.rows.stated_errors.stated import FREEDOM
 
 _OPEN = 1e3  # prior sigmas: the error that is fitted
@@ -69,13 +73,20 @@ class FittedCorrections:
         parameters: p.
         considered: k errors; those without a sigma are not fitted.
         block_s: first length of a block.
+        joints: of the model, in the order of their signals.
         start: (p, k) change of the prior's mean per unit of each error, where an earlier flight made it.
     """
 
     def __init__(
-        self, parameters: int, considered: Sequence[Considered], block_s: float, start: FloatArray | None = None
+        self,
+        parameters: int,
+        considered: Sequence[Considered],
+        block_s: float,
+        joints: Sequence[str] = (),
+        start: FloatArray | None = None,
     ) -> None:
         self._p, self._causes = parameters, tuple(considered)
+        self._misread = misread_noise(considered, joints)  # (k, s, s)
         start = np.zeros((parameters, len(self._causes))) if start is None else start
         self._start = np.hstack([np.eye(parameters), start])  # of parameters and errors, what the prior's mean is of
         self._settled = BlockScores(parameters + len(self._causes), block_s)
@@ -117,6 +128,8 @@ class FittedCorrections:
                 wider = np.zeros((*noise.shape[:2], p + k + 1))
                 wider[..., :p] = noise[..., :p]
                 wider[..., -1] = noise[..., p] if noise.shape[2] > p else 0.0
+                effect = noise[..., :p] @ mean - wider[..., -1]  # (m, s)
+                wider[..., p:-1] = np.einsum("kst,mt->msk", self._misread, effect)
             C = D.reshape(len(y), k, p + 1) @ [*mean, 1.0]
             blocks.add(times_s, np.column_stack([Y, C]), y, sigma, wider)
         return blocks
@@ -148,7 +161,9 @@ class FittedCorrections:
         own = np.maximum(1.0 / variance - (1.0 - _OPEN**-2) * stated[fitted] ** -2, np.finfo(np.float32).tiny)
         alone = found / variance / own  # (1 + b, k): its own prior opened, by its marginal
         scatter = (len(H) - 1) / len(H) * ((alone[1:] - alone[0]) ** 2).sum(axis=0)
-        in_sigmas = alone[0] / np.sqrt(stated[fitted] ** 2 + np.maximum(scatter, 1.0 / own[0]))
+        taken_off = (covariance[0] @ (blocks.noise @ (covariance[0] @ total) - blocks.noise_moment))[at]
+        doubt = NOISE_SIGMA * taken_off / variance[0] / own[0]
+        in_sigmas = alone[0] / np.sqrt(stated[fitted] ** 2 + np.maximum(scatter, 1.0 / own[0]) + doubt**2)
         noise = float(mean @ blocks.noise[:p, :p] @ mean)
         worth = left_over**2, noise
         told = np.array([self._is_told(sums + before, sums[p + k, p + k], int(k), *worth) for k in fitted], np.bool_)

@@ -82,3 +82,32 @@ def test_an_effect_is_taken_at_the_last_estimate_while_its_rows_are_kept(rng, mo
         one.add(time_s[part], Y[part], y[part], np.full(100, 0.001), D[part], None, 2.0 * chi)
     [[rms]] = one.fitted(*PRIOR, 0.001, chi).root
     assert rms == pytest.approx(size, rel=0.03)
+
+
+def test_noise_of_the_reading_is_no_scale_of_it():
+    """f (1 - c) + w chi = 0, nothing is on the left: with the noise's power not taken off c is found at 2 %."""
+    found = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        time_s, chi, sigma, equation = 0.01 * np.arange(600), 2.0, 0.3, 0.05
+        w = rng.normal(size=(600, 2))  # of the rows along x and along y
+        f = (
+            -chi * w
+            + equation * rng.normal(size=(600, 2))
+            + np.column_stack([sigma * rng.normal(size=600), np.zeros(600)])
+        )
+        noise = np.zeros((1200, 9, 2))  # of f along x, which is in the known part: on the left-hand side
+        noise[:600, 6, -1] = -sigma
+        C = np.concatenate([-f[:, 0], np.zeros(600)])
+        one = FittedCorrections(1, (Considered("scale", "imu", "accelerometer_scale", 0.005, axis=0),), 0.1)
+        rows = (
+            np.tile(time_s, 2),
+            w.T.reshape(-1, 1),
+            -f.T.ravel(),
+            np.repeat([np.hypot(sigma, equation), equation], 600),
+        )
+        one.add(*rows, np.stack([0.0 * C, C], axis=1), noise, np.array([chi]))
+        found += one.fitted(np.array([[1e-6]]), np.zeros(1), 0.15, np.array([chi])).in_sigmas.values()
+    assert len(found) == 10
+    assert abs(np.mean(found)) < 1.0
+    assert np.sqrt(np.mean(np.square(found))) < 1.6

@@ -1,0 +1,41 @@
+"""Biases of a free body's IMU: the accelerometer's is estimated, whichever key states it, and where none does."""
+
+import pytest
+
+from onboard import config
+from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.flight.estimate.problem.priors import biases
+
+STATED = "gyro_bias_rad_s = 2e-3\naccelerometer_bias_m_s2 = 0.03 # which is estimated\n"
+
+
+def vehicle(directory, keys, also=""):
+    """The packaged device of the throws, with other keys of its IMU's biases."""
+    packaged = config.named("tudelft")
+    assert packaged.text.count(STATED) == 1
+    text = packaged.text.replace(STATED, keys).replace("block_ms = 50", f"{also}block_ms = 50")
+    (directory / "vehicle.toml").write_text(text)
+    (directory / "tudelft.urdf").write_text(packaged.urdf_text)
+    return config.load(directory / "vehicle.toml")
+
+
+@pytest.mark.parametrize(
+    ("keys", "also", "expected"),
+    [
+        ("", "", (0.1, 8.7e-3)),
+        (STATED, "", (0.03, 2e-3)),
+        ("accelerometer_bias_m_s2 = 0\ngyro_bias_rad_s = 0\n", "", (None, 0.0)),
+        ("accelerometer_bias_m_s2 = 0.03\n", "zero_force_sigma_m_s2 = 0.2\n", (0.2, 8.7e-3)),
+    ],
+)
+def test_a_silent_file_has_biases_of_what_a_calibration_leaves(tmp_path, keys, also, expected):
+    asked = vehicle(tmp_path, keys, also)
+    assert biases(asked) == expected
+    who, _ = build_identifier(asked)
+    assert ("zero_force_x" in who.base.names) == (expected[0] is not None)
+    kinds = {one.effect: one.sigma for one in who.considered if one.effect.endswith("bias")}
+    assert kinds == ({"gyro_bias": expected[1]} if expected[1] else {})
+
+
+def test_rows_of_an_arm_have_none_but_what_is_stated():
+    assert biases(config.named("student_arm")) == (None, 2e-3)
