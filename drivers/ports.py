@@ -66,6 +66,40 @@ def gathered(port: CanPort, seconds: float) -> list[CanFrame]:
     return [] if gather is None else gather(seconds)
 
 
+class Look(NamedTuple):
+    """Whether a data line is high, and CLOCK_MONOTONIC ns when that had been read."""
+
+    high: bool
+    host_ns: int
+
+
+class Clocked(NamedTuple):
+    """Level of a data line after each pulse of its clock line, the first one in the highest bit.
+
+    ``high_ns``: longest time for which the clock line may have been high; ``host_ns``: when the last pulse had ended.
+    """
+
+    bits: int
+    high_ns: int
+    host_ns: int
+
+
+class ClockedPort(Protocol):
+    """A clock line out and a data line in. Raises OSError when they are gone."""
+
+    def look(self) -> Look:
+        """Level of the data line."""
+
+    def drive(self, high: bool) -> None:
+        """Set the clock line."""
+
+    def clock_out(self, pulses: int) -> Clocked:
+        """Pulses of the clock line, as short as they can be."""
+
+    def close(self) -> None:
+        """Release both lines."""
+
+
 class Edge(NamedTuple):
     """A rising edge of the sync line: when the kernel saw it, when we read it, and its number on the line."""
 

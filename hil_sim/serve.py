@@ -2,11 +2,11 @@
 
     python -m hil_sim.serve SCENARIO --seed N --directory DIR
 
-I2C is a Unix stream socket, CAN a Lawicel adapter on a pseudo-terminal, a serial line a pseudo-terminal, the pulse line
-datagrams to a socket that the flight computer binds. When everything can be opened, one JSON line says where, by the
-name of each bus, when mission time 0 is (``start_ns``) and how long the mission lasts (``duration_s``). At the end of
-the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`` and ``server`` (what was lost on the
-way, and how late the loop ever was).
+I2C and pairs of GPIO lines are Unix stream sockets, CAN a Lawicel adapter on a pseudo-terminal, a serial line a
+pseudo-terminal, the pulse line datagrams to a socket that the flight computer binds. When everything can be opened, one
+JSON line says where, by the name of each bus, when mission time 0 is (``start_ns``) and how long the mission lasts
+(``duration_s``). At the end of the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`` and
+``server`` (what was lost on the way, and how late the loop ever was).
 
 With ``--wait`` the first line has no ``start_ns``: the devices are powered up when a line comes on stdin, and a line
 with ``start_ns`` answers. After ``duration_s`` the devices stay on for ``LINGER_S``, the arm at rest: a busy flight
@@ -28,13 +28,15 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
+from hil_sim.buses.gpio.pair import PairBus
+from hil_sim.buses.i2c_dev import I2cTarget
 from hil_sim.buses.i2c_socket import I2cSocket
 from hil_sim.buses.in_process import EdgePort
-from hil_sim.buses.media import CanBus, I2cBus
+from hil_sim.buses.media import Bus, CanBus, I2cBus
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.realtime import MissionServer
@@ -48,6 +50,7 @@ from hil_sim.scenario.bus_tables import (
     BusTable,
     CanBusTable,
     I2cBusTable,
+    PairBusTable,
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
@@ -60,12 +63,15 @@ _USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often
 LINGER_S: Final = 30.0
 
 
-class _I2cPort(Port):
-    def __init__(self, path: Path, bit_rate: int) -> None:
+class _Wires(Bus, I2cTarget, Protocol):
+    """Wires that are asked."""
+
+
+class _WiresPort(Port):
+    def __init__(self, scheme: str, path: Path, wires: _Wires, bit_rate: int) -> None:
         path.unlink(missing_ok=True)
-        self._wires = I2cBus()
-        self._socket = I2cSocket(path, self._wires, bit_rate)
-        super().__init__(self._wires, f"i2c+unix://{path}")
+        self._socket = I2cSocket(path, wires, bit_rate)
+        super().__init__(wires, f"{scheme}+unix://{path}")
 
     @property
     def files(self) -> list[int]:
@@ -78,11 +84,29 @@ class _I2cPort(Port):
     def advance(self, now_ns: int) -> None:
         self._socket.advance(now_ns)
 
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _I2cPort(_WiresPort):
+    def __init__(self, path: Path, bit_rate: int) -> None:
+        self._wires = I2cBus()
+        super().__init__("i2c", path, self._wires, bit_rate)
+
     def counts(self) -> dict[str, int]:
         return {"transfers": self._wires.transfers, "refused": self._wires.refused}
 
-    def close(self) -> None:
-        self._socket.close()
+
+class PairPort(_WiresPort):
+    """A clock line and a data line on a Unix socket; kernel tier and this one share it."""
+
+    def __init__(self, path: Path) -> None:
+        self._pair = PairBus()
+        super().__init__("gpio-pair", path, self._pair, 400_000)
+
+    def counts(self) -> dict[str, int]:
+        """See ``Port``."""
+        return {"pulses": self._pair.pulses}
 
 
 class _CanPort(Port):
@@ -172,6 +196,8 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
         match table:
             case I2cBusTable():
                 return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
+            case PairBusTable():
+                return PairPort(directory / f"{bus}.sock")
             case CanBusTable():
                 return _CanPort(directory / bus, table.bit_rate, seed)
             case PulseLineTable():

@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hil_sim.buses.gpio.pair import PairBus
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.serial_bus import SerialBus
@@ -166,6 +167,8 @@ class Twins:
                 self._bus(table.drives, PulseLine).drive(twin.device)
         elif table.needs == "i2c":
             self._bus(table.bus, I2cBus).add(twin.device)
+        elif table.needs == "pair":
+            self._bus(table.bus, PairBus).add(twin.device)
         elif table.needs == "can":
             self._bus(table.bus, CanBus).add(twin.device)
         elif table.needs in ("tcp", "udp"):

@@ -7,7 +7,8 @@ decisions. Bus libraries are imported when a port is opened.
 import time
 from collections.abc import Callable
 
-from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort
+from drivers.errors import UrlError
+from drivers.ports import CanPort, ClockedPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort
 from drivers.transports.url import BusUrl, parse
 
 Clock = Callable[[], int]
@@ -20,6 +21,7 @@ CAN_URLS = {
     "can+python": ("path", "bitrate"),
 }
 PULSE_URLS = {"gpio": ("path", "line"), "pps": ("path",), "gpio+unix": ("path",)}
+PAIR_URLS = {"gpio-pair": ("path", "data", "clock"), "gpio-pair+unix": ("path",)}
 PULSE_OUTPUT_URLS = {"gpio-out": ("path", "line"), "gpio-out+unix": ("path",)}
 SERIAL_URLS = {"serial": ("path", "baud", "parity", "stop_bits", "timeout_s")}
 
@@ -131,6 +133,28 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
     from drivers.transports.gpio_reopen import ReopeningPulseOutput  # noqa: PLC0415
 
     return ReopeningPulseOutput(lambda: GpiodOutput.open(bus.path, line, clock), clock)
+
+
+def open_pair(url: str, clock: Clock) -> ClockedPort:
+    """Open a clock line and a data line. A GPIO chip that went is opened again when it is back.
+
+    Args:
+        url: ``gpio-pair:///dev/gpiochip0?data=5&clock=6``, or ``gpio-pair+unix:///path.sock`` (a simulator's).
+        clock: CLOCK_MONOTONIC, ns.
+
+    Raises:
+        UrlError: The URL is not one of these.
+        OSError: The lines cannot be opened.
+    """
+    bus = parse(url, PAIR_URLS)
+    from drivers.transports.gpio_pair import GpiodPair, ReopeningPair, UnixPair  # noqa: PLC0415
+
+    if bus.kind == "gpio-pair+unix":
+        return UnixPair(bus.path, clock)
+    data, clock_line = bus.integer("data"), bus.integer("clock")
+    if data == clock_line:
+        raise UrlError(f"bus URL {url!r} has one line for both: correct data or clock")
+    return ReopeningPair(lambda: GpiodPair.open(bus.path, data, clock_line, clock), clock)
 
 
 def rest(seconds: float) -> None:

@@ -18,7 +18,14 @@ SLCAN_BITRATES = {  # bit/s: the adapter's S command
     800_000: "S7",
     1_000_000: "S8",
 }
-COMPULSORY = {"serial": "baud", "gpio": "line", "gpio-out": "line", "can+slcan": "bitrate", "can+python": "bitrate"}
+COMPULSORY = {
+    "serial": ("baud",),
+    "gpio": ("line",),
+    "gpio-out": ("line",),
+    "gpio-pair": ("data", "clock"),
+    "can+slcan": ("bitrate",),
+    "can+python": ("bitrate",),
+}
 ONE_OF = {
     "can+slcan bitrate": tuple(map(str, SLCAN_BITRATES)),
     "parity": ("N", "E", "O"),
@@ -28,7 +35,7 @@ ONE_OF = {
 RANGES = {  # of an option that is a number
     "bitrate": (1, 1_000_000),  # ISO 11898-1
     "baud": (50, 12_000_000),  # the slowest of POSIX; the fastest USB adapters
-    "line": (0, 2**32 - 1),  # the kernel's GPIO_V2 offsets
+    **dict.fromkeys(("line", "data", "clock"), (0, 2**32 - 1)),  # the kernel's GPIO_V2 offsets
     "receive_buffer": (1, 2**31 - 1),  # an int of setsockopt
     "timeout_s": (0, 3600),
 }
@@ -106,9 +113,9 @@ def _options(who: str, scheme: str, given: list[tuple[str, str]], allowed: list[
     if unknown := sorted(set(options) - set(allowed)):
         known = f"use only {', '.join(allowed)}" if allowed else "it takes none"
         raise UrlError(f"{who} has unknown options {', '.join(unknown)}: {known}")
-    missing = COMPULSORY.get(scheme)
-    if missing is not None and missing not in options:
-        raise UrlError(f"{who} lacks {missing}: add '?{missing}=...'")
+    for needed in COMPULSORY.get(scheme, ()):
+        if needed not in options:
+            raise UrlError(f"{who} lacks {needed}: add '?{needed}=...'")
     for name, value in options.items():
         if why := _wrong(scheme, name, value):
             raise UrlError(f"{who}: {name}={value} {why}")

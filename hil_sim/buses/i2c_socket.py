@@ -13,6 +13,7 @@ from collections import deque
 from pathlib import Path
 from typing import Final
 
+from hil_sim.buses.i2c_dev import I2cTarget
 from hil_sim.buses.media import I2cBus
 from hil_sim.faults import NEVER
 
@@ -37,7 +38,7 @@ class I2cSocket:
         bit_rate: Of the wires, bit/s.
     """
 
-    def __init__(self, path: Path, bus: I2cBus, bit_rate: int = 400_000) -> None:
+    def __init__(self, path: Path, bus: I2cTarget, bit_rate: int = 400_000) -> None:
         self._bus = bus
         self._bit_rate = bit_rate
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -1,7 +1,7 @@
 """Tier T0: the flight computer's bus ends in its own process, on a virtual clock.
 
-smbus2 with its ioctl answered, python-can's ``virtual`` interface, port objects for ``serial.Serial``, and pulse
-datagrams. Nothing here reads a clock or starts a thread.
+smbus2 with its ioctl answered, libgpiod with a chip of two lines, python-can's ``virtual`` interface, port objects for
+``serial.Serial``, and pulse datagrams. Nothing here reads a clock or starts a thread.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from hil_sim.buses.can_virtual import VirtualCan, install_can
+from hil_sim.buses.gpio.pair import PairBus, install_pair
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.buses.network import NetworkBus
@@ -21,6 +22,7 @@ from hil_sim.scenario.bus_tables import (
     BusTable,
     CanBusTable,
     I2cBusTable,
+    PairBusTable,
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
@@ -36,6 +38,16 @@ class _I2cPort(Port):
 
     def close(self) -> None:
         self._installed.uninstall()
+
+
+class _PairPort(Port):
+    def __init__(self, path: str, clock: Callable[[], int]) -> None:
+        bus = PairBus()
+        self._uninstall = install_pair(path, bus, clock)
+        super().__init__(bus, f"gpio-pair://{path}?data=5&clock=6")
+
+    def close(self) -> None:
+        self._uninstall()
 
 
 class _CanPort(Port):
@@ -82,19 +94,11 @@ class _SerialPort(Port):
         self._installed.uninstall()
 
 
-class _TcpPort(Port):
-    def __init__(self, host: str) -> None:
-        self._host = VirtualTcp(host)
-        super().__init__(NetworkBus(self._host), f"tcp://{host}:30004")
-
-    def close(self) -> None:
-        self._host.close()
-
-
-class _UdpPort(Port):
-    def __init__(self, host: str) -> None:
-        self._host = UdpEnd(host)
-        super().__init__(NetworkBus(self._host), f"udp://{host}:49152")
+class _NetworkPort(Port):
+    def __init__(self, table: TcpBusTable | UdpBusTable, host: str) -> None:
+        tcp = isinstance(table, TcpBusTable)
+        self._host = VirtualTcp(host) if tcp else UdpEnd(host)
+        super().__init__(NetworkBus(self._host), f"{table.kind}://{host}:{30004 if tcp else 49152}")
 
     def close(self) -> None:
         self._host.close()
@@ -118,15 +122,15 @@ def in_process(
         match table:
             case I2cBusTable():
                 return _I2cPort(f"/dev/i2c-{name}-{bus}", clock)
+            case PairBusTable():
+                return _PairPort(f"/dev/gpiochip-{name}-{bus}", clock)
             case CanBusTable():
                 return _CanPort(f"{name}_{bus}", table.bit_rate, seed)
             case PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
                 return _SerialPort(f"/dev/hil-{name}-{bus}", table, seed)
-            case TcpBusTable():
-                return _TcpPort(f"hil-{name}-{bus}")
-            case UdpBusTable():
-                return _UdpPort(f"hil-{name}-{bus}")
+            case TcpBusTable() | UdpBusTable():
+                return _NetworkPort(table, f"hil-{name}-{bus}")
 
     return open_ports(tables, open_port, seed)

@@ -220,6 +220,8 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
                     "bit_rate": int(options.get("bitrate", 500_000)),
                     "sync_channel": syncs[name][0] if name in syncs else None,
                 }
+            case "gpio-pair":
+                return {"kind": "pair"}
             case "gpio" | "pps":
                 return {"kind": "pulse", "channel": lines[name][0]}
             case "serial":

@@ -19,12 +19,13 @@ from hil_sim.scenario.bus_tables import (
     BusTable,
     CanBusTable,
     I2cBusTable,
+    PairBusTable,
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
     UdpBusTable,
 )
-from hil_sim.serve import NetworkPort, PseudoTerminal
+from hil_sim.serve import NetworkPort, PairPort, PseudoTerminal
 
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
 _BURST_NS: Final = 3_000_000  # but none waits longer
@@ -109,6 +110,8 @@ def open_nodes(
         match table:
             case I2cBusTable():
                 return _I2cPort(_counted_on(i2c_node, place), table.bit_rate)
+            case PairBusTable():
+                return PairPort(directory / f"{bus}.sock")
             case CanBusTable():
                 return _CanPort(_counted_on(can_interface, place), table.bit_rate, seed)
             case PulseLineTable():

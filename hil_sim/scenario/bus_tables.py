@@ -29,6 +29,12 @@ class PulseLineTable(Table):
     channel: str
 
 
+class PairBusTable(Table):
+    """A clock line and a data line to one chip."""
+
+    kind: Literal["pair"]
+
+
 class SerialBusTable(Table):
     """A line to one device; ``adapter_latency_ms``: latency timer of a USB adapter, 0 without one."""
 
@@ -52,7 +58,7 @@ class UdpBusTable(Table):
 
 
 BusTable = Annotated[
-    I2cBusTable | CanBusTable | PulseLineTable | SerialBusTable | TcpBusTable | UdpBusTable,
+    I2cBusTable | CanBusTable | PulseLineTable | PairBusTable | SerialBusTable | TcpBusTable | UdpBusTable,
     Field(discriminator="kind"),
 ]
 

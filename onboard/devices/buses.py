@@ -14,7 +14,7 @@ from pydantic import Field
 
 from drivers import transports
 from drivers.device import Device
-from drivers.ports import I2cPort, PulsePort, SerialPort
+from drivers.ports import ClockedPort, I2cPort, PulsePort, SerialPort
 from drivers.records import PULSE, SCALAR
 from drivers.transports.url import parse
 from onboard.devices.base import BusDevice, Channels, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
@@ -198,6 +198,24 @@ class ComponentDevice(LoadCellDevice):
         if self.measures != ("force" if self.component < 4 else "moment") or self.lever_m != 1.0:
             text = "components 1 to 3 are forces, 4 to 6 moments, without lever_m"
             yield ["device", name, "measures"], f"{name!r} is component {self.component}: {text}; correct it"
+
+
+class PairDevice(BusDevice):
+    """A device on a clock line and a data line of its own."""
+
+    bus_type = "a clock line and a data line"
+    urls = transports.PAIR_URLS
+    new_bus = "cell_lines"
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """See ``BusDevice``."""
+        port = bus.own(transports.open_pair(bus.url, bus.clock))
+        return [device.driver(name, port) for name, device in bus.devices.items()]
+
+    def driver(self, name: str, port: ClockedPort) -> Device:
+        """Its driver on open lines."""
+        raise NotImplementedError
 
 
 class PulseDevice(BusDevice):

@@ -92,7 +92,7 @@ def test_conversions_are_put_on_the_time_when_they_ended(tmp_path, monkeypatch):
 
     def watched(self, *arguments):
         convert(self, *arguments)
-        ended_s.append(self._last_s)
+        ended_s.append(self.conversions.last_s)
 
     monkeypatch.setattr(Nau7802Twin, "_convert", watched)
     with MixedWorld(tmp_path) as world:

@@ -6,10 +6,9 @@ GCAL1 (800000h is 1), 0Ah and 0Dh the same of channel 2, 11h I2C control, 12h AD
 control, 1Fh revision (0Fh). Full scale is half the reference over the gain, either way; AVDD is the reference and feeds
 the bridge. Output = GCAL x (conversion - OCAL).
 
-Where the data sheet is silent, or was not at hand: the digital filter is four running means over one conversion each
-(settling in four conversions, delay of two); CR is cleared when ADCO's first byte is read; CS, a new rate, gain or
-channel begin a conversion; a calibration takes eight conversions; channel 2 is shorted; PUR follows PUD after 200 us;
-everything but PU_CTRL can be written while it is off.
+Where the data sheet is silent, or was not at hand: the filter is that of ``bridge_converter``; CR is cleared when the
+first byte of ADCO is read; CS, a new rate, gain or channel begin a conversion; a calibration takes eight conversions;
+channel 2 is shorted; PUR follows PUD after 200 us; everything but PU_CTRL can be written while it is off.
 """
 
 from collections.abc import Mapping
@@ -18,9 +17,10 @@ from typing import Any, Final, Literal
 import numpy as np
 from pydantic import PositiveFloat
 
+from hil_sim.devices.bridge_converter import NOISE_GAIN, Conversions
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
@@ -31,12 +31,6 @@ _WRITABLE: Final = frozenset({*range(0x01, 0x12), 0x15, 0x1B, 0x1C})
 _FULL: Final = 1 << 23
 _READY_NS: Final = 200_000
 _CALIBRATION: Final = 8  # conversions
-_TAPS: Final = 4  # samples of the input in a conversion
-_BOX: Final = np.full(_TAPS, 1.0 / _TAPS)
-FILTER: Final = np.convolve(np.convolve(_BOX, _BOX), np.convolve(_BOX, _BOX))
-"""Weights of input samples a quarter of a conversion apart, (13,)."""
-NOISE_GAIN: Final = float(np.sqrt(np.sum(FILTER**2)))
-"""Of white noise, rms."""
 _OFFSET_V: Final = 20e-6  # our choice: 1 sigma of the amplifier's offset, at its input
 
 
@@ -67,15 +61,9 @@ class Nau7802Twin(I2cTwin):
     ) -> None:
         kinds = (*POWER_KINDS, *INPUT_KINDS, FaultKind.SATURATED, *CLOCK_KINDS, FaultKind.WHO_AM_I)
         super().__init__(0x2A, start_ns, faults, kinds)
-        self._cell = FaultyScalar(analog, faults, start_ns)
-        self._healthy = clock
-        self._clock = FaultyClock(clock, faults)
+        self.conversions = Conversions(analog, clock, start_ns, faults)
         self._per_N = volt_per_volt_N
         self._offset_V = _OFFSET_V * float(np.random.default_rng([seed, 0x7802]).standard_normal())
-        self._made = 0  # conversions
-        self.shown = 0  # from the first to the last that was read as new, by the rate that the chip had
-        self._last_shown: tuple[int, int, float] | None = None  # grid, number, mission time
-        self._grid = 0
         self._power_up(start_ns)
 
     def _power_up(self, now_ns: int) -> None:
@@ -86,12 +74,14 @@ class Nau7802Twin(I2cTwin):
         self._data = bytes(3)
         self._begin(now_ns)
 
+    @property
+    def _period_ns(self) -> int:
+        return 1_000_000_000 // _RATES.get(self._reg[2] >> 4 & 7, 10)
+
     def _begin(self, now_ns: int) -> None:
         """A conversion begins."""
-        self._grid += 1
         self._reg[0] &= ~0x20
-        self._period_ns = 1_000_000_000 // _RATES.get(self._reg[2] >> 4 & 7, 10)
-        self._next_ns = self._clock.chip_ns(now_ns) + self._period_ns
+        self.conversions.begin(self.conversions.chip_ns(now_ns), self._period_ns)
 
     @property
     def _gain(self) -> int:
@@ -103,29 +93,18 @@ class Nau7802Twin(I2cTwin):
             self._reg[0] |= 0x08
         if power & 0x07 != 0x06:
             return
-        chip_ns = self._clock.chip_ns(until_ns)
         if self._reg[2] & 0x04:
-            if chip_ns < self._calibrated_ns:
+            if self.conversions.chip_ns(until_ns) < self._calibrated_ns:
                 return
             self._calibrate()
-            self._next_ns = self._calibrated_ns + self._period_ns
-        due = (chip_ns - self._next_ns) // self._period_ns + 1
-        if due <= 0:
-            return
-        last_ns = self._next_ns + (due - 1) * self._period_ns
-        self._next_ns += due * self._period_ns
-        self._made += int(due)
-        self._convert(last_ns, (until_ns - self._start_ns) * 1e-9)
-        self._reg[0] |= 0x20
+            self.conversions.begin(self._calibrated_ns, self._period_ns)
+        if self.conversions.run(until_ns):
+            self._convert(self._per_N * self.conversions.force(until_ns))
+            self._reg[0] |= 0x20
 
-    def _convert(self, chip_ns: int, latest_s: float) -> None:
-        """The conversion that ended when its clock showed ``chip_ns``."""
-        back = np.arange(len(FILTER) - 1, -1, -1, dtype=np.float64) + 2.0  # of the middles of four means' samples
-        ticks_ns = chip_ns - self._period_ns / _TAPS * back
-        times_s = np.clip(self._clock.times_s(ticks_ns), 0.0, latest_s)  # (13,)
+    def _convert(self, ratio: float) -> None:
         channel_2 = bool(self._reg[2] & 0x80)
-        ratio = 0.0 if channel_2 else self._per_N * float(self._cell.values(times_s) @ FILTER)
-        self._last_s = min(float(self._clock.times_s(np.array([float(chip_ns)]))[0]), latest_s)
+        ratio = 0.0 if channel_2 else ratio
         at = 0x0A if channel_2 else 0x03
         offset = int.from_bytes(self._reg[at : at + 3], "big")
         offset = -(offset & 0x7FFFFF) if offset & 0x800000 else offset
@@ -157,20 +136,10 @@ class Nau7802Twin(I2cTwin):
         if 0x12 <= register <= 0x14:
             if register == 0x12:
                 if self._reg[0] & 0x20:
-                    self._show()
+                    self.conversions.show()
                 self._reg[0] &= ~0x20
             return self._data[register - 0x12]
         return self._reg[register] if register < len(self._reg) else 0
-
-    def _show(self) -> None:
-        if self._last_shown is None:
-            self.shown = 1
-        elif self._last_shown[0] == self._grid:
-            self.shown += self._made - self._last_shown[1]
-        else:
-            second = self._healthy.chip_ns(self._start_ns + 1_000_000_000) - self._healthy.chip_ns(self._start_ns)
-            self.shown += max(round((self._last_s - self._last_shown[2]) * second / self._period_ns), 1)
-        self._last_shown = self._grid, self._made, self._last_s
 
     def _write(self, register: int, value: int, now_ns: int) -> None:
         if register == 0:
@@ -181,7 +150,7 @@ class Nau7802Twin(I2cTwin):
             before, self._reg[2] = self._reg[2], value & 0xF7 | self._reg[2] & 0x08
             if value & 0x04:
                 self._reg[2] &= ~0x08
-                self._calibrated_ns = self._clock.chip_ns(now_ns) + _CALIBRATION * self._period_ns
+                self._calibrated_ns = self.conversions.chip_ns(now_ns) + _CALIBRATION * self._period_ns
             if (before ^ value) & 0xF0:
                 self._begin(now_ns)
         elif register in _WRITABLE:
@@ -240,4 +209,4 @@ class Nau7802Table(MeasuringEmulator):
             seed=bench.seed,
             faults=bench.faults,
         )
-        return Twin(twin, lambda: twin.shown, (bench.name,))
+        return Twin(twin, lambda: twin.conversions.shown, (bench.name,))

@@ -4,7 +4,8 @@ import errno
 
 import pytest
 
-from hil_sim.devices.i2c.nau7802 import FILTER, Nau7802Twin
+from hil_sim.devices.bridge_converter import FILTER
+from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 

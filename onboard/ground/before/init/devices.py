@@ -14,12 +14,13 @@ from onboard.devices.driven import MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
-CAN, GPIO, ROBOT, BOX = "can_0", "sync_line", "robot", "box"
+CAN, GPIO, LINES, ROBOT, BOX = "can_0", "sync_line", "cell_lines", "robot", "box"
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")  # of a wrist sensor, each a device
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
 URLS = {
     CAN: "can+socketcan://can0?bitrate=500000",
     GPIO: "gpio:///dev/gpiochip0?line=17",
+    LINES: "gpio-pair:///dev/gpiochip0?data=5&clock=6",
     ROBOT: "tcp://192.168.56.101:30004",
     BOX: "udp://192.168.1.1:49152",
 }

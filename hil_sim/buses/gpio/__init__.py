@@ -1,0 +1,1 @@
+"""GPIO lines of a flight computer."""
