@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse")
 I2C = ("nau7802", "as5600", "icm20948")
+LINES = ("hx711",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
-NAMES = DECODERS + I2C + FILES
+NAMES = DECODERS + I2C + LINES + FILES
 
 
 class Target(NamedTuple):
@@ -33,6 +34,10 @@ def target(name: str) -> Target:
         from bench.fuzzing import i2c  # noqa: PLC0415
 
         return Target(i2c.CALLS[name], i2c.SEEDS, 1 << 10)
+    if name in LINES:
+        from bench.fuzzing import lines  # noqa: PLC0415
+
+        return Target(lines.hx711_chip, lines.SEEDS, 1 << 10)
     from bench.fuzzing import decoders, seeds  # noqa: PLC0415
 
     return Target(decoders.CALLS[name], seeds.seeds()[name], 1 << 10)

@@ -10,7 +10,7 @@ from onboard.devices.base import LoadCellDevice, Problem, Surroundings
 from onboard.section import Positive
 from onboard.timebase.specs import ChannelClock, FreeChannel
 
-FILTER_CONVERSIONS = 2.0  # delay of its filter: it settles in four conversions
+FILTER_CONVERSIONS = 2.0  # delay of a filter that settles in four conversions
 FILTER_SIGMA = 0.25  # conversions: data sheets say how it settles, not what it is
 FULL_SCALE = 1 << 23  # counts, of half the bridge's supply over the gain
 
@@ -33,17 +33,20 @@ class BridgeDevice(LoadCellDevice):
         Positive | None, Field(description="The cell's rated load; `capacity_N` where not given.")
     ] = None
 
+    @classmethod
+    def filter_conversions(cls, rate_hz: float) -> tuple[float, float]:
+        """Delay of its filter and 1 sigma of that, conversions."""
+        del rate_hz
+        return FILTER_CONVERSIONS, FILTER_SIGMA
+
     @model_validator(mode="before")
     @classmethod
     def _filter(cls, said: Any) -> Any:
         """The delay of its own filter, where the file is silent."""
         rate = said.get("sample_rate_hz", cls.model_fields["sample_rate_hz"].default) if isinstance(said, dict) else 0
         if isinstance(rate, int | float) and rate > 0.0:
-            conversion_ms = 1e3 / rate
-            return {
-                "delay_ms": FILTER_CONVERSIONS * conversion_ms,
-                "delay_sigma_ms": FILTER_SIGMA * conversion_ms,
-            } | said
+            delay_ms, sigma_ms = (1e3 / rate * conversions for conversions in cls.filter_conversions(rate))
+            return {"delay_ms": delay_ms, "delay_sigma_ms": sigma_ms} | said
         return said
 
     @property

@@ -26,6 +26,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "nau7802": 60,
     "as5600": 60,
     "icm20948": 60,
+    "hx711": 60,
     "vehicle": 12,
     "urdf": 30,
     "segments": 60,

@@ -12,6 +12,7 @@ from hil_sim.devices.canopen.arm_controller import ArmController
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.hx711 import Hx711Twin
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
@@ -31,6 +32,7 @@ from hil_sim.devices.ur_tables import rate
 from hil_sim.scenario.bus_tables import (
     CanBusTable,
     I2cBusTable,
+    PairBusTable,
     PulseLineTable,
     SerialBusTable,
     TcpBusTable,
@@ -120,6 +122,7 @@ class MixedWorld:
         tables = {
             "can_0": CanBusTable(kind="can"),  # the sync box is on it, and moves before those that it marks
             "i2c_1": I2cBusTable(kind="i2c"),
+            "cell_lines": PairBusTable(kind="pair"),
             "sync_line": PulseLineTable(kind="pulse", channel="pulse"),
             "tty_imu": SerialBusTable(kind="serial"),
             "tty_joint": SerialBusTable(kind="serial", baud_rate=230_400),
@@ -143,6 +146,7 @@ class MixedWorld:
         bus["i2c_1"].add(self.elbow_imu)
         bus["i2c_1"].add(As5600Twin(Analog(angle(5)), START_NS, zero_count=77))
         bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
+        bus["cell_lines"].add(Hx711Twin(Analog(force_n), RateClock(0.012), START_NS))
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
         nodes = [
             self.encoder,

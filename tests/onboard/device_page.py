@@ -119,7 +119,8 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `udp://192.168.1.1:49152` | components of one wrist sensor |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
-| `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
+| `gpio-pair:///dev/gpiochip0?data=5&clock=6` | one device of a clock line and a data line |
+| `i2c+unix`, `gpio+unix`, `gpio-out+unix`, `gpio-pair+unix` with a socket's path | the same of a simulator |
 
 `heft preflight VEHICLE` opens every bus, runs every device for a few seconds and reports those that differ from
 the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that cannot be opened, with an event.
@@ -136,6 +137,7 @@ WRITTEN = "Written by `python -m tests.onboard.device_page docs/devices.md` from
 TITLES = {
     "i2c": "Devices on I2C",
     "can": "Devices on CAN",
+    "gpio": "Devices on two GPIO lines",
     "serial": "Devices on serial lines",
     "tcp": "Devices on a network",
     "pulse": "Pulse inputs and outputs",
@@ -145,6 +147,7 @@ ROOMS = {
     "i2c": "i2c",
     "can": "can",
     "serial_line": "serial",
+    "hx711": "gpio",
     "ur_rtde": "tcp",
     "net_ft": "tcp",
     "recorded": "recorded",
@@ -154,7 +157,7 @@ ROOMS = {
 def bus(model: type[BaseModel]) -> str:
     """Of the :data:`TITLES`, by the module that the class stands in; empty for what several have."""
     room = model.__module__.split(".")[2]
-    return "" if room in ("base", "buses", "driven", "roles") else ROOMS.get(room, "pulse")
+    return "" if room in ("base", "bridge", "buses", "driven", "roles") else ROOMS.get(room, "pulse")
 
 
 def pages() -> dict[str, str]:

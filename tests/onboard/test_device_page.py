@@ -55,7 +55,7 @@ def test_every_value_of_a_driver_can_be_set_or_is_known(kind: str) -> None:
     }
     if kind in ("reaction_wheel", "thruster"):  # rad/s, N, on every SYNC
         told_otherwise |= {"counter_subindex", "synchronous", "unit"}
-    if kind == "nau7802":  # by the cell's rated output
+    if kind in ("hx711", "nau7802"):  # by the cell's rated output
         told_otherwise |= {"scale"}
     model = DEVICES[kind]
     assert issubclass(model, BusDevice)
