@@ -52,6 +52,7 @@ BENCHES: Final = (
     Bench("speed", "--only hil-rocksat --rounds 1"),
     Bench("flight", "--quick", "--minutes 1"),
     Bench("page", "--seconds 10", "--vehicle dymaflex --seconds 30"),
+    Bench("page_drawing", "--seconds 3", "--seconds 10"),
     Bench("restarts", "--kills 1", "--kills 50 --load 4 --nice -10"),
     Bench("mission_accuracy", "rocksat --first 501 --seeds 2", "rocksat --first 501 --seeds 6", label="rocksat"),
     Bench("mission_accuracy", "dymaflex --first 1101 --seeds 2", "dymaflex --first 1101 --seeds 8", label="dymaflex"),

@@ -90,15 +90,16 @@ class Tab:
 
 
 @contextmanager
-def browser(profile: Path) -> Iterator[Tab]:
+def browser(profile: Path, *more: str) -> Iterator[Tab]:
     """A tab of a browser of its own.
 
     Args:
         profile: a new directory.
+        more: options of its command line.
     """
     assert BROWSER is not None
     options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"]
-    options += ["--disable-background-networking", "--no-first-run", f"--user-data-dir={profile}"]
+    options += ["--disable-background-networking", "--no-first-run", f"--user-data-dir={profile}", *more]
     told = profile / "DevToolsActivePort"
     command = [BROWSER, *options, "--remote-debugging-port=0", "about:blank"]
     environment = {**os.environ, "HOME": str(profile)}
