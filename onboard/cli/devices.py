@@ -124,7 +124,7 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
     from drivers.transports.url import parse
     from onboard import config
     from onboard.devices.base import BusDevice
-    from onboard.devices.buses import SerialLineDevice
+    from onboard.devices.buses import PairDevice, SerialLineDevice
     from onboard.devices.registry import DEVICES
     from onboard.ground.before.init import devices, seen
 
@@ -139,7 +139,7 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
     if not arguments.url and not section.urls.keys() <= transports.I2C_URLS.keys() | transports.CAN_URLS.keys():
         line = devices.URLS.get(section.new_bus, f"serial:///dev/ttyUSB0?baud={section.new_baud}")
         raise ValueError(f"--test {kind}: say where it is, --url '{line}'")
-    if issubclass(section, SerialLineDevice) and section.answering is None:
+    if issubclass(section, SerialLineDevice | PairDevice) and section.answering is None:
         found = {url: [(kind, 1)] for url in arguments.url if parse(url, section.urls)}
     else:
         for bus in _scanned(arguments.url):

@@ -1,11 +1,14 @@
 """A vehicle of ``heft init --load-cell hx711`` flies in virtual time and in real time, and survives what breaks."""
 
+import json
+
 import pytest
 
 from drivers.records import SampleStatus
 from hil_sim.devices.hx711 import Hx711Twin
 from onboard.cli import main
 from onboard.recording.reader import LogReader
+from tests.flight.check.test_desk import served
 from tests.flight.mixed import MixedWorld, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_i2c_devices import rehearsed
@@ -88,3 +91,17 @@ def test_a_cell_on_an_hx711_flies_in_real_time(tmp_path):
     assert result["accounted"]
     assert len(log.read("load_cell")) > 300
     assert b"bus_recovered" in told(log)
+
+
+@pytest.mark.realtime
+def test_it_is_tried_on_the_desk_by_its_url(tmp_path, capsys):
+    assert main(["devices", "--test", "hx711"]) == 2
+    assert "--url 'gpio-pair:///dev/gpiochip0?data=5&clock=6'" in capsys.readouterr().err
+    assert main(["init", str(tmp_path / "mine"), *CELL]) == 0
+    report = tmp_path / "report.json"
+    with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
+        asked = ["devices", "--test", "hx711", "--url", urls["cell_lines"], "--seconds", "2"]
+        assert main([*asked, "--json", str(report)]) in (0, 4)  # a busy computer reads too slowly, and that is told
+    [cell] = json.loads(report.read_text())["tests"]
+    assert (cell["kind"], cell["signals"][0]["unit"]) == ("hx711", "N")
+    assert cell["rows"] > 50
