@@ -21,15 +21,22 @@ class FlightSignals(NamedTuple):
     rate_sigma: FloatArray  # (3,) of a tick's mean
     specific_force_sigma: FloatArray  # (3,)
     samples: int  # in each tick's mean
+    joint_sigma: FloatArray | None = None  # (n, 2, joints) noise of rates and accelerations; None: they are exact
+    cyclic: FloatArray | None = None  # (n, 3, m) functions of the joints' cyclic errors, two derivatives; None: m = 0
 
     def coarser(self, ticks: int) -> "FlightSignals":
-        """Means of so many ticks, joints at their middle; NaN where one of them is. A rest at the end is cut off."""
+        """Means of so many ticks, joints at their middle; NaN where one of them is. A rest at the end is cut off.
+
+        Noise of the joints stays: under the kernel that smooths them neighbouring ticks have the same.
+        """
         n, early, late = len(self.q) // ticks, (ticks - 1) // 2, ticks // 2
         blocks = [x[: n * ticks].reshape(n, ticks, -1) for x in self[1:6]]
         q, dq, ddq = (0.5 * (x[:, early] + x[:, late]) for x in blocks[:3])
         rate, force = (x.mean(axis=1) for x in blocks[3:])
         noise = self.rate_sigma / np.sqrt(ticks), self.specific_force_sigma / np.sqrt(ticks)
-        return FlightSignals(self.period_s * ticks, q, dq, ddq, rate, force, *noise, self.samples * ticks)
+        at = slice(early, n * ticks, ticks)
+        of_joints = [None if x is None else x[at] for x in (self.joint_sigma, self.cyclic)]
+        return FlightSignals(self.period_s * ticks, q, dq, ddq, rate, force, *noise, self.samples * ticks, *of_joints)
 
 
 def tick_signals(

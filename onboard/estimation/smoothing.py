@@ -383,13 +383,24 @@ def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = 
     """
     if not (width_s > 0.0 and row_period_s > 0.0):
         raise RowError("the kernel's width and the row period must be positive")
-    u = np.linspace(-0.5, 0.5, 4001)
-    h = kernel.parts[0](u)
-    step = u[1] - u[0]
-    auto = np.correlate(h, h, mode="full")[u.size - 1 :] * step  # lag 0, step, ...
+    at, autocorrelation = _autocorrelation(kernel, 0)
     lags = np.arange(1, int(width_s / row_period_s) + 1) * (row_period_s / width_s)
-    rho = np.interp(lags, np.arange(auto.size) * step, auto / auto[0], right=0.0)
+    rho = np.interp(lags, at, autocorrelation, right=0.0)
     return float(np.sqrt(max(1.0 + 2.0 * rho.sum(), 1.0)))
+
+
+def uncorrelated_s(width_s: float, kernel: Kernel = SPLINE) -> float:
+    """The least time between two rates of smoothed white noise that are uncorrelated; beyond it they are not alike."""
+    at, autocorrelation = _autocorrelation(kernel, 1)
+    return width_s * float(at[np.argmax(autocorrelation <= 0.0)])
+
+
+def _autocorrelation(kernel: Kernel, derivative: int) -> tuple[FloatArray, FloatArray]:
+    """Of smoothed white noise, or of its derivative: lags in widths of the kernel, and the values there."""
+    u = np.linspace(-0.5, 0.5, 4001)
+    h = kernel.parts[derivative](u)
+    auto = np.correlate(h, h, mode="full")[u.size - 1 :]
+    return np.asarray(u + 0.5, np.float64), np.asarray(auto / auto[0], np.float64)
 
 
 def filtered_inflation(delay_s: float, period_s: float) -> float:

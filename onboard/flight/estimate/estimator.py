@@ -78,7 +78,7 @@ class Estimator:
         fresh, self.model = build_online(vehicle)
         self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
-        fitted = METHODS[settings.method].tick_means and vehicle.prediction is not config.Prediction.PLANAR
+        fitted = METHODS[settings.method].tick_means
         self._phases = PhaseTrack(settings.phases)
         moving = settings.phases.identify if settings.phases else ()
         self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz, moving)

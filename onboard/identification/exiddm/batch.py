@@ -9,7 +9,7 @@ and reaches the Cramer-Rao bound. (The non-linear ExIDDM that Limparis proposes 
 A kind of base (:mod:`onboard.identification.exiddm.free_base`, :mod:`onboard.identification.table.air_bearing`)
 contributes the prediction of its motion; unknowns, residuals, prior, guesses and held-out halves are common.
 
-Known limit: the joints' noise is not modelled; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.
+Known limit: the joints' noise is modelled on a table only; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.
 """
 
 from collections.abc import Mapping
@@ -153,7 +153,12 @@ class Exiddm:
         signals, self._base = base.signals, base
         self._measured = np.concatenate([signals.rate, signals.specific_force], axis=1)  # (n, 6)
         self._valid: BoolArray = np.isfinite(self._measured).all(axis=1)
-        self._sigma = np.concatenate([signals.rate_sigma, signals.specific_force_sigma])
+        sigma = np.concatenate([signals.rate_sigma, signals.specific_force_sigma])
+        self._sigma = np.asarray(np.hypot(sigma, self._of_joints()), np.float64)  # (n, 6)
+
+    def _of_joints(self) -> FloatArray:
+        """What the noise of the joints does to each line, one sigma, (n, 6)."""
+        return np.zeros_like(self._measured)
 
     def of(self, base: BaseModel) -> Self:
         """The same unknowns and priors of another run of the vehicle, or of another model of it."""
@@ -234,7 +239,7 @@ class Exiddm:
         d_motion = gain_of(x[self._errors]) @ d_true
         jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, self.layout.kept]
         values, jacobian = tick_mean(shown.values, samples), tick_mean(jacobian, samples)
-        return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
+        return whitened(values, jacobian, self._measured[:n], self._sigma[:n], self._valid[:n])
 
     def left(self, parameters: FloatArray) -> FloatArray:
         """The residuals alone, (6 v,)."""

@@ -16,13 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
+from onboard.dynamics.air_bearing import PLANAR, SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.joint_errors import EncoderReadings
+from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody
-from onboard.dynamics.model.payload import possible_body
+from onboard.dynamics.model.payload import possible_body, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.dynamics.ticks import FlightSignals
@@ -33,7 +33,9 @@ from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.identification.corrections import refused_from
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
+from onboard.identification.exiddm.prediction.further import PlacedImu
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, Block, GeometryPrior
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
@@ -49,6 +51,7 @@ _HOPELESS = 4.0  # squares of a search's result by its residuals, three times wh
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 _DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
+NO_MULTIPLES: FloatArray = np.zeros(0)
 MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is reported and nothing can be
 
 
@@ -132,18 +135,18 @@ class AirBearingBase:
         other.rounding_m_s = rounding_m_s
         return other
 
-    def with_errors(self, errors: FloatArray, since: int = 0) -> "AirBearingBase":
+    def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "AirBearingBase":
         """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`.
 
-        ``since``: the tick from which on the encoders have theirs; places are of all ticks.
+        Args:
+            errors: that are taken out.
+            since: the tick from which on the encoders have theirs; places are of all ticks.
+            multiples: of the functions of cyclic errors that these are, (m,).
         """
-        signals = self.signals
-        read = EncoderReadings(signals.q, signals.dq, signals.ddq, signals.period_s, np.zeros((len(signals.q), 3, 0)))
-        motions = zip(
-            (signals.q, signals.dq, signals.ddq),
-            read.corrected(errors, np.zeros(0), np.zeros(0, np.intp)),
-            strict=False,
-        )
+        signals, of = self.signals, np.array(self.prior.geometry.cyclic_joints(self.vehicle), np.intp)
+        cyclic = np.zeros((len(signals.q), 3, len(of))) if signals.cyclic is None else signals.cyclic
+        read = EncoderReadings(signals.q, signals.dq, signals.ddq, signals.period_s, cyclic)
+        motions = zip((signals.q, signals.dq, signals.ddq), read.corrected(errors, multiples, of), strict=False)
         q, dq, ddq = (np.concatenate([before[:since], after[since:]]) for before, after in motions)
         return AirBearingBase(self.vehicle, signals._replace(q=q, dq=dq, ddq=ddq), self.prior, errors[:, :3])
 
@@ -178,6 +181,31 @@ class TableExiddm(Exiddm):
     """
 
     _base: AirBearingBase
+    _likely: FloatArray | None = None  # standard parameters of all links with which the noise of the joints is weighed
+
+    def __init__(
+        self,
+        base: AirBearingBase,
+        imu_frame: str,
+        payload_sigma: FloatArray,
+        link_covariance: Mapping[str, FloatArray],
+        imu_prior: ImuPrior = CERTAIN,
+    ) -> None:
+        super().__init__(base, imu_frame, payload_sigma, link_covariance, imu_prior)
+        if base.signals.joint_sigma is not None and base.signals.joint_sigma.any():
+            self._likely = base.vehicle.chi.copy()
+            with suppress(SignalError):  # no mass can be seen so: that of the file
+                self._likely[base.vehicle.payload_columns()] = standard_of(self.rough())
+            self._take(base)
+
+    def _of_joints(self) -> FloatArray:
+        """See :class:`Exiddm`; by :mod:`onboard.identification.exiddm.prediction.joint_noise`."""
+        signals, vehicle = self._base.signals, self._base.vehicle
+        if self._likely is None or signals.joint_sigma is None:
+            return super()._of_joints()
+        imu = PlacedImu(self._R_BS, self._p_BoSo_B, signals.samples, slice(0, 0), slice(0, 0))
+        noise = JointNoise(vehicle, JointErrors(vehicle), [imu], [], [slice(0, 6)], PLANAR)
+        return noise.of(signals.q, signals.joint_sigma, self._likely)
 
     def fit(self) -> PayloadFit:
         """See :meth:`Exiddm.fit`."""
@@ -185,7 +213,7 @@ class TableExiddm(Exiddm):
             raise ConvergenceError("no joint moves: these data do not determine a payload")
         found, failure = list[PayloadFit](), list[EstimationError | SignalError]()
         try:
-            found.append(super().fit())
+            found.append(self._dragged(super().fit()))
         except (EstimationError, SignalError) as error:
             failure.append(error)
         if not found or self._pushes(found[0].fit):
@@ -208,11 +236,26 @@ class TableExiddm(Exiddm):
         Raises:
             EstimationError, SignalError: as :meth:`Exiddm.fit`.
         """
-        return self.found(fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY))
+        fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
+        return self._dragged(self.found(fitted))
 
-    def with_errors(self, errors: FloatArray, since: int = 0) -> "TableExiddm":
+    def _dragged(self, found: PayloadFit) -> PayloadFit:
+        """The same, or where pucks push in it the fit from where these drags are zero, if it is likelier."""
+        drag = self.layout.estimated("drag")
+        pushing, x = drag[found.fit.x[drag] < 0.0], found.fit.x.copy()
+        if not pushing.size:
+            return found
+        x[pushing] = 0.0
+        try:
+            x = self._held(x, pushing, _FAIRLY, self.ticks, Work(_STEPS * self.ticks)).x
+            fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
+        except EstimationError:
+            return found
+        return min(found, self.found(fitted), key=lambda one: one.fit.residual_sum)
+
+    def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "TableExiddm":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
-        return self.of(self._base.with_errors(errors, since))
+        return self.of(self._base.with_errors(errors, since, multiples))
 
     @property
     def period_s(self) -> float:
@@ -228,6 +271,11 @@ class TableExiddm(Exiddm):
     def joints(self) -> Block:
         """The errors of the joints and what is stated of them, (6 x joints,)."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["joints"]
+
+    @property
+    def cyclic(self) -> Block:
+        """Multiples of the functions of cyclic errors of the encoders, (m,), of a run that has these functions."""
+        return self._base.prior.geometry.blocks(self._base.vehicle)["cyclic"]
 
     def _pushes(self, found: Fit) -> bool:
         """Whether all pucks together would push, by viscous or by Coulomb drag, or one of them beyond its sigma."""

@@ -1,4 +1,4 @@
-"""Errors of the joints as further unknowns of a fitted run on an air-bearing table.
+"""Errors of the joints, cyclic ones of their encoders too, as further unknowns of a run on an air-bearing table.
 
 They are milliradians and millimetres, so the residuals are linear in them: with J the derivative of the whitened
 residuals r by the fitted parameters x, G that by the errors z (by differences of their stated sigmas), and L and Z the
@@ -91,20 +91,25 @@ def bound(exiddm: TableExiddm, x: FloatArray) -> FloatArray:
 
 def _unknown(exiddm: TableExiddm) -> tuple[tuple[str, ...], FloatArray]:
     """Names of the errors that have a sigma, and these, (k,)."""
-    joints = exiddm.joints
-    own = np.flatnonzero(joints.sigma > 0.0)
-    return tuple(joints.names[k] for k in own), joints.sigma[own]
+    names, sigma = (*exiddm.joints.names, *exiddm.cyclic.names), np.append(exiddm.joints.sigma, exiddm.cyclic.sigma)
+    own = np.flatnonzero(sigma > 0.0)
+    return tuple(names[k] for k in own), sigma[own]
 
 
 def _normal(
     exiddm: TableExiddm, x: FloatArray, further: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (m,), their derivative by parameters and errors, (m, p + k + c), and the information on these."""
-    joints, (r, J) = exiddm.joints.sigma, exiddm.residuals(x)
+    sigma, (r, J), own = (
+        np.append(exiddm.joints.sigma, exiddm.cyclic.sigma),
+        exiddm.residuals(x),
+        exiddm.joints.sigma.size,
+    )
     columns = [J]
-    for place in np.flatnonzero(joints > 0.0):
-        errors = np.where(np.arange(joints.size) == place, joints, 0.0).reshape(-1, PER_JOINT)
-        columns.append(((exiddm.with_errors(errors).left(x) - r) / joints[place])[:, None])
+    for place in np.flatnonzero(sigma > 0.0):
+        each = np.where(np.arange(sigma.size) == place, sigma, 0.0)
+        wrong = exiddm.with_errors(each[:own].reshape(-1, PER_JOINT), multiples=each[own:])
+        columns.append(((wrong.left(x) - r) / sigma[place])[:, None])
     both = np.concatenate([*columns, *([] if further is None else [further])], axis=1)
     information = both.T @ both
     information[: x.size, : x.size] += exiddm.prior_information

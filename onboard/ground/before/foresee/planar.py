@@ -9,10 +9,19 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, MotionPlan, axes_words, body_values
+from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
+from onboard.ground.before.foresee.plan import (
+    UNDETERMINED,
+    Expected,
+    Foreseen,
+    MotionNoise,
+    MotionPlan,
+    axes_words,
+    body_values,
+)
 from onboard.ground.identify.kinds.identified import standings
 from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
-from onboard.ground.identify.kinds.planar_log import table_prior, underway
+from onboard.ground.identify.kinds.planar_log import table_prior, ticks_together, underway
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import air_bearing_exiddm
@@ -43,9 +52,13 @@ def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     links, _, payload_sigma = exiddm_prior(vehicle, model)
     noise = np.concatenate([np.array(roles.signals[c].noise) for c in roles.imu.channels]) / np.sqrt(samples)
     nothing = np.zeros((last - first, 3))
+    of_joints = MotionNoise(vehicle, model, CYCLIC_LEFT)
+    _, rates, accelerations = of_joints.at(plan.dq[run])
     flight = FlightSignals(
-        *(period_s, plan.q[run], plan.dq[run], plan.ddq[run], nothing, nothing, noise[:3], noise[3:], samples)
-    )
+        *(period_s, plan.q[run], plan.dq[run], plan.ddq[run], nothing, nothing, noise[:3], noise[3:], samples),
+        np.stack([rates, accelerations], axis=1),
+        of_joints.cyclic(plan.q[run], plan.dq[run]),
+    ).coarser(ticks_together(vehicle))
     prior = table_prior(vehicle) if first == 0 else underway(table_prior(vehicle))
     prior = prior._replace(geometry=geometry_prior(vehicle, model))
     exiddm = air_bearing_exiddm(model, roles.imu.frame, flight, payload_sigma, links, prior)

@@ -111,7 +111,9 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
     bound = np.sqrt(np.diag(stated.payload.covariance))
     numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
-    left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
+    together = round(exiddm.period_s / kept.period_s)
+    time_s = ticks.time_s[(together - 1) // 2 :: together][: exiddm.ticks]
+    left = by_axis(time_s, exiddm.residuals_by_tick(found.fit.x), exiddm.period_s)
     findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
     fit = CheckedFit(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
     return identified_of(kept, fit)

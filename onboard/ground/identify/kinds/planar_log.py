@@ -13,11 +13,13 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.estimation.policy import HALF
+from onboard.estimation.smoothing import uncorrelated_s
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
 from onboard.ground.identify.kinds.likelihood_log import BaseResult, Kept, identified, longest_held
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
@@ -89,8 +91,8 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
     def build(some: Ticks, first: bool) -> TableExiddm:
-        prior = at_start if first and let_go else underway(at_start)
-        return air_bearing_exiddm(model, frame, some.flight(period_s, samples), payload_sigma, links, prior)
+        prior, run = at_start if first and let_go else underway(at_start), some.flight(period_s, samples)
+        return air_bearing_exiddm(model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior)
 
     def judge(found: PayloadFit, wider: float) -> BaseResult:
         return _drags(found, at_start.pucks, wider)
@@ -110,6 +112,13 @@ def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
     pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
     known = asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, asked.sag_sigma
     return AirBearingPrior(*known, imu_prior_of(vehicle))
+
+
+def ticks_together(vehicle: config.Vehicle) -> int:
+    """So many of the estimator's make one of the fit, so that neighbours have uncorrelated noise of the joints."""
+    settings = vehicle.file.estimation
+    apart_s = uncorrelated_s(settings.smoothing_ms * 1e-3, kernel_of(vehicle))
+    return max(1, round(apart_s * settings.row_rate_hz))
 
 
 def underway(at_start: AirBearingPrior) -> AirBearingPrior:

@@ -98,7 +98,10 @@ class Ticks(NamedTuple):
             imu: its lines.
         """
         spread, (rate, force) = np.nanmedian(self.sigma[:, imu], axis=0), np.hsplit(self.measured[:, imu], 2)
-        return FlightSignals(period_s, self.q, self.dq, self.ddq, rate, force, spread[:3], spread[3:6], samples)
+        joints = self.q, self.dq, self.ddq
+        return FlightSignals(
+            *(period_s, *joints, rate, force, spread[:3], spread[3:6], samples, self.sample_sigma, self.cyclic)
+        )
 
 
 def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
