@@ -210,8 +210,7 @@ class ImuPredictor:
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T  # what drifts, by what
-        drifting, by = self._drifting
+        drifting, by = self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T
         self.changing = np.concatenate([np.arange(3), drifting, self.anew_at])
         self._unchanged = (self.changing[:, None] == np.arange(len(self.names))).astype(np.float64)
         self.stated = self.sigma.copy()
@@ -259,7 +258,7 @@ class ImuPredictor:
         """What noise of the joints' samples adds to the gradient of predicted less measured, (p,); see `joint_noise`.
 
         Zero where it is next to nothing beside that of every line; by delays: a rate of change of noise is as often
-        along it as against; and of a tracker's pose, in which rates are summed.
+        along it as against; and of rates and a tracker's pose, in which they are summed.
 
         Args:
             ticks: b + 2 of them.
@@ -272,6 +271,7 @@ class ImuPredictor:
         noise = self.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1]
         if (weight * noise**2).max(initial=0.0) < _NOISELESS:
             return added
+        weight[:, np.flatnonzero(np.arange(6 * len(self._imus)) % 6 < 3)] = 0.0  # an IMU's rates come first
         weight[:, [k for own in self.lines[self._of_poses] for k in range(own.start, own.stop)]] = 0.0
         errors = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
         for first in range(0, len(weight), PIECE):
