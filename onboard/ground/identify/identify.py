@@ -16,6 +16,7 @@ from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.vehicle import STANDARD
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
@@ -142,11 +143,16 @@ def identify(
     vehicle, more = with_chosen_width(vehicle, readers[0], by_likelihood)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
     pools, found = dict[str, Identifier](), []
+    flies = not all(
+        device.kind.startswith("recorded_") for device in vehicle.file.device.values()
+    )  # answers are its own
     for reader, load in zip(readers, loads, strict=True):
-        found.append(_one(vehicle, reader, load) if by_likelihood is None else by_likelihood(vehicle, reader))
+        about = None if load is None or flies else _settled(vehicle, reader)
+        found.append(_one(vehicle, reader, load, about) if by_likelihood is None else by_likelihood(vehicle, reader))
         if load is not None:
             again = Estimator(vehicle, pools.get(load.name), at_the_end=True)
             pools[load.name] = again.identifier
+            again.identifier.about = about
             for _ in feed(again, reader):
                 pass
         if progress:
@@ -157,9 +163,20 @@ def identify(
     return Identification(vehicle, tuple(found), calibration, together, recorded=(*said, *more))
 
 
-def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
+def _settled(vehicle: config.Vehicle, log: LogReader) -> FloatArray | None:
+    """Parameters by a first pass through a log, at which noise and errors of its rows are computed in the second."""
+    first = Estimator(vehicle, at_the_end=True)
+    for _ in feed(first, log):
+        pass
+    return first.identifier.block_jackknife(exact=True).mean if first.identifier.rows_used else None
+
+
+def _one(
+    vehicle: config.Vehicle, log: LogReader, load: config.Load | None, about: FloatArray | None = None
+) -> Identified:
     estimator = Estimator(vehicle, at_the_end=True)
     who = estimator.identifier
+    who.about = about
     kept = keep_rows(who)
     method = vehicle.file.estimation.method
     last = None

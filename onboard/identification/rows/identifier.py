@@ -80,6 +80,9 @@ class Identifier:
         payload: what is held, where its rows can tell all of it.
         innovation: of the last update, (n, rows): measured less what the rows before let expect, over its sigma, as the
             residual gate judges it; NaN where another gate left the row out.
+        about: parameters by an earlier pass through the same rows, (p,). Their sigmas and what errors do to them are
+            computed at these; where not given, at the estimate so far, by which a body that has hardly moved yet has
+            next to no inertia, and its rows next to no noise.
         batch_ticks: ticks whose rows are gated and made linear with one estimate before they update it; at most.
 
     Raises:
@@ -134,11 +137,11 @@ class Identifier:
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
-        self.rows_used, self.innovation = 0, np.zeros((0, len(rows)))
+        self.rows_used, self._inflation, self.innovation = 0, 1.0, np.zeros((0, len(rows)))
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
         self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
-        self._inflation = 1.0
+        self.about: FloatArray | None = None
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
@@ -239,11 +242,11 @@ class Identifier:
         Y = self.model.regressor(*joints, motion, attached[at], True, np.zeros(use.shape), self._fold, z)
         if self._scales:
             fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
-        rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
-        sigma = signals.sigma[at][use]
+        rows = self._errors.biased(Y[..., :-1][use], self.base.names, signals, at, use, attached, self.about)  # (r, p)
+        y, sigma = (signals.measured[at] - Y[..., -1])[use], signals.sigma[at][use]  # (r,)
         doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
         if signals.noise is not None:
-            mean = self.rls.solve().mean
+            mean = self.rls.solve().mean if self.about is None else self.about
             changes, group = self._noise.changes(signals, signals.noise, at, attached, mean if self._scales else None)
             doubt = changes[group][use]  # (r, s, p + 1)
             effect = (doubt @ [*mean, -1.0]) * signals.noise.inflation
@@ -266,7 +269,7 @@ class Identifier:
         doubt = None if doubt is None else doubt[kept]
         # Of a free base with these rows taken in, as the estimate before them may be the prior's.
         about = self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)
-        mean = about.solve().mean if self._of_motion else np.zeros(len(self.base.names))
+        mean = about.solve().mean if self.about is None else self.about
         D = self._errors.factors(signals, at, use, attached)
         noisy = NoisyRows(rows, y, D, sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:

@@ -229,3 +229,31 @@ def test_a_gain_of_the_recording_with_the_payload_moves_its_rows_alone(rng):
     assert 0 < np.count_nonzero(own) < at.size
     np.testing.assert_array_equal(D[:, 0, -1], own[use])
     assert not D[:, 0, :-1].any()
+
+
+def test_a_bias_acts_on_the_body_that_was_found_not_on_the_drawn(rng):
+    """A constant error of the specific force times a first moment: both are unknown."""
+    signals, held, _ = flight(rng)
+    who, at = identifier(()), np.arange(20, held.size, 40)
+    heavier = 1.5 * who.base.value(who.model.chi)
+    use = np.ones((at.size, len(who.model.rows)), np.bool_)
+    f = signals.motion.specific_force_m_s2
+    biased = signals._replace(motion=signals.motion._replace(specific_force_m_s2=f + np.array([1e-3, 0.0, 0.0])))
+    before, after = (who._errors.regressors([one], at, held)[0] @ [*heavier, 1.0] for one in (signals, biased))
+    names, rows = [*who.base.names[1:], "zero_force_x"], np.zeros((np.count_nonzero(use), len(who.base.names)))
+    found = who._errors.biased(rows.copy(), names, signals, at, use, held, heavier)
+    assert not found[:, :-1].any()
+    assert not who._errors.biased(rows, names, signals, at, use, held, None).any()
+    np.testing.assert_allclose(found[:, -1], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
+
+
+def test_noise_of_rows_is_that_of_the_body_that_was_found(rng):
+    """Noise of the motion times ten times the body: ten times the sigma, of rows with little else."""
+    signals, held, _ = flight(rng)
+    weight = []
+    for size in (10.0, 100.0):
+        who = identifier(zero_force=True)
+        who.about = size * who.base.value(who.model.chi)
+        feed(who, signals._replace(sigma=0.0 * signals.sigma + 1e-9), held)
+        weight.append(np.sqrt(np.trace(who.seen.total()[:5, :5])))
+    assert weight[0] == pytest.approx(10.0 * weight[1], rel=0.2)

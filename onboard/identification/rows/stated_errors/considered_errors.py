@@ -61,6 +61,30 @@ class ConsideredErrors:
         D = columns(*asked, lambda each: self.regressors(each, at, attached))
         return None if D is None else D.reshape(len(D), -1)
 
+    def biased(
+        self,
+        rows: FloatArray,
+        names: Sequence[str],
+        signals: Signals,
+        at: NDArray[np.intp],
+        use: BoolArray,
+        attached: BoolArray,
+        mean: FloatArray | None,
+    ) -> FloatArray:
+        """Rows (r, p) whose columns of a constant error of the specific force are of a body with parameters (p,).
+
+        The model's are of the body that is drawn, and stay where none is given. ``names``: of the columns.
+        """
+        axes = [axis for axis in range(3) if f"zero_force_{'xyz'[axis]}" in names]
+        if mean is None or not axes:
+            return rows
+        errors = [Considered("", self._model.vehicle.spec.base_link, "accelerometer_bias", 1.0, axis=k) for k in axes]
+        asked = errors, self._model, signals, at, use, attached, self._p
+        D = columns(*asked, lambda each: self.regressors(each, at, attached))
+        assert D is not None
+        rows[:, [names.index(f"zero_force_{'xyz'[axis]}") for axis in axes]] = D @ [*mean, 1.0]
+        return rows
+
     def at(self, rows: NoisyRows, mean: FloatArray) -> NoisyRows:
         """Rows with their D, (r, k (p + 1)), with ``d y / d c`` at an estimate in its place, (r, k)."""
         if rows.C is None:
