@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from drivers.errors import DriverError, UrlError
-from drivers.transports import open_can, open_i2c, open_pulse, open_pulse_output, open_serial
+from drivers.transports import open_can, open_i2c, open_pair, open_pulse, open_pulse_output, open_serial
 
 
 def clock():
@@ -35,6 +35,9 @@ def clock():
         (open_pulse, "pps:///dev/pps0?line=1", "unknown options line: it takes none"),
         (open_pulse_output, "gpio:///dev/gpiochip0?line=27", "begin it with one of gpio-out"),
         (open_pulse_output, "gpio-out:///dev/gpiochip0", "lacks line"),
+        (open_pair, "gpio-pair:///dev/gpiochip0?data=5", "lacks clock: add '\\?clock="),
+        (open_pair, "gpio-pair:///dev/gpiochip0?data=5&clock=5", "one line for both: correct data or clock"),
+        (open_pair, "gpio:///dev/gpiochip0?line=5", "begin it with one of gpio-pair, gpio-pair\\+unix"),
         (open_serial, "serial:///dev/ttyUSB0", "lacks baud"),
         (
             open_serial,
@@ -87,6 +90,7 @@ def test_many_options_are_refused_with_a_short_message():
         (open_pulse, "pps:///dev/no-such-pps"),
         (open_pulse, "gpio+unix:///no-such-folder/edges"),
         (open_pulse_output, "gpio-out:///dev/no-such-gpiochip?line=3"),
+        (open_pair, "gpio-pair:///dev/no-such-gpiochip?data=3&clock=4"),
         (open_serial, "serial:///dev/no-such-tty?baud=9600"),
     ],
 )
