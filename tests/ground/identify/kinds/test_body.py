@@ -96,22 +96,22 @@ def exchanged(bed, first, second):
 
 SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
 WRONG = {
-    "sign": (lambda: fly(71, 30.0, wrong=Wrong(force=SIGN)), "if t3 pushes the other way:"),
+    "sign": (lambda: fly(71, 20.0, wrong=Wrong(force=SIGN)), "if t3 pushes the other way:"),
     "stuck": (lambda: fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
-    "place": (lambda: fly(73, 30.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
-    "turned": (lambda: turned(fly(74, 30.0), order=(1, 0, 2)), "if the tracker's x and y are exchanged:"),
-    "mirrored": (lambda: turned(fly(77, 30.0), (1, -1, 1)), "if the tracker's y counts the other way:"),
+    "place": (lambda: fly(73, 20.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
+    "turned": (lambda: turned(fly(74, 20.0), order=(1, 0, 2)), "if the tracker's x and y are exchanged:"),
+    "mirrored": (lambda: turned(fly(77, 20.0), (1, -1, 1)), "if the tracker's y counts the other way:"),
     "below": (
-        lambda: turned(fly(78, 30.0), (-1, 1, -1)),
+        lambda: turned(fly(78, 20.0), (-1, 1, -1)),
         "if the tracker's x counts the other way and its yaw counts the other way:",
     ),
-    "exchanged": (lambda: exchanged(fly(79, 30.0), 3, 6), "if t4 and t7 are exchanged:"),
+    "exchanged": (lambda: exchanged(fly(79, 20.0), 3, 6), "if t4 and t7 are exchanged:"),
     "both": (
-        lambda: turned(exchanged(fly(81, 30.0), 1, 4), (1, -1, 1)),
+        lambda: turned(exchanged(fly(81, 20.0), 1, 4), (1, -1, 1)),
         "if t2 and t5 are exchanged and the tracker's y counts the other way:",
     ),
     "cycle": (
-        lambda: exchanged(exchanged(fly(80, 30.0), 0, 1), 1, 2),
+        lambda: exchanged(exchanged(fly(80, 20.0), 0, 1), 1, 2),
         r"if (t\d and t\d are exchanged( and )?){2}:",
     ),
 }
