@@ -6,11 +6,13 @@ changes the regressor: its effect is linear in the estimate
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.dynamics.kinematics import cross
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.rows import RowModel, base_motion
@@ -116,7 +118,7 @@ def columns(
     """
     if not considered:
         return None
-    names = [row.name for row in model.rows]
+    names, read = [row.name for row in model.rows], cache(partial(_as_read, signals, model))
     D = np.zeros((*use.shape, len(considered), parameters + 1))
     misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
     for k, cause in enumerate(considered):
@@ -135,7 +137,7 @@ def columns(
             D[:, names.index(cause.row), k, -1] = -signals.measured_rate[at, names.index(cause.row)]
         elif cause.sigma > 0.0:
             step = _STEP_S if cause.effect.endswith("delay") else _STEP
-            misread[k] = _misread(signals, cause, model, step), step
+            misread[k] = _misread(signals, cause, model, step, read), step
     if misread:
         before, *after = regressors([signals, *(wrong for wrong, _ in misread.values())])
         for (k, (_, step)), wrongly in zip(misread.items(), after, strict=True):
@@ -143,7 +145,16 @@ def columns(
     return D[use]
 
 
-def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) -> Signals:
+def _as_read(signals: Signals, model: RowModel, frame: str) -> list[FloatArray]:
+    """Rate, angular acceleration and specific force as an IMU there reads them, (n, 3) each."""
+    R, p = model.vehicle.pose_in_base(frame)
+    w, dw, f = signals.motion
+    return [w @ R, dw @ R, (f + cross(dw, p) + cross(w, cross(w, p))) @ R]
+
+
+def _misread(
+    signals: Signals, cause: Considered, model: RowModel, step: float, read: Callable[[str], list[FloatArray]]
+) -> Signals:
     """The signals as they would be if one instrument read a little more, were turned a little, or a little late."""
     own = step * np.array([joint.name == cause.row for joint in model.vehicle.joints])
     q, dq, ddq = signals.q, signals.dq, signals.ddq
@@ -153,16 +164,14 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
         return signals._replace(q=q * (1.0 + own), dq=dq * (1.0 + own), ddq=ddq * (1.0 + own))
     if cause.effect == "joint_delay":
         return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * rate_of(signals, ddq))
-    R, p = model.vehicle.pose_in_base(cause.row)
-    w, dw, f = signals.motion
-    parts = [w @ R, dw @ R, (f + np.cross(dw, p) + np.cross(w, np.cross(w, p))) @ R]  # as the IMU reads
+    parts = [*read(cause.row)]
     kind = cause.effect.removeprefix("gyro_").removeprefix("accelerometer_")
     for index in (0, 1) if cause.effect.startswith("gyro") else (2,):
         value = parts[index]
         if kind == "delay":
-            parts[index] = value - step * (dw @ R if index == 0 else rate_of(signals, value))
+            parts[index] = value - step * (parts[1] if index == 0 else rate_of(signals, value))
         elif kind == "misalignment":
-            parts[index] = value + step * np.cross(value, np.eye(3)[cause.axis or 0])
+            parts[index] = value + step * cross(value, np.eye(3)[cause.axis or 0])
         elif kind == "bias":
             parts[index] = value + step * (np.eye(3)[cause.axis or 0] if index != 1 else np.zeros(3))
         else:
