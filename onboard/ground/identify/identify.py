@@ -142,6 +142,14 @@ def identify(
     by_likelihood = BY_LIKELIHOOD.get(vehicle.prediction)
     vehicle, more = with_chosen_width(vehicle, readers[0], by_likelihood)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
+    by_log = {log.path: load for log, load in zip(readers, loads, strict=True) if load is not None}
+    if alone := throws.carriers(vehicle, by_log):
+        empty: Identifier | None = None
+        for reader in (one for one in readers if one.path in alone):
+            empty = _again(vehicle, reader, empty, _settled(vehicle, reader))
+        assert empty is not None
+        vehicle = throws.with_carrier(vehicle, by_log[alone[0]], empty)
+        more += (f"what carries the loads is as {', '.join(log.name for log in alone)} shows it",)
     pools, found = dict[str, Identifier](), []
     flies = not all(
         device.kind.startswith("recorded_") for device in vehicle.file.device.values()
@@ -150,11 +158,7 @@ def identify(
         about = None if load is None or flies else _settled(vehicle, reader)
         found.append(_one(vehicle, reader, load, about) if by_likelihood is None else by_likelihood(vehicle, reader))
         if load is not None:
-            again = Estimator(vehicle, pools.get(load.name), at_the_end=True)
-            pools[load.name] = again.identifier
-            again.identifier.about = about
-            for _ in feed(again, reader):
-                pass
+            pools[load.name] = _again(vehicle, reader, pools.get(load.name), about)
         if progress:
             progress(len(found))
     loaded = {load.name: load for load in loads if load is not None}
@@ -163,12 +167,21 @@ def identify(
     return Identification(vehicle, tuple(found), calibration, together, recorded=(*said, *more))
 
 
+def _again(
+    vehicle: config.Vehicle, log: LogReader, identifier: Identifier | None, about: FloatArray | None
+) -> Identifier:
+    """What an identifier, or a fresh one, knows after a log."""
+    estimator = Estimator(vehicle, identifier, at_the_end=True)
+    estimator.identifier.about = about
+    for _ in feed(estimator, log):
+        pass
+    return estimator.identifier
+
+
 def _settled(vehicle: config.Vehicle, log: LogReader) -> FloatArray | None:
     """Parameters by a first pass through a log, at which noise and errors of its rows are computed in the second."""
-    first = Estimator(vehicle, at_the_end=True)
-    for _ in feed(first, log):
-        pass
-    return first.identifier.block_jackknife(exact=True).mean if first.identifier.rows_used else None
+    first = _again(vehicle, log, None, None)
+    return first.block_jackknife(exact=True).mean if first.rows_used else None
 
 
 def _one(

@@ -202,6 +202,30 @@ def test_a_file_without_loads_is_said_how_to_write_one(tmp_path: Path) -> None:
         load_of(bare, Path("own.mcap"))
 
 
+def test_a_log_of_the_carrier_alone_says_what_is_taken_off(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A file that knows nothing of the carrier: without its log a load is refused, not answered with the whole."""
+    vehicle_file(tmp_path)
+    text = re.sub(r"(?s)\[free_body.carrier\].*?(?=# Weighed)", "", TUDELFT.text)
+    (tmp_path / "vehicle.toml").write_text(text)
+    bare, known, whole = config.load(tmp_path / "vehicle.toml"), carrier_of(TUDELFT), with_carrier(LOAD)
+    assert known is not None
+    assert carrier_of(bare) is None
+    logs = []
+    for name, body in (("device_only", known.body), ("config_a", whole)):
+        one = tmp_path / f"{name}.mcap", body.inertia_kg_m2, body.centre_of_mass_m, TUMBLES[0], rng
+        logs.append(throws.write(*one))
+    found = identify(bare, logs)
+    assert "what carries the loads is as device_only.mcap shows it" in found.recorded
+    throw = found.logs[1].throw
+    assert throw is not None
+    assert throw.principal is not None
+    truth = np.linalg.eigvalsh(LOAD.inertia_kg_m2)
+    assert ((throw.principal.low <= truth) & (truth <= throw.principal.high)).all()
+    assert np.abs(throw.principal.moments / truth - 1.0).max() < 0.15
+    with pytest.raises(LoadError, match=r"name a log of device_only \(\*device_only\*\) in the same command"):
+        identify(bare, logs[1:])
+
+
 def without_loads(directory: Path) -> config.Vehicle:
     """The device of the throws, of which no load is known."""
     (directory / "tudelft.urdf").write_text(TUDELFT.urdf_text)

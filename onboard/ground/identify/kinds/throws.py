@@ -16,6 +16,7 @@ import numpy as np
 import tomli_w
 
 from onboard import config
+from onboard.config.bases.free_body import Carrier
 from onboard.dynamics.model.inertia import RigidBody, elements, symmetric
 from onboard.identification.corrections import contradicted
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
@@ -182,6 +183,47 @@ def carrier_of(vehicle: config.Vehicle) -> KnownBody | None:
     inertia = symmetric(np.array(carrier.inertia_kg_m2))
     body = RigidBody(carrier.mass_kg, np.array(carrier.centre_of_mass_m), inertia)
     return KnownBody(body, np.array([*carrier.centre_of_mass_sigma_m, *carrier.inertia_sigma_kg_m2]))
+
+
+def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) -> config.Vehicle:
+    """The vehicle with the carrier that its own logs show, in place of ``[free_body.carrier]``.
+
+    Args:
+        vehicle: says nothing of its carrier.
+        load: the carrier alone.
+        identifier: after its logs.
+    """
+    whole, section = whole_body(identifier, load.mass_kg), vehicle.file.free_body
+    assert section is not None
+    body, sigma = whole.body, whole.sigma.tolist()
+    carrier = Carrier(
+        mass_kg=load.mass_kg,
+        centre_of_mass_m=tuple(body.centre_of_mass_m.tolist()),
+        centre_of_mass_sigma_m=tuple(sigma[:3]),
+        inertia_kg_m2=tuple(elements(body.inertia_kg_m2).tolist()),
+        inertia_sigma_kg_m2=tuple(sigma[3:]),
+    )
+    known = vehicle.file.model_copy(update={"free_body": section.model_copy(update={"carrier": carrier})})
+    return vehicle.model_copy(update={"file": known})
+
+
+def carriers(vehicle: config.Vehicle, loads: Mapping[Path, config.Load]) -> list[Path]:
+    """Logs of the carrier alone that have to say what is subtracted from the others; none where the file says it.
+
+    Raises:
+        LoadError: a load on a carrier that neither the file nor a log shows.
+    """
+    section = vehicle.file.free_body
+    if section is None or section.carrier is not None or "load" not in {load.role for load in loads.values()}:
+        return []
+    own = [log for log, load in loads.items() if load.role == "carrier"]
+    if not own and (empty := [load for load in section.load if load.role == "carrier"]):
+        log, load = next((log, load) for log, load in loads.items() if load.role == "load")
+        raise LoadError(
+            f"{log}: {load.name} is what is left without what carries it, which nothing shows: name a log of "
+            f"{empty[0].name} ({empty[0].logs}) in the same command, or write [free_body.carrier] (docs/free_body.md)"
+        )
+    return own
 
 
 def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) -> Throw:
