@@ -92,7 +92,8 @@ def _body(arguments: argparse.Namespace) -> int:
     from onboard.ground.before.init import body, drawing
 
     if arguments.base != "planar":
-        raise ValueError(f"--thrusters move a body on a table: --base planar, not {arguments.base}")
+        where = "by wheels it is moved on a bearing (--base pivot) or freely (docs/free_body.md)"
+        raise ValueError(f"--thrusters move a body on a table: --base planar, not {arguments.base}; {where}")
     if given := [one for one in ("joints", "encoder", "load_cell", "gains", "imu") if getattr(arguments, one)]:
         raise ValueError(f"--{given[0].replace('_', '-')}: a body by its --thrusters has no arm; leave it out")
     drawn = drawing.read(arguments.urdf, arguments.base, recorded=True) if arguments.urdf else None

@@ -48,7 +48,10 @@ def write(wanted: Bed, directory: Path) -> list[Path]:
     """
     drawn = wanted.drawn
     if not drawn.joints:
-        raise config.ConfigError("a body on a pivot is moved by reaction wheels: the URDF has no joint that turns one")
+        raise config.ConfigError(
+            "a body on a pivot is moved by reaction wheels: the URDF has no joint that turns one; thrusters on a "
+            "bearing do not take part, they are identified on a table: --base planar --thrusters (docs/recordings.md)"
+        )
     if wanted.proof and wanted.proof not in drawn.links:
         raise config.ConfigError(
             f"--payload-link {wanted.proof} is the proof mass, which is known: give it its mass and place in the URDF"

@@ -130,6 +130,7 @@ def test_it_offers_what_answers_on_the_buses(tmp_path: Path, monkeypatch: pytest
         (["--base", "fixed"], "give --load-cell"),
         (["--base", "free", "--joints", "0"], "heft init --from tudelft, docs/free_body.md"),
         (["--base", "planar", "--joints", "0"], "give --joints, or --thrusters"),
+        (["--base", "pivot", "--urdf", "bed.urdf", "--thrusters", "t1"], "on a bearing (--base pivot) or freely"),
         (["--base", "free", "--joints", "a,a"], "once"),
         (["--base", "free", "--joints", 'a"]'], "letters, digits"),
         (["--base", "free", "--joints", "imu_base"], "imu_base"),
