@@ -41,7 +41,7 @@ class TestFiles:
     def test_signals_by_name_and_time(self, log: Recorded) -> None:
         with served(log) as one:
             assert json.loads(ask(one.port, "/signals").body) == {
-                "names": ["joint_1", "estimator rows"],
+                "names": ["joint_1", "estimator rows", "innovation line 1"],
                 "signal": None,
             }
             for query in ("?name=nothing", "?name=joint_1&since=x", "?since=1", "?%00", "?name=joint_1%20"):
