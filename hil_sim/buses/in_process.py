@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from hil_sim.buses.can_virtual import VirtualCan, install_can
-from hil_sim.buses.gpio.pair import PairBus, install_pair
+from hil_sim.buses.gpio.pair import PairBus
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.buses.network import NetworkBus
@@ -42,6 +42,8 @@ class _I2cPort(Port):
 
 class _PairPort(Port):
     def __init__(self, path: str, clock: Callable[[], int]) -> None:
+        from hil_sim.buses.gpio.chip import install_pair  # noqa: PLC0415 - libgpiod, of all that have no such lines
+
         bus = PairBus()
         self._uninstall = install_pair(path, bus, clock)
         super().__init__(bus, f"gpio-pair://{path}?data=5&clock=6")

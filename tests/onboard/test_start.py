@@ -41,8 +41,8 @@ print(json.dumps([len(said), sorted(sys.modules)]))
 @pytest.mark.parametrize(
     ("command", "code", "without", "most", "validators"),
     [
-        ("hil dymaflex --faults", 0, _HEAVY, 1270, 10),
-        ("hil rocksat --faults", 0, _HEAVY, 1270, 10),
+        ("hil dymaflex --faults", 0, _HEAVY, 1310, 10),
+        ("hil rocksat --faults", 0, _HEAVY, 1310, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 1030, 0),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1080, 1),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 620, 1),

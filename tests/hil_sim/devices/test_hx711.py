@@ -13,7 +13,8 @@ import gpiod
 import pytest
 from gpiod.line import Direction, Value
 
-from hil_sim.buses.gpio.pair import PairBus, install_pair
+from hil_sim.buses.gpio.chip import install_pair
+from hil_sim.buses.gpio.pair import PairBus
 from hil_sim.devices.bridge_converter import FILTER
 from hil_sim.devices.hx711 import Hx711Twin
 from hil_sim.faults import Fault, FaultError, FaultPlan
