@@ -213,6 +213,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "flange",
         "hand",
         "bridge",
+        "wing",
         "wrist_force",
     ]
     assert roles.signals.keys() == {"imu_base", "imu_elbow", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {

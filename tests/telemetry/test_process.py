@@ -221,7 +221,7 @@ def test_a_flight_over_a_serial_line_at_19200_baud(tmp_path: Path) -> None:
     done = subprocess.run(
         [*command, "--log", str(log), "--telemetry", to], capture_output=True, text=True, timeout=200, check=False
     )
-    assert "every sample accounted for" in done.stdout, done.stderr
+    assert "every sample accounted for" in done.stdout, done.stdout + done.stderr
     line.pull()
     found, series, read = packets(line.data), Series(), LogReader(log)
     assert all(series.place(packet) == (True, 0) for packet in found)

@@ -192,12 +192,13 @@ class TableExiddm(Exiddm):
         payload_sigma: FloatArray,
         link_covariance: Mapping[str, FloatArray],
         imu_prior: ImuPrior = CERTAIN,
+        likely: RigidBody | None = None,
     ) -> None:
         super().__init__(base, imu_frame, payload_sigma, link_covariance, imu_prior)
         if base.signals.joint_sigma is not None and base.signals.joint_sigma.any():
             self._likely = base.vehicle.chi.copy()
             with suppress(SignalError):  # no mass can be seen so: that of the file
-                self._likely[base.vehicle.payload_columns()] = standard_of(self.rough())
+                self._likely[base.vehicle.payload_columns()] = standard_of(likely or self.rough())
             self._take(base)
 
     def _of_joints(self) -> FloatArray:
@@ -386,10 +387,14 @@ def air_bearing_exiddm(
     payload_sigma: FloatArray,
     link_covariance: Mapping[str, FloatArray],
     prior: AirBearingPrior,
+    likely: RigidBody | None = None,
 ) -> TableExiddm:
-    """The ExIDDM of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`Exiddm` have."""
+    """The ExIDDM of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`Exiddm` have.
+
+    ``likely``: the payload at which the noise of the joints is weighed; None: the first guess.
+    """
     base = AirBearingBase(vehicle, signals, prior)
-    return TableExiddm(base, imu_frame, payload_sigma, link_covariance, prior.imu)
+    return TableExiddm(base, imu_frame, payload_sigma, link_covariance, prior.imu, likely)
 
 
 def planar_rows(

@@ -193,7 +193,7 @@ def test_a_bus_that_cannot_be_opened_is_not_ready(capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--test", "hx711"], "no kind that can be tried without a vehicle file"),
+        (["--test", "hx712"], "no kind that can be tried without a vehicle file"),
         (["--test", "qsb"], "--url 'serial:///dev/ttyUSB0?baud=230400'"),
         (["--test", "ur_joint"], "--url 'tcp://192.168.56.101:30004'"),
         (["--test", "ur_joint", "--url", "tcp://127.0.0.1:9"], "no ur_joint answers on a bus"),

@@ -61,7 +61,7 @@ def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     ).coarser(ticks_together(vehicle))
     prior = table_prior(vehicle) if first == 0 else underway(table_prior(vehicle))
     prior = prior._replace(geometry=geometry_prior(vehicle, model))
-    exiddm = air_bearing_exiddm(model, roles.imu.frame, flight, payload_sigma, links, prior)
+    exiddm = air_bearing_exiddm(model, roles.imu.frame, flight, payload_sigma, links, prior, payload)
     start = np.array([plan.velocity_m_s[0], plan.velocity_m_s[1], plan.rate_rad_s[2]])
     x = exiddm.parameters(start, payload)
     drags = {name: k for k, name in enumerate(exiddm.names) if name.startswith(("Fv_", "Fc_"))}
