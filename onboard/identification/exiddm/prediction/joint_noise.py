@@ -12,8 +12,7 @@ predictions with an error of one joint's rate or acceleration, each in its turn,
 (Encoders' noise added to flights once and twice more moved masses by two thirds of that. With lines of rates it was
 three to ten times as much, for a reason that is not known.)
 
-That is of first order, and what is stated of a sensor is the most that it has: an estimate is corrected by half of it,
-with the sigma of a uniform distribution from none to all.
+An estimate is corrected by that, with the doubt in the power of stated noise as its sigma.
 """
 
 import math
@@ -29,6 +28,7 @@ from onboard.dynamics.kinematics import chain_motion, cross
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.exiddm.prediction.further import PlacedImu
 
 NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
@@ -54,8 +54,8 @@ def correction_of(covariance: FloatArray, added: FloatArray) -> NoiseCorrection:
         covariance: of k estimates with all p parameters, (k, p).
         added: what it adds to the gradient, (p,).
     """
-    all_of_it = covariance @ added
-    return NoiseCorrection(0.5 * all_of_it, all_of_it / math.sqrt(12.0))
+    shift = covariance @ added
+    return NoiseCorrection(shift, NOISE_SIGMA * shift)
 
 
 def in_turn(sigma: FloatArray, at_a_time: int, begin: int) -> FloatArray:
