@@ -45,7 +45,6 @@ _PATIENT, _STEPS = 200, 40  # iterations at the end, of a step of a search: velo
 _ROUGHLY, _FAIRLY, _CLOSELY = 100.0, 3.0, 1e-2  # tolerances of the sum, by stage
 _SEARCH_PERIOD_s = 0.02  # between ticks
 _ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
-_ROUGH_TICKS = 10  # under the kernel that smooths the base's motion, or more
 _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
 _HOPELESS = 4.0  # squares of a search's result by its residuals, three times what could be an answer
@@ -155,10 +154,11 @@ class AirBearingBase:
         """Payload by plain least squares on rows without drag: a biased initial guess.
 
         Raises:
-            SignalError: a mass that is not positive.
+            SignalError: a mass that is not positive, or ticks that are too long.
         """
-        width_s = max(ROUGH_WIDTH_s, _ROUGH_TICKS * self.signals.period_s)
-        Y, y = planar_rows(self.vehicle, imu_frame, self.signals, self._run, width_s)
+        Y, y = planar_rows(self.vehicle, imu_frame, self.signals, self._run, ROUGH_WIDTH_s)
+        if not y.size:
+            raise SignalError("the ticks are too long for a kernel that smooths the base's motion")
         mean, noise = np.zeros(10), 1.0
         for _ in range(3):
             information = Y.T @ Y / noise + np.diag(1.0 / payload_sigma**2)

@@ -258,7 +258,7 @@ class ImuPredictor:
         """What noise of the joints' samples adds to the gradient of predicted less measured, (p,); see `joint_noise`.
 
         Zero where it is next to nothing beside that of every line; by delays: a rate of change of noise is as often
-        along it as against; and of rates and a tracker's pose, in which they are summed.
+        along it as against; of a tracker's pose, in which rates are summed; and of lines of rates: see `joint_noise`.
 
         Args:
             ticks: b + 2 of them.
