@@ -1,6 +1,7 @@
 """What the vehicle file states before a flight: links, instruments, joints, payload; for the ExIDDM and for rows."""
 
 from collections.abc import Mapping
+from math import hypot
 
 import numpy as np
 
@@ -108,7 +109,7 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
 
     A silent joint of which the rate is measured is a rotor with the scale and the delay of its device.
 
-    Cyclic errors are those that the encoders' devices state.
+    Cyclic errors are those that the encoders' devices state; what a device states of its delay adds to the joint's.
 
     Raises:
         UnknownFrameError: a joint that the URDF does not have.
@@ -117,6 +118,7 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
     stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
     ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
     rotors = {joint.joint: joint for joint in roles.joints if joint.is_rate}
+    late_s = {joint.joint: joint.delay_sigma_s for joint in roles.joints}
     joints = {}
     for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
         if name in rotors and name not in stated:  # a body of revolution: place and angle have no effect
@@ -125,9 +127,8 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
             continue
         own = stated.get(name, config.JointKeys())
         cyclic = tuple(rms for _, rms in ripple.get(name, ()))
-        joints[name] = JointPrior(
-            own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic, _spring(model, name, own)
-        )
+        delay_s = hypot(own.delay_s, late_s.get(name, 0.0))
+        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, delay_s, cyclic, _spring(model, name, own))
     return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
 
 

@@ -1,10 +1,12 @@
-"""Biases of a free body's IMU: the accelerometer's is estimated, whichever key states it, and where none does."""
+"""Priors that devices state: biases of an IMU, delays of encoders; and what is taken where none is stated."""
+
+import math
 
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_identifier
-from onboard.flight.estimate.problem.priors import biases
+from onboard.flight.estimate.problem.identification import build_identifier, build_model
+from onboard.flight.estimate.problem.priors import biases, geometry_prior
 
 STATED = "gyro_bias_rad_s = 2e-3\naccelerometer_bias_m_s2 = 0.03 # which is estimated\n"
 
@@ -39,3 +41,12 @@ def test_a_silent_file_has_biases_of_what_a_calibration_leaves(tmp_path, keys, a
 
 def test_rows_of_an_arm_have_none_but_what_is_stated():
     assert biases(config.named("student_arm")) == (None, 2e-3)
+
+
+def test_a_device_that_states_its_delay_adds_it_to_the_joints_of_a_free_base():
+    """A servo's reading is 0.45 ms old, give or take; the joint's own key, silent here, has 0.2 ms by itself."""
+    servos = config.named("student_arm")
+    geometry = geometry_prior(servos, build_model(servos))
+    assert geometry.joints["joint_1"].delay_s == pytest.approx(math.hypot(0.45e-3, config.JointKeys().delay_s))
+    encoders = config.named("dymaflex")
+    assert geometry_prior(encoders, build_model(encoders)).joints["joint_1"].delay_s == config.JointKeys().delay_s
