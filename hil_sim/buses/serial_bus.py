@@ -10,7 +10,7 @@ applied.
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -58,6 +58,14 @@ class Listens(Protocol):
         """Another station sends ``data``, which will have ended at ``end_ns``."""
 
 
+@runtime_checkable
+class Joins(Protocol):
+    """A station that has the line for itself, made of several tables."""
+
+    def join(self, other: Any) -> None:
+        """Another table of the same device."""
+
+
 class _Wire(SerialWire):
     """One that knows which of the device's messages are samples, and tells other stations of all of them."""
 
@@ -70,6 +78,11 @@ class _Wire(SerialWire):
         self._sample_length, self._said = sample_length, said
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
         super().__init__(device)
+
+    @property
+    def device(self) -> SerialStation:
+        """Who hangs on it."""
+        return self._device
 
     @property
     def agrees(self) -> bool:
@@ -156,7 +169,7 @@ class SerialBus:
         sample_length: Callable[[bytes], int] = lambda message: 0,
         asks: Callable[[bytes], bool] | None = None,
     ) -> None:
-        """Connect a device.
+        """Connect a device, or one more table of it.
 
         Args:
             device: It.
@@ -167,6 +180,10 @@ class SerialBus:
             sample_length: How many characters of a message make a sample; 0: it is none.
             asks: Of a device that is asked: whether a message of the flight computer asks for a sample; None: each.
         """
+        for wire in self._wires:
+            if isinstance(wire.device, Joins):
+                wire.device.join(device)
+                return
         self._wires.append(_Wire(device, sample_length, self._said))
         self._made = made
         if asks is not None:
