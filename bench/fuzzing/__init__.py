@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse")
+DECODERS = (
+    *("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse"),
+    "bota_ft",
+)
 I2C = ("nau7802", "as5600", "icm20948")
 LINES = ("hx711",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")

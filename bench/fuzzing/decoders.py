@@ -16,6 +16,8 @@ from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, cut, drive, exhaust, le
 from drivers import dsc_load_cell, dynamixel, modbus_load_cell, mpu6050, node_frame
 from drivers import nimu as nimu_room
 from drivers import qsb as qsb_room
+from drivers.bota_ft import BotaChannel, BotaFt, BotaFtConfig
+from drivers.bota_ft import frame as bota_frame
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, Cia402Config, Cia404Config, Cia406Config, SyncConfig
 from drivers.canopen_pdo import frame as canopen_frame
 from drivers.canopen_pdo.guarding import GuardConfig
@@ -300,6 +302,27 @@ def sync_pulse(data: bytes) -> None:
     drive(SyncPulse("pulse", port), clock, steps(), 0)
 
 
+def bota(data: bytes) -> None:
+    """Frames by the decoder and by the device, whose commands are answered with codes that the bytes say, or not."""
+    (how, which, fail_at), body = leading(data, 3)
+    if which & 0x80:  # the checksums are put right
+        at = body.find(bota_frame.START)
+        while at >= 0:
+            content = body[at + 1 : at + 1 + bota_frame.CONTENT_BYTES]
+            end = at + bota_frame.FRAME_BYTES
+            body = body[: at + 1] + content + bota_frame.crc(content).to_bytes(2, "little") + body[end:]
+            at = body.find(bota_frame.START, end)
+    with contextlib.suppress(FrameError):
+        bota_frame.decode_frame(body[: bota_frame.FRAME_BYTES])
+    exhaust(bota_frame.WrenchStream(), body, how)
+    clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
+    if not which & 0x40:
+        port.answer = lambda command: b"r,0,%c,%d\r\n" % (command[0], which & 8)
+    channels = [BotaChannel("fx", 0, "N"), BotaChannel("warm", 6, "degC")]
+    device = BotaFt("wrist", channels, lambda: port, clock, BotaFtConfig((100.0, 800.0)[which & 1]))
+    drive(device, clock, spoken(port, body, how), STEPS_NS[which >> 4 & 3])
+
+
 CALLS: dict[str, Callable[[bytes], None]] = {
     "mpu6050": mpu6050_fifo,
     "canopen": canopen,
@@ -311,4 +334,5 @@ CALLS: dict[str, Callable[[bytes], None]] = {
     "dynamixel": dynamixel_line,
     "node_frame": node,
     "sync_pulse": sync_pulse,
+    "bota_ft": bota,
 }

@@ -5,6 +5,7 @@ import struct
 from bench import peers
 from bench.fuzzing.decoders import CAN_GUARDS, CAN_IDS, CAN_NODES, NODE_CHANNELS
 from bench.fuzzing.laws import joined
+from drivers.bota_ft.frame import crc
 from drivers.canopen_pdo import CanopenBus, SyncConfig
 from drivers.modbus_load_cell.frame import read_request
 from drivers.transports.can.can_slcan import encode_line
@@ -68,6 +69,18 @@ def _dynamixel_seeds() -> list[bytes]:
     ]
 
 
+def _bota_seeds() -> list[bytes]:
+    content = [struct.pack("<H6fIf", 0, at, 0, -1, 0, 0, 0.5, 1000 * at, 25.0) for at in range(1, 60)]
+    frames = [b"\xaa" + one + crc(one).to_bytes(2, "little") for one in content]
+    again = b"".join(frames[:4])
+    return [
+        b"\0\0\0" + b"".join(frames[:24]),
+        b"\x03\x90\0App Init\r\n" + b"".join(frames[:20]) + again,
+        b"\0\x48\0" + again[:50] + b"".join(frames[5:9]) + b"r,0,C,0",
+        b"\x05\xa1\x09" + b"".join(frames[30:50]) + again,
+    ]
+
+
 def seeds() -> dict[str, list[bytes]]:
     """Seeds by target."""
     packets = b"".join(peers.nimu_packet(at) for at in range(14))
@@ -98,6 +111,7 @@ def seeds() -> dict[str, list[bytes]]:
         ],
         "dsc": [b"\1\0\0" + joined(*numbers), b"\x19\1\x09" + joined(*numbers[::-1], b"+1\r+2\r", b"1" * 40)],
         "dynamixel": _dynamixel_seeds(),
+        "bota_ft": _bota_seeds(),
         "node_frame": _node_seeds(),
         "sync_pulse": [
             bytes([0, 1, 0, 0]) * 20,

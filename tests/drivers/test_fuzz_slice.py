@@ -23,6 +23,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "dynamixel": 120,
     "node_frame": 200,
     "sync_pulse": 500,
+    "bota_ft": 120,
     "nau7802": 60,
     "as5600": 60,
     "icm20948": 60,

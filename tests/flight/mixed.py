@@ -18,6 +18,7 @@ from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.net_box import NetBox
+from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
@@ -131,6 +132,7 @@ class MixedWorld:
             "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
+            "tty_wrist": SerialBusTable(kind="serial", baud_rate=460_800),
             "robot": TcpBusTable(kind="tcp"),
             "box": UdpBusTable(kind="udp"),
         }
@@ -170,6 +172,8 @@ class MixedWorld:
         bus["tty_grip"].add(DscLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
         bus["tty_tracker"].add(PoseTrackerTwin(Cameras(), RateClock(), START_NS))
+        self.palm = BotaTwin({4: (Analog(force_n), 30.0)}, RateClock(-2e-4), START_NS)
+        bus["tty_wrist"].add(self.palm)
         for identifier, zero in ((1, 2048), (2, 1000)):
             wave, torque = Analog(angle(5 + identifier)), Analog(dithered(TORQUE_N_M, 0.02))
             servo = DynamixelTwin(wave, torque, START_NS, identifier=identifier, zero_count=zero)

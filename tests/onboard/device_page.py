@@ -114,7 +114,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
-| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one device, or several servos; speed and format |
+| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | a device, servos, or a wrist sensor; its speed |
 | `tcp://192.168.56.101:30004` | joints, wrench and other outputs of one UR controller |
 | `udp://192.168.1.1:49152` | components of one wrist sensor |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |

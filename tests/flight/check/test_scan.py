@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from fastcrc.crc16 import ibm_sdlc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -167,20 +168,21 @@ def test_a_line_on_which_nothing_of_these_answers() -> None:
 
 
 class Line:
-    """A serial port that answers what it is made with to the first request."""
+    """A serial port that answers what it is made with to the first request, or says it unasked."""
 
-    def __init__(self, answer: bytes) -> None:
-        self.answer = answer
+    def __init__(self, answer: bytes, *, unasked: bool = False) -> None:
+        self.answer, self.waiting = (b"", answer) if unasked else (answer, b"")
 
     @property
     def in_waiting(self) -> int:
-        return len(self.answer)
+        return len(self.waiting)
 
     def read(self, size: int = 1) -> bytes:
-        got, self.answer = self.answer[:size], self.answer[size:]
+        got, self.waiting = self.waiting[:size], self.waiting[size:]
         return got
 
     def write(self, data: bytes, /) -> int:
+        self.answer, self.waiting = b"", self.waiting + self.answer
         return len(data)
 
     def close(self) -> None:
@@ -230,3 +232,10 @@ def test_a_wrist_sensor_is_known_by_a_record() -> None:
     six = list(scan.on_line(Line(b"\x00\x24" + bytes(36)), at_once, "udp"))
     assert [(one.kind, one.number) for one in six] == [("net_ft", n) for n in range(1, 7)]
     assert not list(scan.on_line(Line(b"\x00\x04HTTP"), at_once, "udp"))
+
+
+def test_a_wrist_sensor_on_a_line_is_known_by_a_frame() -> None:
+    said = b"App Init\r\n\xaa" + bytes(34) + ibm_sdlc(bytes(34)).to_bytes(2, "little")
+    six = list(scan.on_line(Line(said, unasked=True), at_once, "serial"))
+    assert [(one.kind, one.number) for one in six] == [("bota_ft", n) for n in range(1, 7)]
+    assert not list(scan.on_line(Line(said[:-1] + b"\0", unasked=True), at_once, "serial"))
