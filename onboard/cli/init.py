@@ -45,6 +45,9 @@ def add(commands: Commands) -> None:
     )
     init.add_argument("--imu", metavar="KIND", help="on the base (mpu6050); recorded, or none; ? for a list")
     init.add_argument("--encoder", metavar="KIND", help="of every joint (cia406); recorded, ...; ? for a list")
+    init.add_argument(
+        "--drives", action="store_true", help="what measures the joints moves them too: [drive], and a motion to try"
+    )
     init.add_argument("--load-cell", metavar="KIND", help="(none); recorded, ...; ? for a list")
     init.add_argument(
         "--gains", metavar="G,G,...", help="N m in an A of each joint, where currents of its motor were recorded"
@@ -134,6 +137,8 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
         print(f"note: {note}")
     if "\n[bus." in files[0].read_text(encoding="utf-8"):
         print(f"next: heft hil {files[0]} rehearses it")
+        if any(path.name == "motion.csv" for path in files):
+            print(f"or, its drives at work: python -m hil_sim.serve_driven {files[0]} --directory DIR, docs/driving.md")
         print(f"then: put your numbers in, and heft preflight {files[0]}")
     else:
         own = "".join(f", or in {path}" for path in files if path.name == "import.toml")
@@ -228,4 +233,5 @@ def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
     frames = arguments.imu_frame or own, arguments.payload_link or "payload"
     gains = tuple(float(part) for part in arguments.gains.split(",")) if arguments.gains else ()
     pulse = not arguments.no_pulse
-    return NewVehicle(name, arguments.base, tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains)
+    chosen = tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains
+    return NewVehicle(name, arguments.base, *chosen, drives=arguments.drives)

@@ -64,6 +64,8 @@ class MotorDevice(JointDevice):
 class DrivenDevice(JointDevice):
     """It measures a joint and, where ``driven``, moves it as ``[drive]`` says."""
 
+    new_driven: ClassVar[str] = "driven = true                  # it plays the motion of [drive]\n"
+    new_drive: ClassVar[str] = ""  # keys of its own in [drive]
     driven: Annotated[
         bool, Field(description="It plays the motion of `[drive]`; `NAME_status` and `NAME_sent` are recorded.")
     ] = False

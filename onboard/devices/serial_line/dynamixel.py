@@ -59,6 +59,11 @@ noise_rad = 7e-4               # one sample: a count / sqrt(12), and its sensor'
     new_torque = """gain_N_m_A = 1.78              # yours: stall torque / stall current, here of an XM430-W350
 torque_scale_sigma = 0.1       # yours: of that, relative
 """
+    new_driven = DrivenDevice.new_driven + "timeout_ms = 10                # at most half of sync_limit_ms\n"
+    new_drive = """# no torque before it is armed: in gravity the motion begins where the arm rests (docs/servos.md)
+following_error_rad = 0.25     # a servo's P gain lets it lag by its speed, and sag by its load
+after_stop = "hold"            # it has no brake: without torque the arm falls
+"""
     new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
     kind: Literal["dynamixel"]
     id: Annotated[int, Field(ge=0, le=252)] = DynamixelConfig.id

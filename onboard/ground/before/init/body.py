@@ -10,7 +10,8 @@ from xml.sax.saxutils import quoteattr
 from onboard import config
 from onboard.config.keys import schema
 from onboard.ground.before.init.drawing import Drawn, with_frame
-from onboard.ground.before.init.vehicle import mount, write_files
+from onboard.ground.before.init.sketch import mount
+from onboard.ground.before.init.vehicle import write_files
 
 _NAME = re.compile(r"[A-Za-z]\w{0,27}", re.ASCII)
 _MARKER = "marker"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from onboard.devices.base import BusDevice, JointDevice, LoadCellDevice
 from onboard.devices.buses import ComponentDevice
-from onboard.devices.driven import MotorDevice
+from onboard.devices.driven import DrivenDevice, MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
@@ -43,6 +43,16 @@ def kinds(role: type) -> tuple[str, ...]:
 def with_torque() -> tuple[str, ...]:
     """Kinds of joints' devices that know the motor's torque."""
     return tuple(kind for kind in kinds(JointDevice) if issubclass(_model(kind), MotorDevice))
+
+
+def drives() -> tuple[str, ...]:
+    """Kinds of joints' devices that can move their joint."""
+    return tuple(kind for kind in kinds(JointDevice) if issubclass(_model(kind), DrivenDevice))
+
+
+def keys_of_drive(kind: str) -> str:
+    """Keys of its own in ``[drive]``."""
+    return str(getattr(_model(kind), "new_drive", ""))
 
 
 def smoothing_ms(kind: str, *, floats: bool) -> int:
@@ -101,16 +111,18 @@ def joint(
     *,
     smoothed: bool = True,
     gain_N_m_A: float | None = None,
+    driven: bool = False,
 ) -> NewDevice:
     """The device that measures joint ``name``, the ``number``-th from 1.
 
     ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are;
-    ``gain_N_m_A``: what was recorded is the motor's current.
+    ``gain_N_m_A``: what was recorded is the motor's current; ``driven``: it moves the joint, too.
     """
     device = device_of(number, name)
     if kind == RECORDED:
         return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A), "")
-    made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF\n")
+    moves = getattr(_model(kind), "new_driven", "") if driven else ""
+    made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF\n{moves}")
     if largest_N_m is None:
         return made
     keys = _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK, getattr(_model(kind), "new_torque", ""))

@@ -12,9 +12,10 @@ from onboard.config.keys import schema
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
 from onboard.dynamics.model.bases import BASES as KINDS
 from onboard.flight.estimate.problem.identification import build_online
-from onboard.ground.before.init import devices, drawing, pucks
+from onboard.ground.before.init import devices, drawing, drives, pucks
 from onboard.ground.before.init.devices import NewDevice
 from onboard.ground.before.init.drawing import Drawn
+from onboard.ground.before.init.sketch import link, mount
 
 BASES = ("free", "prescribed", "fixed", "planar")
 IMUS = (*devices.kinds(ImuDevice), devices.RECORDED, "none")
@@ -43,6 +44,7 @@ class NewVehicle(NamedTuple):
     imu_frame: str = "imu_base"
     payload_link: str = "payload"
     gains: tuple[float, ...] = ()  # N m/A of recorded currents, by joint
+    drives: bool = False  # what measures the joints moves them, too
 
     @property
     def root(self) -> str:
@@ -93,6 +95,9 @@ def make(wanted: NewVehicle, directory: Path) -> list[Path]:
     ]
     text = "".join([*parts, devices.IN_TURN if wanted.recorded else "", _rest(wanted)])
     files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
+    if wanted.drives:
+        files[_VEHICLE] += drives.table(devices.keys_of_drive(wanted.encoder))
+        files[drives.MOTION] = drives.motion(files[_URDF], wanted.joints)
     if wanted.recorded:
         files[_IMPORT] = devices.mapping(wanted.name, chosen)
     return write_files(directory, files)
@@ -121,6 +126,10 @@ def write_files(directory: Path, files: dict[str, str]) -> list[Path]:
         for name, text in files.items():
             (directory / name).write_text(text, encoding="utf-8")
         vehicle = config.load(directory / _VEHICLE)
+        if drives.MOTION in files:
+            armed = vehicle.model_copy(update={"arm": True})
+            for bus in vehicle.file.bus:
+                armed.play(bus)
         if vehicle.file.body is None:  # that one is identified afterwards
             build_online(vehicle)
     except BaseException:
@@ -153,6 +162,8 @@ def _require(wanted: NewVehicle) -> None:
         )
     if wanted.gains and len(wanted.gains) != len(wanted.joints):
         raise config.ConfigError(f"--gains has {len(wanted.gains)} numbers, the arm {len(wanted.joints)} joints")
+    if wanted.drives and wanted.encoder not in devices.drives():
+        raise config.ConfigError(f"--drives: {wanted.encoder} moves nothing; --encoder {' or '.join(devices.drives())}")
     if wanted.imu == "none" and KINDS[wanted.base].moves:
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
     others = {one for one in (wanted.imu, wanted.load_cell) if one != "none"}
@@ -168,7 +179,8 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
     for n, name in enumerate(wanted.joints, 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None
-        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, smoothed=smoothed, gain_N_m_A=gain))
+        options = {"smoothed": smoothed, "driven": wanted.drives}
+        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, gain_N_m_A=gain, **options))
     chosen += devices.load_cells(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1])
     if any(device.bus == devices.CAN for device in chosen):
         chosen.append(devices.SYNC)
@@ -304,27 +316,27 @@ def _taken_over(wanted: NewVehicle, drawn: Drawn) -> str:
 
 
 def _urdf(wanted: NewVehicle) -> str:
-    parts = [_link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
+    parts = [link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
     if wanted.imu != "none":
         parts.append(mount("imu_base", "base", "0 0 0"))
     parts += [mount(name, "base", place) for name, place in wanted.pucks.items()]
     before = "base"
     for number, name in enumerate(wanted.joints, 1):
-        link = f"link_{number}"
+        own = f"link_{number}"
         axis = "0 0 1" if number % 2 or wanted.base == "planar" else "0 1 0"
         place = "0.15 0 0" if number == 1 else "0.25 0 0"
-        parts.append(_link(link, 1.0, (0.12, 0.01, 0.0), 0.25))
+        parts.append(link(own, 1.0, (0.12, 0.01, 0.0), 0.25))
         parts.append(
             f"""  <joint name="{name}" type="revolute">
     <parent link="{before}"/>
-    <child link="{link}"/>
+    <child link="{own}"/>
     <origin xyz="{place}" rpy="0 0 0"/>                 <!-- yours: from the axis before it -->
     <axis xyz="{axis}"/>
     <limit lower="-1.5" upper="1.5" effort="{_effort(wanted, number):g}" velocity="1"/>
   </joint>
 """
         )
-        before = link
+        before = own
     parts.append(mount("payload", before, "0.25 0 0"))
     return f"""<?xml version="1.0"?>
 <!-- Made by heft init: a sketch of a {len(wanted.joints)}-joint arm. SI units; inertia about the centre of mass. Every
@@ -349,29 +361,3 @@ def _effort(wanted: NewVehicle, number: int) -> float:
     links = len(wanted.joints) - number + 1
     moment_kg_m = sum(0.12 + 0.25 * k for k in range(links)) + 1.5 * 0.25 * links
     return 10.0 * math.ceil(2.0 * 9.81 * moment_kg_m / 10.0)
-
-
-def _link(name: str, mass_kg: float, centre_m: tuple[float, float, float], length_m: float) -> str:
-    slender, round_ = mass_kg * length_m**2 / 12.0, mass_kg * 0.05**2 / 2.0
-    centre = " ".join(f"{part:g}" for part in centre_m)
-    inertia = (round_, slender, slender) if name != "base" else (slender, slender, slender)
-    ixx, iyy, izz = (f"{part:.5g}" for part in inertia)
-    return f"""  <link name="{name}">
-    <inertial>                                            <!-- yours -->
-      <origin xyz="{centre}" rpy="0 0 0"/>
-      <mass value="{mass_kg:g}"/>
-      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/>
-    </inertial>
-  </link>
-"""
-
-
-def mount(name: str, parent: str, place: str, turned: str = "0 0 0", note: str = "") -> str:
-    """A frame of the URDF, fixed to a link."""
-    return f"""  <link name="{name}"/>
-  <joint name="{name}_mount" type="fixed">
-    <parent link="{parent}"/>
-    <child link="{name}"/>
-    <origin xyz="{place}" rpy="{turned}"/>{note}
-  </joint>
-"""
