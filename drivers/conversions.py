@@ -5,6 +5,11 @@ period fitted to these times. Where that number is not sure, the driver marks it
 there. A sample that a late look found, and that may be this conversion or the next, is dropped.
 """
 
+import numpy as np
+
+from drivers.records import SCALAR, SampleStatus
+from drivers.reporter import Reporter
+
 FEWEST, MOST = 16, 1000  # conversions that a period is fitted to; then the fit begins anew, from half of them on
 DRIFT_S = 5e-6  # of its oscillator, relative: 0.05 K/s of a chip that warms, at 100 ppm/K
 SURE = 0.25  # conversions: error of a count below which the clock goes on
@@ -94,3 +99,67 @@ class ConversionCount:
     def anew(self) -> None:
         """The chip began anew: the phase of its conversions is another."""
         self._first = None
+
+
+class ConvertedForce(ConversionCount):
+    """Conversions as SCALAR rows in N, numbered, with the gaps before them.
+
+    Args:
+        report: Takes the rows, on the channel of its source.
+        scale: N per count.
+        period_ns: Nominal period.
+        oscillator: Relative bound of its error, until the period is fitted.
+    """
+
+    def __init__(self, report: Reporter, scale: float, period_ns: float, oscillator: float) -> None:
+        super().__init__(period_ns, oscillator)
+        self._report, self._scale = report, scale
+        self._after_reset = False
+
+    def anew(self) -> None:
+        """See ``ConversionCount``; the next row is marked AFTER_RESET."""
+        self._after_reset = self.number >= 0
+        super().anew()
+
+    def hand_over(self, not_before_ns: int, host_ns: int, counts: int, status: int, cause: str) -> str:
+        """Record a reading found at ``host_ns`` that was not there at ``not_before_ns``.
+
+        Args:
+            not_before_ns: Last look that did not find it.
+            host_ns: Look that found it.
+            counts: Of the converter.
+            status: ``SampleStatus``.
+            cause: Why conversions before it are missing; "": not known.
+
+        Returns:
+            The cause of what is missing from now on: "" when this was recorded.
+        """
+        following = self.number + 1
+        seen = self.seen(not_before_ns, host_ns)
+        if seen is None:
+            return cause or "missed"
+        missed, sure = seen
+        if missed:
+            duration_ns = round(missed * self.period_ns)
+            self._report.gap(host_ns, self._report.source, following, self.number - 1, duration_ns, cause or "missed")
+        if self._after_reset or not sure:
+            status |= SampleStatus.AFTER_RESET
+            self._after_reset = False
+        row = np.zeros(1, SCALAR)
+        row[0] = (self.number, host_ns, self.number, counts, self._scale, b"N", 0, 0, status)
+        self._report.rows(self._report.source, row)
+        return ""
+
+    def finish(self, now_ns: int, cause: str) -> None:
+        """Record what is missing at the end because of ``cause``."""
+        missed = self.passed(now_ns) if cause and self.number >= 0 else 0
+        if missed > 0:
+            duration_ns = round(missed * self.period_ns)
+            self._report.gap(now_ns, self._report.source, self.number + 1, self.number + missed, duration_ns, cause)
+            self.number += missed
+            self.ended_ns += duration_ns
+
+    def next_look_ns(self, now_ns: int, poll_ns: int, within_ns: int) -> int:
+        """Wait until shortly before the next conversion ends, but ``within_ns`` at the most: no look is ever late."""
+        until_ns = self.ended_ns + self.period_ns - now_ns - 1.5 * poll_ns
+        return max(int(min(until_ns, within_ns) // poll_ns), 1) * poll_ns

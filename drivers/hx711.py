@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Literal
 
-import numpy as np
-
-from drivers.conversions import ConversionCount
+from drivers.conversions import ConvertedForce
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import Clocked, ClockedPort
-from drivers.records import SCALAR, Batch, SampleStatus, Severity
+from drivers.records import Batch, SampleStatus, Severity
 from drivers.reporter import Reporter
 
 MS = 1_000_000
@@ -119,12 +117,11 @@ class Hx711:
         self._report = Reporter(name)
         self._poll_ns = self._wait_ns = round(self.config.poll_period_ms * MS)
         self._pulses = PULSES[self.config.amplifier]
-        self._count = ConversionCount(self.config.period_ns, OSCILLATOR)
+        self._count = ConvertedForce(self._report, self.config.scale, self.config.period_ns, OSCILLATOR)
         self._state = _State.STOPPED
         self._deadline_ns = self._settled_ns = 0
         self._selects = True  # input and gain are chosen by the first reading after a reset
         self._looked_ns = self._sampled_ns = 0
-        self._after_reset = False
         self._cause = ""  # the first one since a row
         self._backoff_ns = BACKOFF_NS
         self._away_since_ns: int | None = None
@@ -168,14 +165,9 @@ class Hx711:
                 self._port.drive(True)
             except OSError as error:
                 self._report.event(now_ns, Severity.WARNING, "bus_error", f"it cannot be put to sleep ({error})")
-            count = self._count
-            missed = count.passed(now_ns) if self._cause and count.number >= 0 else 0
-            if missed > 0:
-                duration_ns = round(missed * count.period_ns)
-                self._report.gap(now_ns, self.name, count.number + 1, count.number + missed, duration_ns, self._cause)
-                count.number += missed
-                count.ended_ns += duration_ns
-            text = f"stopped after {count.number + 1} samples; {self.broken} of {self._readings} readings were broken"
+            self._count.finish(now_ns, self._cause)
+            taken, broken = self._count.number + 1, f"{self.broken} of {self._readings} readings were broken"
+            text = f"stopped after {taken} samples; {broken}"
             self._report.event(now_ns, Severity.INFO, "stopped", text)
             self._report.flush(now_ns)
             self._state, self._cause = _State.STOPPED, ""
@@ -197,7 +189,6 @@ class Hx711:
         """The chip has its reset values, and converts in another phase."""
         self._selects = True
         self._settles(now_ns)
-        self._after_reset = self._count.number >= 0
         self._count.anew()
 
     def _settles(self, now_ns: int) -> None:
@@ -216,8 +207,8 @@ class Hx711:
             elif silent > RESTARTED and not self._selects and now_ns >= self._settled_ns:
                 self._begins_anew(now_ns)
                 self._cause = self._cause or BROWN_OUT
-            elif self._count.number >= 0:
-                self._pace(now_ns)
+            elif self._count.number >= 0 and self._count.is_early(now_ns):
+                self._wait_ns = self._count.next_look_ns(now_ns, self._poll_ns, self.within_ns)
             return
         not_before_ns, self._looked_ns = self._looked_ns, looked_ns
         reading = self._port.clock_out(self._pulses)
@@ -239,8 +230,9 @@ class Hx711:
             status |= SampleStatus.NOT_VALID
             self._settles(now_ns)
         self._selects = False
-        self._hand_over(not_before_ns, look.host_ns, counts, status)
-        self._pace(now_ns)
+        self._cause = self._count.hand_over(not_before_ns, look.host_ns, counts, status, self._cause)
+        if self._count.is_early(now_ns):
+            self._wait_ns = self._count.next_look_ns(now_ns, self._poll_ns, self.within_ns)
 
     def _is_broken(self, now_ns: int, reading: Clocked, looked_ns: int) -> bool:
         """Discard a reading within which a pulse, or all of them, took too long, and reset the chip."""
@@ -256,31 +248,6 @@ class Hx711:
         self._cause = self._cause or "read_broken"
         self._state, self._deadline_ns = _State.AWAY, now_ns
         return True
-
-    def _pace(self, now_ns: int) -> None:
-        """Look again shortly before the next conversion ends; and so often that a look is never late."""
-        until_ns = self._count.ended_ns + self._count.period_ns - now_ns - 1.5 * self._poll_ns
-        if self._count.is_early(now_ns):
-            self._wait_ns = max(int(min(until_ns, self.within_ns) // self._poll_ns), 1) * self._poll_ns
-
-    def _hand_over(self, not_before_ns: int, host_ns: int, counts: int, status: int) -> None:
-        following = self._count.number + 1
-        seen = self._count.seen(not_before_ns, host_ns)
-        if seen is None:
-            self._cause = self._cause or "missed"
-            return
-        missed, sure = seen
-        number = self._count.number
-        if missed:
-            duration_ns = round(missed * self._count.period_ns)
-            self._report.gap(host_ns, self.name, following, number - 1, duration_ns, self._cause or "missed")
-        self._cause = ""
-        if self._after_reset or not sure:
-            status |= SampleStatus.AFTER_RESET
-            self._after_reset = False
-        row = np.zeros(1, SCALAR)
-        row[0] = (number, host_ns, number, counts, self.config.scale, b"N", 0, 0, status)
-        self._report.rows(self.name, row)
 
     def _answers(self, now_ns: int) -> None:
         """A reading came: say so, where it is the first one or was said to be away."""

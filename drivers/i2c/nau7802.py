@@ -12,13 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from drivers.conversions import ConversionCount
+from drivers.conversions import ConvertedForce
 from drivers.errors import ConfigurationError, FrameError, WrongDeviceError
 from drivers.i2c.sensor import MS, I2cSensor, Watched
 from drivers.ports import I2cPort
-from drivers.records import SCALAR, SampleStatus, Severity
+from drivers.records import SampleStatus, Severity
 
 IDENTITY = 0x0F  # low half of REVISION
 PU_CTRL, CTRL1, CTRL2, OCAL1, GCAL1, ADCO, ADC, PGA, PWR_CTRL, REVISION = 0, 1, 2, 3, 6, 0x12, 0x15, 0x1B, 0x1C, 0x1F
@@ -116,12 +114,11 @@ class Nau7802(I2cSensor):
         self.config = config or Nau7802Config()
         super().__init__(name, port, self.ADDRESS, round(self.config.poll_period_ms * MS))
         self._offset: bytes | None = None  # OCAL1, as calibrated
-        self._count = ConversionCount(self.config.period_ns, OSCILLATOR)
+        self._count = ConvertedForce(self._report, self.config.scale, self.config.period_ns, OSCILLATOR)
         self._skip = SETTLING  # rows that are not valid yet
         self._looked_ns = 0  # the last look, which found nothing or took what it found
         self._sampled_ns = 0
         self._early = 0  # conversions found too soon to be such, in a row
-        self._after_reset = False
         supply = self.config.supply_V
         self._power = PUD | PUA | CS | (AVDDS if supply else 0)
         self._gain = (SUPPLY_CODE[supply] << 3 if supply else 0) | self.config.amplifier.bit_length() - 1
@@ -189,7 +186,6 @@ class Nau7802(I2cSensor):
         if anew:
             self._skip = SETTLING
             self._looked_ns = now_ns
-            self._after_reset = self._count.number >= 0
             self._count.anew()
         rate, gain = self.config.sample_rate_hz, self.config.amplifier
         return f"NAU7802 runs: {rate} samples/s, gain {gain}, offset calibration {(self._offset or b'').hex()}"
@@ -203,7 +199,7 @@ class Nau7802(I2cSensor):
             if now_ns - self._sampled_ns > SILENCE_PERIODS * self.config.period_ns:
                 self._sort_out_silence(now_ns)
             elif self._count.number >= 0:
-                self._pace(now_ns)
+                self._wait_ns = self._count.next_look_ns(now_ns, self._poll_ns, self.within_ns)
             return
         counts, status = decode_sample(self._bus.read(ADCO, 3).data)
         not_before_ns, self._looked_ns = self._looked_ns, looked_ns
@@ -214,32 +210,8 @@ class Nau7802(I2cSensor):
         if self._skip:
             self._skip -= 1
             status |= SampleStatus.NOT_VALID
-        self._hand_over(not_before_ns, look.host_ns, counts, status)
-        self._pace(now_ns)
-
-    def _pace(self, now_ns: int) -> None:
-        """Look again shortly before the next conversion ends; and so often that a look is never late."""
-        until_ns = self._count.ended_ns + self._count.period_ns - now_ns - 1.5 * self._poll_ns
-        self._wait_ns = max(int(min(until_ns, self.within_ns) // self._poll_ns), 1) * self._poll_ns
-
-    def _hand_over(self, not_before_ns: int, host_ns: int, counts: int, status: int) -> None:
-        following = self._count.number + 1
-        seen = self._count.seen(not_before_ns, host_ns)
-        if seen is None:
-            self._interrupt("missed")
-            return
-        missed, sure = seen
-        number = self._count.number
-        if missed:
-            duration_ns = round(missed * self._count.period_ns)
-            self._report.gap(host_ns, self.name, following, number - 1, duration_ns, self._cause or "missed")
-        self._cause = ""
-        if self._after_reset or not sure:
-            status |= SampleStatus.AFTER_RESET
-            self._after_reset = False
-        row = np.zeros(1, SCALAR)
-        row[0] = (number, host_ns, number, counts, self.config.scale, b"N", 0, 0, status)
-        self._report.rows(self.name, row)
+        self._cause = self._count.hand_over(not_before_ns, look.host_ns, counts, status, self._cause)
+        self._wait_ns = self._count.next_look_ns(now_ns, self._poll_ns, self.within_ns)
 
     def _doubt(self, now_ns: int) -> None:
         """A conversion that cannot have ended yet: the data-ready bit hangs."""
@@ -262,12 +234,6 @@ class Nau7802(I2cSensor):
         self._bus.write(PU_CTRL, 0)
 
     def _finish(self, now_ns: int) -> str:
-        count = self._count
-        missed = count.passed(now_ns) if self._cause and count.number >= 0 else 0
-        if missed > 0:
-            duration_ns = round(missed * count.period_ns)
-            self._report.gap(now_ns, self.name, count.number + 1, count.number + missed, duration_ns, self._cause)
-            count.number += missed
-            count.ended_ns += duration_ns
+        self._count.finish(now_ns, self._cause)
         self._cause, self._offset = "", None
-        return f"{count.number + 1} samples"
+        return f"{self._count.number + 1} samples"

@@ -11,27 +11,18 @@ from hypothesis import strategies as st
 from drivers.errors import ConfigurationError, FrameError
 from drivers.i2c.as5600 import As5600, As5600Config, decode_reading
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.batches import codes, of, texts
+from tests.drivers.chip_flight import ChipFlight
 from tests.drivers.i2c_model import As5600Model
 
 NAME = "joint"
 NOT_VALID = int(SampleStatus.NOT_VALID)
 
 
-class Flight:
+class Flight(ChipFlight):
     def __init__(self, clock, config=None, chip=None):
-        self.clock, self.chip = clock, chip or As5600Model(clock)
-        self.device = As5600(NAME, self.chip, config)
-        self.batches = self.device.start(clock())
-
-    def fly(self, seconds):
-        until_ns = self.clock() + round(seconds * 1e9)
-        while self.clock() < until_ns:
-            self.clock.advance(self.device.period_ns)
-            self.batches += self.device.pump(self.clock())
-
-    def rows(self):
-        return whole(self.batches, NAME)
+        model = chip or As5600Model(clock)
+        super().__init__(clock, model, As5600(NAME, model, config))
 
 
 @pytest.fixture

@@ -14,36 +14,18 @@ from drivers.hx711 import Hx711, Hx711Config, decode_reading
 from drivers.records import SampleStatus
 from drivers.transports import open_pair
 from drivers.transports.gpio_pair import GpiodPair
-from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.batches import codes, of, texts
+from tests.drivers.chip_flight import ConverterFlight
 from tests.drivers.hx711_model import CLOCK, DATA, MS, US, Hx711Model
 
 NAME = "cell"
 SATURATED, NOT_VALID, AFTER_RESET = map(int, (SampleStatus.SATURATED, SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET))
 
 
-class Flight:
+class Flight(ConverterFlight):
     def __init__(self, clock, config=None, **chip):
-        self.clock, self.chip = clock, Hx711Model(clock, **chip)
-        self.device = Hx711(NAME, GpiodPair(self.chip, DATA, CLOCK, clock), config)
-        self.batches = self.device.start(clock())
-
-    def fly(self, seconds, step_ns=MS):
-        until_ns, before = self.clock() + round(seconds * 1e9), len(self.batches)
-        due_ns = self.clock()
-        while self.clock() < until_ns:
-            self.clock.advance(step_ns)
-            if self.clock() >= due_ns:
-                self.batches += self.device.pump(self.clock())
-                due_ns = self.clock() + self.device.period_ns
-        return self.batches[before:]
-
-    def rows(self):
-        return whole(self.batches, NAME)
-
-    def true_numbers(self):
-        """Of the chip's conversions, from the first row on."""
-        values = self.rows()["value_raw"] - 1000
-        return values - values[0]
+        model = Hx711Model(clock, **chip)
+        super().__init__(clock, model, Hx711(NAME, GpiodPair(model, DATA, CLOCK, clock), config))
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ from drivers.errors import ConfigurationError, FrameError
 from drivers.i2c.banked import BankedBus
 from drivers.inertial.icm20948 import Icm20948, Icm20948Config, decode_packets, identify
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.batches import codes, of, texts
+from tests.drivers.chip_flight import ChipFlight
 from tests.drivers.i2c_model import MS
 from tests.drivers.icm20948_model import Icm20948Model
 
@@ -20,21 +21,11 @@ SATURATED, AFTER_RESET = int(SampleStatus.SATURATED), int(SampleStatus.AFTER_RES
 STEADY = ["started"]
 
 
-class Flight:
+class Flight(ChipFlight):
     def __init__(self, clock, config=None, fail=lambda number: 0, **chip):
-        self.clock, self.chip = clock, Icm20948Model(clock, **chip)
-        self.chip.fail = fail
-        self.device = Icm20948(NAME, self.chip, config)
-        self.batches = self.device.start(clock())
-
-    def fly(self, seconds):
-        until_ns = self.clock() + round(seconds * 1e9)
-        while self.clock() < until_ns:
-            self.clock.advance(self.device.period_ns)
-            self.batches += self.device.pump(self.clock())
-
-    def rows(self):
-        return whole(self.batches, NAME)
+        model = Icm20948Model(clock, **chip)
+        model.fail = fail
+        super().__init__(clock, model, Icm20948(NAME, model, config))
 
     def worst(self):
         """Largest error of a number, in samples, against those of the chip from the first row on."""
@@ -129,16 +120,9 @@ def test_ranges_rate_and_filter_are_in_the_registers(clock, accel, accel_code, g
     assert len(flight.rows()) == pytest.approx(0.79 * rate / 1.004, abs=0.02 * rate)
 
 
-def set_up_transfers(clock):
-    flight = Flight(clock)
-    while "started" not in codes(flight.batches):
-        flight.fly(0.001)
-    return len(flight.chip.transfers)
-
-
 @pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
 def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
-    for place in range(set_up_transfers(clock)):
+    for place in range(Flight(clock).set_up_transfers()):
         flight = Flight(clock, fail=lambda number, place=place: code if number == place else 0)
         flight.fly(0.5)
         assert codes(flight.batches) == STEADY, place
@@ -147,7 +131,7 @@ def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
 
 
 def test_a_bus_that_dies_at_any_transaction_of_the_set_up_is_told_once_and_tried_again(clock):
-    for place in range(0, set_up_transfers(clock), 2):
+    for place in range(0, Flight(clock).set_up_transfers(), 2):
         dead = {"until": 1 << 30}
         flight = Flight(
             clock, fail=lambda number, place=place, dead=dead: errno.ENXIO if place <= number < dead["until"] else 0

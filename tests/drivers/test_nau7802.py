@@ -11,36 +11,19 @@ from drivers.conversions import ConversionCount
 from drivers.errors import ConfigurationError, FrameError
 from drivers.i2c.nau7802 import OSCILLATOR, Nau7802, Nau7802Config, decode_sample
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.batches import codes, of, texts
+from tests.drivers.chip_flight import ConverterFlight
 from tests.drivers.i2c_model import MS, Nau7802Model
 
 NAME = "cell"
 SATURATED, NOT_VALID, AFTER_RESET = map(int, (SampleStatus.SATURATED, SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET))
 
 
-class Flight:
-    def __init__(self, clock, config=None, **chip):
-        self.clock, self.chip = clock, Nau7802Model(clock, **chip)
-        self.device = Nau7802(NAME, self.chip, config)
-        self.batches = self.device.start(clock())
-
-    def fly(self, seconds, step_ns=MS):
-        until_ns, before = self.clock() + round(seconds * 1e9), len(self.batches)
-        due_ns = self.clock()
-        while self.clock() < until_ns:
-            self.clock.advance(step_ns)
-            if self.clock() >= due_ns:
-                self.batches += self.device.pump(self.clock())
-                due_ns = self.clock() + self.device.period_ns
-        return self.batches[before:]
-
-    def rows(self):
-        return whole(self.batches, NAME)
-
-    def true_numbers(self):
-        """Of the chip's conversions, from the first row on."""
-        values = self.rows()["value_raw"] - 1000
-        return values - values[0]
+class Flight(ConverterFlight):
+    def __init__(self, clock, config=None, fail=lambda number: 0, **chip):
+        model = Nau7802Model(clock, **chip)
+        model.fail = fail
+        super().__init__(clock, model, Nau7802(NAME, model, config))
 
 
 @pytest.fixture
@@ -183,21 +166,10 @@ def test_what_it_has_not_is_refused(wrong):
         Nau7802Config(**wrong)
 
 
-def set_up_transfers(clock):
-    flight = Flight(clock)
-    while "started" not in codes(flight.batches):
-        flight.fly(0.001)
-    return len(flight.chip.transfers)
-
-
 @pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
 def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
-    for place in range(set_up_transfers(clock)):
-        flight = Flight.__new__(Flight)
-        flight.clock, flight.chip = clock, Nau7802Model(clock)
-        flight.chip.fail = lambda number, place=place: code if number == place else 0
-        flight.device = Nau7802(NAME, flight.chip)
-        flight.batches = flight.device.start(clock())
+    for place in range(Flight(clock).set_up_transfers()):
+        flight = Flight(clock, fail=lambda number, place=place: code if number == place else 0)
         flight.fly(0.6)
         assert codes(flight.batches) == ["started"], place
         assert flight.device.bus_errors == 1
@@ -205,13 +177,11 @@ def test_one_failed_transaction_of_the_set_up_is_tried_again(clock, code):
 
 
 def test_a_bus_that_dies_at_any_transaction_of_the_set_up_is_told_once_and_tried_again(clock):
-    for place in range(set_up_transfers(clock)):
-        flight = Flight.__new__(Flight)
-        flight.clock, flight.chip = clock, Nau7802Model(clock)
+    for place in range(Flight(clock).set_up_transfers()):
         dead = {"until": 1 << 30}
-        flight.chip.fail = lambda number, place=place, dead=dead: errno.ENXIO if place <= number < dead["until"] else 0
-        flight.device = Nau7802(NAME, flight.chip)
-        flight.batches = flight.device.start(clock())
+        flight = Flight(
+            clock, fail=lambda number, place=place, dead=dead: errno.ENXIO if place <= number < dead["until"] else 0
+        )
         flight.fly(3.0)
         assert codes(flight.batches) == ["no_answer"], place
         assert "check its power" in texts(flight.batches, "no_answer")[0]
