@@ -33,7 +33,7 @@ STEPS: Final = (  # of one sample: module, what it hands on
 
 
 def room_of(module: str) -> str:
-    """``onboard.timebase.specs`` is ``onboard.timebase``, ``hil_sim.mission`` is ``hil_sim``; empty if not ours."""
+    """``onboard.timebase.timebase`` is ``onboard.timebase``, ``hil_sim.mission`` is ``hil_sim``; empty if not ours."""
     top, _, rest = module.partition(".")
     if top not in PACKAGES:
         return ""

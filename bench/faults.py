@@ -1,7 +1,7 @@
 """Random faults on all missions, alone and in pairs: does the flight app end, and is every lost sample named?
 
-Run ``python bench/faults.py --flights 100 --first 7001 [--jobs 2] [--results faults.jsonl] [--table]``. Every seed is a
-flight in virtual time: mission, faults of the vocabulary (``heft hil MISSION --faults``), their times and values are
+Run ``python bench/faults.py --flights 100 --first 7001 [--jobs 2] [--results faults.jsonl]``. Every seed is a flight in
+virtual time: mission, faults of the vocabulary (``heft hil MISSION --faults``), their times and values are
 drawn from it. Each flight is a line of JSON in ``--results``; seeds that are in it are not flown again. Counted are
 
 - *crashed*: an exception anywhere, from the first step to the result table,
@@ -9,9 +9,8 @@ drawn from it. Each flight is a line of JSON in ``--results``; seeds that are in
 - *inexact*: gap records that say their samples were counted, and do not add up,
 - *recovery*: from the end of a fault to the first row of all channels that paused under it.
 
-``--table`` flies nothing and prints the lines of the results by kind of fault. Exit code 1: a crash, or an unnamed or
-inexact gap. Faults of the computer (killed and stopped processes, a stepped clock, a full disk) are flown in real time
-by ``bench/process_faults.py``.
+Exit code 1: a crash, or an unnamed or inexact gap. Faults of the computer (killed and stopped processes, a stepped
+clock, a full disk) are flown in real time by ``bench/process_faults.py``.
 """
 
 import argparse
@@ -109,10 +108,10 @@ def vocabulary(mission: str) -> dict[str, tuple[FaultKind, ...]]:
         return world.possible_faults()
 
 
-def draw(seed: int, mission: str | None = None) -> tuple[str, list[Fault]]:
+def draw(seed: int) -> tuple[str, list[Fault]]:
     """What flies under a seed: a mission, one or two faults."""
     rng = np.random.default_rng([seed, 0xFA])
-    name = mission or str(rng.choice(list(MISSIONS), p=_SHARES))
+    name = str(rng.choice(list(MISSIONS), p=_SHARES))
     possible = vocabulary(name)
     end_s = sum(_lasts(step) for step in MISSIONS[name]["sequence"])
     faults: list[Fault] = []
@@ -146,9 +145,9 @@ def _value(kind: FaultKind, rng: np.random.Generator) -> float:
     return float(f"{among[0] * (among[1] / among[0]) ** rng.random():.4g}")
 
 
-def fly(seed: int, mission: str | None = None, without_estimator: bool = False) -> dict[str, Any]:
+def fly(seed: int, without_estimator: bool = False) -> dict[str, Any]:
     """Fly a seed's flight; plain values of what came of it."""
-    name, faults = draw(seed, mission)
+    name, faults = draw(seed)
     began_s = time.monotonic()
     told: dict[str, Any] = {"seed": seed, "mission": name, "faults": faults}
     try:
@@ -262,27 +261,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=20)
     parser.add_argument("--first", type=int, default=7001, help="seed")
-    parser.add_argument("--mission", choices=list(MISSIONS))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, default=Path("faults.jsonl"))
     parser.add_argument("--without-estimator", action="store_true", help="drivers and recorder only, ten times as fast")
-    parser.add_argument("--table", action="store_true", help="of the results, and fly nothing")
     arguments = parser.parse_args()
     lines = arguments.results.read_text(encoding="utf-8").splitlines() if arguments.results.exists() else []
     flown = {told["seed"]: told for told in map(json.loads, lines)}
     seeds = [s for s in range(arguments.first, arguments.first + arguments.flights) if s not in flown]
-    if not arguments.table:
-        act = partial(fly, mission=arguments.mission, without_estimator=arguments.without_estimator)
-        with (
-            ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn")) as pool,
-            arguments.results.open("a", encoding="utf-8") as results,
-        ):
-            for told in pool.map(act, seeds):
-                flown[told["seed"]] = told
-                results.write(json.dumps(told) + "\n")
-                results.flush()
-                if is_bad(told):
-                    print(line(told), flush=True)
+    with (
+        ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn")) as pool,
+        arguments.results.open("a", encoding="utf-8") as results,
+    ):
+        for told in pool.map(partial(fly, without_estimator=arguments.without_estimator), seeds):
+            flown[told["seed"]] = told
+            results.write(json.dumps(told) + "\n")
+            results.flush()
+            if is_bad(told):
+                print(line(told), flush=True)
     print(table(flown.values()))
     return int(any(map(is_bad, flown.values())))
 

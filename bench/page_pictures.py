@@ -12,7 +12,7 @@ from pathlib import Path
 from PIL import Image
 
 from onboard.cli import main
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
 from onboard.recording.reader import LogReader
 from tests.page.browser import browser, opened
 

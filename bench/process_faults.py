@@ -1,7 +1,7 @@
 """Real-time rehearsals in which processes are killed or stopped, the wall clock steps, or the disk is full.
 
-Run ``python bench/process_faults.py --flights 20 --first 7001 [--results process_faults.jsonl] [--table]``; flights run
-one after the other, 25 s each on an idle computer; seeds that are in the results are not flown again. Drawn by seed:
+Run ``python bench/process_faults.py --flights 20 --first 7001 [--results process_faults.jsonl]``; flights run one after
+the other, 25 s each on an idle computer; seeds that are in the results are not flown again. Drawn by seed:
 
 - ``kill`` or ``stop`` (SIGKILL; SIGSTOP for 0.5 to 9 s) of the recorder, the estimator, acquisition, the simulated
   devices or the supervisor, at a random time,
@@ -264,12 +264,11 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=7001, help="seed")
     parser.add_argument("--only", choices=KINDS, help="what happens in each (default: drawn)")
     parser.add_argument("--results", type=Path, default=Path("process_faults.jsonl"))
-    parser.add_argument("--table", action="store_true", help="of the results, and fly nothing")
     arguments = parser.parse_args()
     lines = arguments.results.read_text(encoding="utf-8").splitlines() if arguments.results.exists() else []
     flown = {told["seed"]: told for told in map(json.loads, lines)}
     for seed in range(arguments.first, arguments.first + arguments.flights):
-        if seed in flown or arguments.table:
+        if seed in flown:
             continue
         told = flown[seed] = fly(draw(seed, arguments.only))
         with arguments.results.open("a", encoding="utf-8") as results:

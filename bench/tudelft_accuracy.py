@@ -2,8 +2,7 @@
 
 Run ``python bench/tudelft_accuracy.py DIR`` with the directory of the recordings. Rows lie at whole multiples of the
 row period of the recorder's clock, wherever that happened to stand; ``--offsets`` moves it, to show how much of a
-number is luck. ``--smoothing`` and ``--width-ms`` take another kernel than the vehicle file's: the Kalman filter
-("filter", causal) and its smoother ("smoother", offline) need twice the spline's width for its band.
+number is luck.
 """
 
 import argparse
@@ -25,27 +24,15 @@ ROW_PERIOD_US = 5000
 MAPPING = Path(importer.__file__).parent / "mappings" / "tudelft.toml"
 
 
-def identify_at(source: Path, offset_us: float, smoothing: str, width_ms: float) -> Identification:
+def identify_at(source: Path, offset_us: float) -> Identification:
     """All loads, with the recorder's clock moved by ``offset_us``."""
     text = MAPPING.read_text(encoding="utf-8").replace('unit = "us"', f'unit = "us"\noffset = {offset_us}', 1)
     with tempfile.TemporaryDirectory() as directory:
         mapping = Path(directory) / "moved.toml"
         mapping.write_text(text, encoding="utf-8")
         logs = importer.import_recordings(mapping, source, Path(directory))
-        vehicle = config.load(_smoothed_by(smoothing, width_ms, Path(directory)))
+        vehicle = config.load(config.packaged("tudelft"))
         return identify(vehicle, [log.path for log in logs])
-
-
-def _smoothed_by(smoothing: str, width_ms: float, directory: Path) -> Path:
-    packaged = config.packaged("tudelft")
-    text = packaged.read_text(encoding="utf-8")
-    keys = f'smoothing = "{smoothing}"\nsmoothing_ms = {width_ms}'
-    changed = text.replace("smoothing_ms = 100", keys, 1).replace("lag_ms = 100", f"lag_ms = {width_ms}", 1)
-    if changed.count(keys) != 1:
-        raise ValueError(f"{packaged}: no smoothing_ms = 100 to replace")
-    (directory / "vehicle.toml").write_text(changed, encoding="utf-8")
-    (directory / "tudelft.urdf").write_bytes(packaged.with_name("tudelft.urdf").read_bytes())
-    return directory / "vehicle.toml"
 
 
 def _half(moments: PrincipalMoments) -> FloatArray:
@@ -57,15 +44,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("source", type=Path, help="directory of the recordings (*.npz)")
     parser.add_argument("--offsets", type=int, default=4, help="positions of the recorder's clock (default 4)")
-    parser.add_argument("--smoothing", choices=("spline", "filter", "smoother"), default="spline")
-    parser.add_argument("--width-ms", type=float, default=100.0, help="of the kernel (default 100)")
     arguments = parser.parse_args()
     print(f"{'':39}{'error, norm':>15}{'half width, median':>22}{'error / sigma':>15}")
     heads = f"{'covered':>9}{'mean':>8}{'worst':>7}{'alone':>11}{'together':>11}{'rms':>15}"
     print(f"{'offset':>9}  {'load':12}{'throws':>7}{heads}")
     for index in range(arguments.offsets):
         offset_us = index * ROW_PERIOD_US / arguments.offsets
-        found = identify_at(arguments.source, offset_us, arguments.smoothing, arguments.width_ms)
+        found = identify_at(arguments.source, offset_us)
         for one in found.summaries:
             mine = [log.throw.principal for log in found.logs if log.throw and log.throw.load.name == one.load.name]
             told = [moments for moments in mine if moments is not None]
