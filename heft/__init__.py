@@ -11,10 +11,9 @@
 Re-exports of ``onboard.ground.api``; nothing is defined here.
 """
 
-from onboard.ground.api.flight_log import FlightLog, LogChannel, open_log
+from onboard.ground.api.flight_log import ChannelTable, FlightLog, LogChannel, open_log
 from onboard.ground.api.identify import identify
 from onboard.ground.api.subscribe import subscribe
-from onboard.ground.api.table import ChannelTable
 from onboard.ground.identify.identify import Identification
 from onboard.ground.identify.replay.reestimate import Reestimate
 from onboard.ground.identify.replay.replay import Replay, replay

@@ -1,14 +1,18 @@
-"""What converters of a load cell's bridge have in common: their digital filter, and how their conversions are counted.
+"""Load cell converters: their digital filter, the count of their conversions, the cell in their table.
 
 Data sheets say that the filter settles in four conversions and not what it is: here, four running means over one
 conversion each (delay of two).
 """
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
+from pydantic import PositiveFloat
 
+from hil_sim.devices.emulator import FORCES, Equivalent, MeasuringEmulator
 from hil_sim.faults import DeviceFaults, FaultyClock, FaultyScalar
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 _TAPS: Final = 4  # samples of the input in a conversion
@@ -81,3 +85,26 @@ class Conversions:
             second = self._healthy.chip_ns(self._start_ns + 1_000_000_000) - self._healthy.chip_ns(self._start_ns)
             self.shown += max(round((self.last_s - self._last_shown[2]) * second / self.period_ns), 1)
         self._last_shown = self._grid, self._made, self.last_s
+
+
+class BridgeEmulator(MeasuringEmulator):
+    """A converter with a cell that gives ``rated_output_mV_V`` at ``rated_load_N``."""
+
+    quantities = FORCES
+
+    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's letter)
+    rated_load_N: PositiveFloat = 50.0  # noqa: N815
+
+    @property
+    def volt_per_volt_N(self) -> float:  # noqa: N802
+        """What the bridge gives for a newton, V per V of its supply."""
+        return 1e-3 * self.rated_output_mV_V / self.rated_load_N
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: the cell and its cable delay by half a millisecond, the rest is the chip's filter."""
+        table = {"measures": name, "at": said["frame"], "rated_output_mV_V": said.get("rated_output_mV_V", 2.0)}
+        table["rated_load_N"] = said.get("rated_load_N") or said["capacity_N"]
+        cell = sheets.load_cell(said) | {"delay_ms": 0.5, "delay_sigma_ms": 0.0}
+        cell["noise_rms_N"] /= NOISE_GAIN
+        return Equivalent(table, {name: cell}, {name: "converter"})

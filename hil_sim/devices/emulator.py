@@ -6,7 +6,7 @@ faults, clock and random numbers. ``registry`` finds the kinds.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import Pin
@@ -128,6 +128,7 @@ class Emulator(Table):
     """What every device has."""
 
     needs: ClassVar[str] = "serial"  # kind of its bus
+    where: ClassVar[str] = "the line"  # its place on that, with its keys in braces
     has_clock: ClassVar[bool] = True  # a CANopen node has that of its twin
     baud_rates: ClassVar[tuple[int, ...]] = ()  # on a serial line: those it can have, if it cannot have all
     turns_axis: ClassVar[bool] = False  # it can be a drive that the flight computer commands: ``Bench.axis``
@@ -155,7 +156,7 @@ class Emulator(Table):
     @property
     def place(self) -> str:
         """Of which there is one on its bus."""
-        return "the line"
+        return self.where.format_map(dict(self))
 
     @property
     def drives(self) -> str | None:
@@ -192,3 +193,20 @@ class MeasuringEmulator(Emulator):
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Emulator``."""
         return {name: Signal(self.measures, self.quantities, self.at)}
+
+
+class JointEmulator(MeasuringEmulator):
+    """A joint's drive; ``torque`` names the sensor of its torque, ``channels``: recorded beside the angle."""
+
+    quantities = ("joint_angle",)
+
+    torque: str
+    channels: tuple[Literal["velocity", "torque", "status"], ...] = ()
+
+    def signals(self, name: str) -> dict[str, Signal]:
+        """See ``Emulator``."""
+        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
+
+    def recorded(self, name: str) -> tuple[str, ...]:
+        """Channels that the flight computer records of it."""
+        return name, *(f"{name}_{channel}" for channel in self.channels)

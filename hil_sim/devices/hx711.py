@@ -16,10 +16,9 @@ from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
-from pydantic import PositiveFloat
 
-from hil_sim.devices.bridge_converter import NOISE_GAIN, Conversions
-from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.bridge_converter import BridgeEmulator, Conversions
+from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
@@ -160,32 +159,21 @@ class Hx711Twin:
         return bool(self._word >> (_BITS - self._pulses) & 1) if self._pulses else False
 
 
-class Hx711Table(MeasuringEmulator):
-    """An HX711 with a cell that gives ``rated_output_mV_V`` at ``rated_load_N``."""
+class Hx711Table(BridgeEmulator):
+    """An HX711 with a cell."""
 
     needs = "pair"
-    quantities = FORCES
+    where = "the two lines"
 
     kind: Literal["hx711"]
     rate_hz: Literal[10, 80] = 80
-    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's letter)
-    rated_load_N: PositiveFloat = 50.0  # noqa: N815
 
     @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: the cell and its cable delay by half a millisecond, the rest is the chip's filter."""
-        table = {"measures": name, "at": said["frame"], "rate_hz": said.get("sample_rate_hz", 80)}
-        table["rated_output_mV_V"] = said.get("rated_output_mV_V", 2.0)
-        table["rated_load_N"] = said.get("rated_load_N") or said["capacity_N"]
-        cell = sheets.load_cell(said)
-        cell |= {"delay_ms": 0.5, "delay_sigma_ms": 0.0}
-        cell["noise_rms_N"] /= NOISE_GAIN
-        return Equivalent(table, {name: cell}, {name: "converter"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return "the two lines"
+        """See ``BridgeEmulator``."""
+        equivalent = super().from_vehicle(name, said, sheets)
+        equivalent.device["rate_hz"] = said.get("sample_rate_hz", 80)
+        return equivalent
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
@@ -194,7 +182,7 @@ class Hx711Table(MeasuringEmulator):
             bench.clock,
             bench.start_ns,
             rate_hz=self.rate_hz,
-            volt_per_volt_N=1e-3 * self.rated_output_mV_V / self.rated_load_N,
+            volt_per_volt_N=self.volt_per_volt_N,
             offset=_OFFSET * float(np.random.default_rng([bench.seed, 0x711]).standard_normal()),
             faults=bench.faults,
         )

@@ -110,6 +110,7 @@ class NetFtTable(MeasuringEmulator):
 
     needs: ClassVar[str] = "udp"
     quantities = FORCES
+    where = "component {component}"
 
     kind: Literal["net_ft"]
     bus: str
@@ -132,11 +133,6 @@ class NetFtTable(MeasuringEmulator):
         }
         table |= {key: said[key] for key in ("rate_hz",) if key in said}
         return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"component {self.component}"
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -15,16 +15,12 @@ class SyncBoxTable(Emulator):
     """
 
     needs = "can"
+    where = "the sync box"
 
     kind: Literal["sync_box"]
     line: str | None = None
     period_ms: PositiveFloat = 5.0
     bus: str | None = None
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return "the sync box"
 
     @property
     def drives(self) -> str | None:

@@ -32,8 +32,7 @@ def add(commands: Commands) -> None:
 
 
 def _merge(arguments: argparse.Namespace) -> int:
-    from onboard.ground.log.rescue.in_turn import in_turn
-    from onboard.ground.log.rescue.merge import RecorderLog, merge
+    from onboard.ground.log.rescue.merge import RecorderLog, in_turn, merge
     from onboard.recording.format.segments import flights, logs
 
     clocks = dict(_clock(text) for text in arguments.align)

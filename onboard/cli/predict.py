@@ -30,8 +30,7 @@ def add(commands: Commands) -> None:
 def _predict(arguments: argparse.Namespace) -> int:
     from onboard.dynamics.mechanics.momentum_form import Method
     from onboard.dynamics.model.errors import ModelError
-    from onboard.ground.identify.base_motion.flown import SHORTEST_S
-    from onboard.ground.identify.base_motion.predicted import predict
+    from onboard.ground.identify.base_motion.flown import SHORTEST_S, predict
     from onboard.ground.log.tables.vehicle_file import vehicle_of
     from onboard.ground.report import base_motion as view
     from onboard.recording.reader import LogReader

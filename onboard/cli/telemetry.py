@@ -99,8 +99,8 @@ def watch(arguments: argparse.Namespace) -> int:
 
 
 def _page(vehicle: "config.Vehicle | None", arguments: argparse.Namespace, shown: str) -> int:
+    from onboard.page.follow import Recorded
     from onboard.page.received import PacketFile, Received
-    from onboard.page.recorded import Recorded
 
     link, apids = _link(arguments.decode), _settings(vehicle).apids
     payload = "" if vehicle is None else vehicle.file.vehicle.payload_link or ""

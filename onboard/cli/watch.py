@@ -22,8 +22,7 @@ from onboard.cli.common import (
 if TYPE_CHECKING:
     from onboard.flight.store.manifest import Manifest
     from onboard.ground.log.views.watch import Board
-    from onboard.page.follow import Followed
-    from onboard.page.recorded import Recorded
+    from onboard.page.follow import Followed, Recorded
     from onboard.recording.reader import LogReader
     from onboard.ring import RingReader
 
@@ -80,7 +79,7 @@ def _log_or_link(text: str) -> Path | str:
 
 
 def _recorded(path: Path) -> "tuple[LogReader, Recorded]":
-    from onboard.page.recorded import Recorded
+    from onboard.page.follow import Recorded
     from onboard.recording.reader import LogReader
 
     log = LogReader(path)

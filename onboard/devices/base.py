@@ -25,7 +25,7 @@ from onboard.devices.roles import (
 )
 from onboard.section import IDENTITY, Gain, Matrix3, NotNegative, Positive, Section, Vector3
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, FollowerChannel, SyncLine
+from onboard.timebase.timebase import ChannelClock, FollowerChannel, SyncLine
 
 Channels = dict[str, np.dtype[np.void]]
 Clock = Callable[[], int]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from drivers.records import SCALAR
 from onboard.devices.base import LoadCellDevice, Problem, Surroundings
 from onboard.section import Positive
-from onboard.timebase.specs import ChannelClock, FreeChannel
+from onboard.timebase.timebase import ChannelClock, FreeChannel
 
 FILTER_CONVERSIONS = 2.0  # delay of a filter that settles in four conversions
 FILTER_SIGMA = 0.25  # conversions: data sheets say how it settles, not what it is

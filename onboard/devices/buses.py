@@ -20,7 +20,7 @@ from drivers.transports.url import parse
 from onboard.devices.base import BusDevice, Channels, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, FollowerChannel, FreeChannel, PolledChannel
+from onboard.timebase.timebase import ChannelClock, FollowerChannel, FreeChannel, PolledChannel
 
 Identify = Callable[[I2cPort, int], str | None]
 OpenSerial = Callable[[], SerialPort]

@@ -6,7 +6,7 @@ from drivers.ports import PulsePort
 from drivers.sync_pulse.device import SyncPulse
 from onboard.devices.buses import PulseDevice
 from onboard.section import Positive
-from onboard.timebase.specs import SyncLine
+from onboard.timebase.timebase import SyncLine
 
 
 class PpsDevice(PulseDevice):

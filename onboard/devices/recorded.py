@@ -10,7 +10,7 @@ from onboard.devices import roles
 from onboard.devices.base import Channels, DeviceSection, ImuDevice, Surroundings
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, ThrusterRole, TorqueKeys
 from onboard.section import Direction, NotNegative, Positive, Real
-from onboard.timebase.specs import ChannelClock, RecordedChannel
+from onboard.timebase.timebase import ChannelClock, RecordedChannel
 
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
 Quantum = Annotated[

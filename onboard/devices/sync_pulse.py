@@ -7,7 +7,7 @@ from drivers.sync_pulse.code import SHORTEST_INTERVAL, SYMBOLS
 from drivers.sync_pulse.device import SyncPulse, SyncPulseConfig
 from onboard.devices.buses import PulseDevice
 from onboard.section import Positive
-from onboard.timebase.specs import SyncLine
+from onboard.timebase.timebase import SyncLine
 
 MEAN_INTERVAL = SHORTEST_INTERVAL + (SYMBOLS - 1) / 2  # between two pulses, SYNC periods
 

@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import BasePrediction
-from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.kinematics import Bodies, chain_motion
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray, IndexArray

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import JointErrors
-from onboard.dynamics.kinematics import Frames, turned
+from onboard.dynamics.kinematics import Bodies, Frames, turned
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times

@@ -23,9 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies, motion_size, moving_frames
 from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
-from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
+from onboard.dynamics.kinematics import Bodies, Frames, LinkMotion, frames_of, motion_size, moving_frames, turned
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation.arrays import FloatArray, hat

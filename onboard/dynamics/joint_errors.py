@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies, Sums
-from onboard.dynamics.kinematics import Chain
+from onboard.dynamics.kinematics import Bodies, Chain, Sums
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.native import library, structures

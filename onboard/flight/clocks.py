@@ -2,8 +2,7 @@
 
 from onboard import config
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, SyncLine
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import ChannelClock, SyncLine, Timebase
 
 
 def timebase_of(vehicle: config.Vehicle) -> Timebase:

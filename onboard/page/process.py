@@ -1,20 +1,47 @@
-"""The page's process, and its start by the command line."""
+"""The page's process, and its start by the command line.
+
+The plan's expected intervals, which the page shows beside those of the answers.
+"""
 
 import asyncio
 import contextlib
 import json
+import math
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, NamedTuple, Protocol, cast
 
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.page import address as addresses
 from onboard.page.acts import ACTS, Acts
 from onboard.page.follow import Followed, packed
-from onboard.page.plan import read
 from onboard.page.web import Source, Web
+
+_HALF = NormalDist().inv_cdf(0.975)
+
+
+def read(path: Path | None) -> dict[str, dict[str, Any]]:
+    """``half`` (of the 95 % interval at the plan's end) and ``unit`` of each quantity of a ``plan.json``.
+
+    Those that the plan cannot tell are left out; without a path there are none.
+
+    Raises:
+        ValueError: not a plan of a motion; the message gives the remedy.
+    """
+    if path is None:
+        return {}
+    try:
+        expected = json.loads(path.read_bytes())["expected"]
+        found = {str(one["name"]): (_HALF * float(one["sigma"]), str(one["unit"])) for one in expected}
+    except OSError as error:
+        raise ValueError(f"--page-plan {path}: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"--page-plan {path}: give the plan.json that heft plan wrote for one motion") from error
+    return {name: {"half": half, "unit": unit} for name, (half, unit) in found.items() if 0.0 < half < math.inf}
+
 
 FRAME_S = 0.25
 _CHECK_EVERY = 4  # frames

@@ -80,7 +80,7 @@ class Web:
         source: a flight or a log.
         address: to bind to.
         token: that paths begin with; empty: none.
-        plan: expected intervals by quantity, see :func:`onboard.page.plan.read`.
+        plan: expected intervals by quantity, see :func:`onboard.page.process.read`.
         acts: what can be done through the page; None: nothing.
         urdf: file of the vehicle, beside which its meshes lie; that of the source, without files, where not given.
     """

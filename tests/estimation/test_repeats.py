@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate
-from onboard.estimation.recursive.repeats import phases
+from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, phases
 from onboard.estimation.recursive.rls import SquareRootRls
 
 RATE_Hz, BLOCK_s, PARAMETERS = 50.0, 0.5, 4

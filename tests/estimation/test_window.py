@@ -5,9 +5,8 @@ import pytest
 
 from onboard.estimation.errors import RowError
 from onboard.estimation.recursive.consistency import BlockScores
-from onboard.estimation.recursive.memory import Memory, RecursiveLeastSquares
+from onboard.estimation.recursive.memory import Memory, RecursiveLeastSquares, WindowRls
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.estimation.recursive.window import WindowRls
 
 
 def batch(parts, prior=None):

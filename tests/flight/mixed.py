@@ -28,8 +28,7 @@ from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
-from hil_sim.devices.ur_controller import UrController
-from hil_sim.devices.ur_tables import rate
+from hil_sim.devices.ur_controller import UrController, rate
 from hil_sim.scenario.bus_tables import (
     CanBusTable,
     I2cBusTable,

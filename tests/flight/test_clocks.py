@@ -6,8 +6,7 @@ import pytest
 
 from onboard import config
 from onboard.flight.clocks import known_delays, sync_line, timebase_of
-from onboard.timebase.specs import SyncLine
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import SyncLine, Timebase
 from tests.flight.mixed import DEVICES, vehicle
 
 

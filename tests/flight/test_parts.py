@@ -22,8 +22,7 @@ from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
 from onboard.identification.quantities import Findings
 from onboard.ring import RingReader, RingWriter
-from onboard.timebase.specs import RecordedChannel
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import RecordedChannel, Timebase
 from tests.flight import mixed
 
 ROCKSAT = config.load(config.packaged("rocksat"))

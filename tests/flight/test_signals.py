@@ -13,8 +13,7 @@ from onboard.devices.can.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks
 from onboard.flight.estimate.readings.signals import SignalSmoother
-from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import FollowerChannel, ProducerChannel, RecordedChannel, Timebase
 from tests.flight.test_parts import ROCKSAT, mixed_vehicle, recorded, scalar_rows
 
 LINK = """<link name="{}"><inertial><mass value="1"/>

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from onboard.dynamics.air_bearing import predict_planar
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import (
     Push,
@@ -20,7 +19,7 @@ from onboard.dynamics.free_flight import (
     sensor_in_base,
 )
 from onboard.dynamics.joint_errors import EncoderReadings, ErrorsAlong
-from onboard.dynamics.kinematics import Frames, chain_motion
+from onboard.dynamics.kinematics import Bodies, Frames, chain_motion
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading

@@ -5,10 +5,9 @@ import pytest
 
 from onboard.dynamics import free_flight
 from onboard.dynamics.air_bearing import predict_planar
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
-from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.kinematics import Bodies, chain_motion
 from onboard.dynamics.spatial import Columns
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
 from onboard.recording.reader import LogReader
 from tests.page.browser import Tab, opened
 

@@ -13,8 +13,8 @@ from PIL import Image
 from drivers import records
 from onboard import channels
 from onboard.page import process
-from onboard.page.plan import read
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
+from onboard.page.process import read
 from onboard.recording.reader import LogReader
 from tests.page.browser import CARD, Tab, opened
 from tests.page.made import MARKUP, SECOND, START, Rings, flight

@@ -16,7 +16,7 @@ from onboard.dynamics.model.skeleton import skeleton
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.page import process
 from onboard.page.arm import tree_of
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
 from onboard.page.state import BODY
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from onboard import cli
 from onboard.page import meshes
+from onboard.page.follow import Recorded
 from onboard.page.meshes import meshes_of, read
-from onboard.page.recorded import Recorded
 from onboard.recording.reader import LogReader
 from tests.page.browser import Tab, opened
 from tests.page.made import URDF

@@ -14,8 +14,8 @@ import pytest
 
 from onboard import cli
 from onboard.config.telemetry import Telemetry
+from onboard.page.follow import Recorded
 from onboard.page.received import PacketFile, Received
-from onboard.page.recorded import Recorded
 from onboard.telemetry.downlink import Downlink, FlightIdentity
 from onboard.telemetry.link import LinkError, parse
 from tests.page.browser import Tab, opened

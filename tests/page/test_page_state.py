@@ -13,8 +13,7 @@ from onboard.flight.health.status import Status
 from onboard.flight.store import manifest
 from onboard.identification import quantities, standing
 from onboard.page import state as states
-from onboard.page.follow import Followed, packed, payload_of
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Followed, Recorded, packed, payload_of
 from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -251,7 +250,7 @@ def test_a_log_from_time_zero_and_one_without_rows(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_long_log_are_thinned(monkeypatch: pytest.MonkeyPatch, made_log: Path) -> None:
-    monkeypatch.setattr("onboard.page.recorded.FRAMES", 8)
+    monkeypatch.setattr("onboard.page.follow.FRAMES", 8)
     found = Recorded(LogReader(made_log))
     assert 4 <= len(found) <= 9
     assert found.about()["steps"][-1] == 10.0

@@ -18,7 +18,7 @@ from drivers import records
 from drivers.records import Batch
 from onboard import cli
 from onboard.page import process, web
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
 from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from tests.page.made import START, Rings, flight

@@ -9,7 +9,7 @@ import pytest
 
 from onboard.page import address as addresses
 from onboard.page import process, web
-from onboard.page.recorded import Recorded
+from onboard.page.follow import Recorded
 from onboard.recording.reader import LogReader
 from tests.page.served import ask, raw, served
 

@@ -13,7 +13,7 @@ from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.ground.before.mechanics.counts import counted
+from onboard.ground.before.mechanics.analysis import counted
 from onboard.regressor.base_parameters import (
     BaseParameters,
     SampledMotion,

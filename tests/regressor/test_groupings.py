@@ -1,17 +1,149 @@
-"""Groupings: what is printed, read as an equation, is the base parameter; and it looks like what people write."""
+"""Groupings: what is printed, read as an equation, is the base parameter; and it looks like what people write.
+
+Wrist cells, motor currents, other bases than free ones: MuJoCo's answers.
+"""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from onboard.dynamics.model.bases import BASES, BaseKind
+from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.groupings import groupings
-from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row
+from onboard.regressor.prior import prior_root
+from onboard.regressor.rows import (
+    RowModel,
+    base_force_rows,
+    base_moment_rows,
+    joint_torque_row,
+    load_cell_row,
+    standing,
+)
 from tests.dynamics.free_flyer_twin import URDF
-from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
+from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
+
+KINDS = ["revolute", "prismatic", "revolute", "fixed"]
+TICKS = 5
+GRAVITY = (3.0, -4.0, -8.0)  # the bench stands askew
+
+
+@pytest.fixture
+def links(rng):
+    return random_vehicle(rng, KINDS)
+
+
+def arm_with_cell(links, base=BaseKind.FIXED):
+    return VehicleModel(to_urdf(links), VehicleSpec(base, "base", "link_4", GRAVITY))
+
+
+def on_a_bench(rng, links):
+    """Random motion of an arm bolted down in gravity: joint signals, MuJoCo's joint forces, its wrist sensor."""
+    model = to_mujoco(links)
+    model.opt.gravity[:] = GRAVITY
+    q, dq, ddq = rng.normal(size=(3, TICKS, 3))
+    still = np.zeros(3)
+    answers = [inverse_dynamics(model, *tick, still, still, still, still) for tick in zip(q, dq, ddq, strict=True)]
+    return (q, dq, ddq), np.array([a[2] for a in answers]), np.array([a[3][-6:] for a in answers])
+
+
+def six_axes(bias=True, scale=False):
+    return [
+        load_cell_row(f"wrist_{kind}_{axis}", "joint_link_4", unit, kind, bias=bias, scale=scale)
+        for kind in ("force", "moment")
+        for axis, unit in zip("xyz", np.eye(3), strict=True)
+    ]
+
+
+def test_a_wrist_cell_in_gravity_reads_mujocos_force_and_torque(rng, links):
+    vehicle = arm_with_cell(links)
+    joints, torques, wrist = on_a_bench(rng, links)
+    cells = six_axes(bias=False)
+    rows = RowModel(vehicle, [*cells, *(joint_torque_row(vehicle, j.name, friction=False) for j in vehicle.joints)])
+    found = rows.regressor(*joints, standing(vehicle, TICKS)) @ rows.chi
+    np.testing.assert_allclose(found[:, :6], wrist, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[:, 6:], torques, rtol=1e-9, atol=1e-9)
+
+
+def test_a_scale_is_a_column_of_what_the_cell_should_read(rng, links):
+    vehicle = arm_with_cell(links)
+    joints, _, wrist = on_a_bench(rng, links)
+    rows = RowModel(vehicle, six_axes(scale=True))
+    assert rows.names[-12::6] == ("bias_wrist_force_x", "scale_wrist_force_x")
+    bias, scale = rng.normal(size=6), rng.uniform(-0.1, 0.1, 6)
+    Y = rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist + bias)
+    found = Y @ np.r_[vehicle.chi, bias, scale]
+    np.testing.assert_allclose(found, (wrist + bias) * (1.0 + scale), rtol=1e-9, atol=1e-9)
+    with pytest.raises(SignalError, match="give the predicted readings"):
+        rows.regressor(*joints, standing(vehicle, TICKS))
+    with pytest.raises(SignalError, match="give the predicted readings"):
+        rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist[:, :5])
+
+
+def test_a_known_load_tells_the_torque_constants(rng, links):
+    """Constants 10 % off, links unknown, a payload that was weighed: currents alone give the constants back."""
+    vehicle = arm_with_cell(links)
+    ticks = [on_a_bench(rng, links) for _ in range(40)]
+    joints = tuple(np.concatenate([t[0][k] for t in ticks]) for k in range(3))
+    torque = np.concatenate([t[1] for t in ticks])
+    model = RowModel(vehicle, [replace(joint_torque_row(vehicle, j.name, False), scale=True) for j in vehicle.joints])
+    base = base_parameters(model, rng)
+    links_sigma = {"base": 1.0, "link_1": 1.0, "link_2": 1.0, "link_3": 1.0, "link_4": 1e-6}
+    prior = prior_root(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
+    scale = np.array([0.1, -0.05, 0.08])
+    read = torque * (1.0 + scale)  # current times the nominal constant
+    held = np.arange(len(read)) % 2 == 0
+    without = [link for link in links if link.name != "link_4"]
+    empty = to_mujoco(without)
+    empty.opt.gravity[:] = GRAVITY
+    still = np.zeros(3)
+    for k in np.flatnonzero(~held):
+        read[k] = inverse_dynamics(empty, *(s[k] for s in joints), still, still, still, still)[2] * (1.0 + scale)
+    mean = base.value(model.chi)
+    for _ in range(8):  # the rows are linear for a given prediction
+        motion = (*joints, standing(vehicle, len(read)), held)
+        drawn = base.reduce(model.regressor(*motion, predicted=np.zeros(read.shape))) @ mean
+        rows = base.reduce(model.regressor(*motion, predicted=drawn))
+        rls = SquareRootRls(len(base.names))
+        rls.prior(base.value(model.chi), base.covariance(prior) + 1e-12 * np.eye(len(base.names)))
+        rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))
+        mean = rls.solve().mean
+    found = dict(zip(base.names, mean, strict=True))
+    np.testing.assert_allclose([found[f"scale_torque_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
+
+
+def test_a_planar_base_has_three_rows(links):
+    vehicle = arm_with_cell(links, BaseKind.PLANAR)
+    names = [row.name for row in (*base_force_rows(vehicle), *base_moment_rows(vehicle))]
+    assert names == ["base_force_x", "base_force_y", "base_moment_z"]
+
+
+def test_gravity_makes_masses_visible_on_a_fixed_base_and_not_along_the_wall(rng):
+    """A joint whose axis lies along gravity shows one parameter, across it three."""
+    (base, link) = random_vehicle(rng, ["revolute"])
+    link.axis, link.rpy = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    counts = []
+    for gravity in ((0.0, 0.0, -9.8), (0.0, -9.8, 0.0)):
+        vehicle = VehicleModel(to_urdf([base, link]), VehicleSpec(BaseKind.FIXED, "base", gravity_m_s2=gravity))
+        model = RowModel(vehicle, [joint_torque_row(vehicle, "joint_link_1", friction=False)])
+        counts.append(len(base_parameters(model, rng).names))
+    assert counts == [1, 3]
+
+
+def test_priors_with_negative_sigmas_are_refused(links):
+    vehicle = arm_with_cell(links)
+    model = RowModel(vehicle, [load_cell_row("cell", "joint_link_1", (0, 0, 1), "moment")])
+    for wrong in (-0.1, np.nan, np.inf):
+        sigmas = dict.fromkeys(vehicle.links, 1.0) | {"link_2": wrong}
+        with pytest.raises(SignalError, match="link_2 is negative or not finite"):
+            prior_root(model, sigmas, {"bias_cell": 1.0})
+        with pytest.raises(SignalError, match="bias_cell is negative or not finite"):
+            prior_root(model, dict.fromkeys(vehicle.links, 1.0), {"bias_cell": wrong})
+
 
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 

@@ -9,15 +9,15 @@ from drivers import records
 from drivers.marks import MARK
 from drivers.sync_pulse import code
 from onboard.timebase.clock import ClockState
-from onboard.timebase.specs import (
+from onboard.timebase.timebase import (
     ChannelClock,
     FreeChannel,
     MarkedChannel,
     ProducerChannel,
     SampledChannel,
     SyncLine,
+    Timebase,
 )
-from onboard.timebase.timebase import Timebase
 
 SYNC_NS = 5_000_000
 STEP_NS = 50_000_000

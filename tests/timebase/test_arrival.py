@@ -6,8 +6,7 @@ import pytest
 from drivers.records import SCALAR
 from onboard.timebase.arrival import ArrivalClock
 from onboard.timebase.clock import ClockState
-from onboard.timebase.specs import FreeChannel, PolledChannel
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import FreeChannel, PolledChannel, Timebase
 
 TICK_NS = 2170.1
 START_NS = 10_000_000_000

@@ -6,8 +6,7 @@ import pytest
 from drivers import records
 from drivers.sync_pulse import code
 from onboard.timebase.clock import ClockState
-from onboard.timebase.specs import FollowerChannel, ProducerChannel, SampledChannel, SyncLine
-from onboard.timebase.timebase import Timebase
+from onboard.timebase.timebase import FollowerChannel, ProducerChannel, SampledChannel, SyncLine, Timebase
 from tests.timebase.streams import Fleet
 
 SYNC_NS = 5_000_000

@@ -24,6 +24,7 @@ class CanNodeEmulator(MeasuringEmulator):
 
     needs = "can"
     has_clock = False
+    where = "node {node}"
 
     node: Annotated[int, Field(ge=1, le=127)]
     supervision: Literal["heartbeat", "guarding"] = "heartbeat"
@@ -32,11 +33,6 @@ class CanNodeEmulator(MeasuringEmulator):
     def node_keys(said: Mapping[str, Any]) -> dict[str, Any]:
         """Keys that a node's table in a vehicle file has too."""
         return {key: said[key] for key in ("node", "supervision") if key in said}
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"node {self.node}"
 
     def supervised(self, node: CountingNode, *channels: str) -> Twin:
         """The node, watched as the table says; ``channels``: what the flight computer records of it."""

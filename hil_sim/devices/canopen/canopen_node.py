@@ -7,6 +7,8 @@ SYNC frame. SDO transfers are expedited; a segmented one is aborted with 0504000
 counter; a longer frame is none, and is reported once by 8240h. A node is watched by its heartbeat or, where it was made
 without one, by node guarding (7.2.8.3.2.1): it answers remote frames with its state and a bit that toggles, and when
 none came for guard time x life time factor it reports 8130h and leaves Operational, the default of 1029h.
+
+The SDO server of a simulated node (CiA 301, 7.2.4): expedited transfers; others are aborted with 05040001h.
 """
 
 from collections import Counter
@@ -17,9 +19,33 @@ from numpy.typing import NDArray
 from hil_sim.devices.can_bus.can_wire import TransmitFrame
 from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
-from hil_sim.devices.canopen.sdo_server import serve
 from hil_sim.devices.powered import PoweredTwin
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
+
+
+def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[bytes | None, tuple[int, int] | None]:
+    """Do what eight bytes of an SDO request ask.
+
+    Returns:
+        The answer, None where there is none; and the object that was read, None where none was.
+    """
+    command, index, sub = request[0], int.from_bytes(request[1:3], "little"), request[3]
+    specifier, head = command >> 5, request[1:4]
+    if specifier == 4:  # the client aborts; an expedited transfer is over already
+        return None, None
+    try:
+        if specifier == 2:
+            value = dictionary.upload(index, sub, now_ns)
+            return bytes([0x43 | (4 - len(value)) << 2]) + head + value.ljust(4, b"\0"), (index, sub)
+        if specifier == 1 and command & 0x02:
+            sized = bool(command & 0x01)
+            length = 4 - (command >> 2 & 3) if sized else 4
+            dictionary.download(index, sub, request[4 : 4 + length], sized=sized, now_ns=now_ns)
+            return b"\x60" + head + bytes(4), None
+        raise DictionaryError(Abort.COMMAND)
+    except DictionaryError as abort:
+        return b"\x80" + head + abort.code.to_bytes(4, "little"), None
+
 
 _BOOT_NS = 50_000_000
 _BOOT_STAGGER_NS = 1_100_000

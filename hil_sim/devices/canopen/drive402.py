@@ -31,7 +31,7 @@ from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, D
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import OFF, OPERATIONAL, CanopenNode
 from hil_sim.devices.canopen.rpdo import Rpdo
-from hil_sim.devices.emulator import Bench, Equivalent, Signal, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
@@ -285,17 +285,13 @@ def _error_register(code: int) -> int:
     return 0x01 | {2: 0x02, 3: 0x04, 4: 0x08, 8: 0x10}.get(code >> 12, 0)
 
 
-class Drive402Table(CanNodeEmulator):
-    """A CiA 402 drive. ``torque`` names its motor's sensor; ``channels``: what is recorded beside the angle."""
-
-    quantities = ("joint_angle",)
+class Drive402Table(CanNodeEmulator, JointEmulator):
+    """A CiA 402 drive."""
 
     kind: Literal["drive402"]
-    torque: str
     zero_count: Annotated[int, Field(ge=-(2**31), lt=2**31)] = 0
     rated_torque_Nm: PositiveFloat
     velocity_window_ms: PositiveFloat = 4.0
-    channels: tuple[Literal["velocity", "torque"], ...] = ()
     gear_ratio: float = 1.0
 
     vehicle_kind = "cia402"
@@ -317,10 +313,6 @@ class Drive402Table(CanNodeEmulator):
         sensors = {name: sheets.encoder(name, said), f"{name}_torque": sheets.torque(rated * abs(gear), said)}
         return Equivalent(cls.node_keys(said) | table, sensors, {})
 
-    def signals(self, name: str) -> dict[str, Signal]:
-        """See ``Emulator``."""
-        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
-
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
         encoder = bench.sensor(EncoderSensor)
@@ -337,4 +329,4 @@ class Drive402Table(CanNodeEmulator):
             commands=[(0.0, word) for _, word in ENABLE],  # the arm may move from the start, by drives that are on
             faults=bench.faults,
         )
-        return self.supervised(twin, bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))
+        return self.supervised(twin, *self.recorded(bench.name))

@@ -133,6 +133,7 @@ class As5600Table(MeasuringEmulator):
     needs = "i2c"
     has_clock = False
     quantities = ("joint_angle",)
+    where = "address 0x36"
 
     kind: Literal["as5600"]
     turns: PositiveFloat = 1.0
@@ -147,11 +148,6 @@ class As5600Table(MeasuringEmulator):
         table = {"measures": name, "at": said["joint"], "turns": counts / 4096, "zero_count": said.get("zero_count", 0)}
         own = {"eccentricity_rad": 0.006, **said, "counts_per_revolution": counts * _FINER}
         return Equivalent(table, {name: sheets.encoder(name, own)}, {})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return "address 0x36"
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

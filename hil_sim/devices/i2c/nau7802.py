@@ -11,17 +11,14 @@ first byte of ADCO is read; CS, a new rate, gain or channel begin a conversion; 
 channel 2 is shorted; PUR follows PUD after 200 us; everything but PU_CTRL can be written while it is off.
 """
 
-from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from pydantic import PositiveFloat
 
-from hil_sim.devices.bridge_converter import NOISE_GAIN, Conversions
-from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.bridge_converter import BridgeEmulator, Conversions
+from hil_sim.devices.emulator import Bench, Twin
 from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind
-from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -174,30 +171,13 @@ class Nau7802Twin(I2cTwin):
             self._begin(now_ns)
 
 
-class Nau7802Table(MeasuringEmulator):
-    """An NAU7802 with a cell that gives ``rated_output_mV_V`` at ``rated_load_N``."""
+class Nau7802Table(BridgeEmulator):
+    """An NAU7802 with a cell."""
 
     needs = "i2c"
-    quantities = FORCES
+    where = "address 0x2a"
 
     kind: Literal["nau7802"]
-    rated_output_mV_V: PositiveFloat = 2.0  # noqa: N815  (the volt's letter)
-    rated_load_N: PositiveFloat = 50.0  # noqa: N815
-
-    @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: the cell and its cable delay by half a millisecond, the rest is the chip's filter."""
-        table = {"measures": name, "at": said["frame"], "rated_output_mV_V": said.get("rated_output_mV_V", 2.0)}
-        table["rated_load_N"] = said.get("rated_load_N") or said["capacity_N"]
-        cell = sheets.load_cell(said)
-        cell |= {"delay_ms": 0.5, "delay_sigma_ms": 0.0}
-        cell["noise_rms_N"] /= NOISE_GAIN
-        return Equivalent(table, {name: cell}, {name: "converter"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return "address 0x2a"
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
@@ -205,7 +185,7 @@ class Nau7802Table(MeasuringEmulator):
             bench.sensor(LoadCellSensor),
             bench.clock,
             bench.start_ns,
-            volt_per_volt_N=1e-3 * self.rated_output_mV_V / self.rated_load_N,
+            volt_per_volt_N=self.volt_per_volt_N,
             seed=bench.seed,
             faults=bench.faults,
         )

@@ -212,6 +212,7 @@ class Icm20948Table(MeasuringEmulator):
 
     needs = "i2c"
     quantities = ("inertial",)
+    where = "address {address:#04x}"
 
     kind: Literal["icm20948"]
     address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x69
@@ -223,11 +224,6 @@ class Icm20948Table(MeasuringEmulator):
         table = {"address": said.get("address", 0x69), "measures": name, "at": said["frame"]}
         table["sync_input"] = sheets.pulse and said.get("sync_input", True)
         return Equivalent(table, {name: sheets.imu("icm20948", said)}, {name: "gyro"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"address {self.address:#04x}"
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

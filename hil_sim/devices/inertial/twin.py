@@ -2,20 +2,211 @@
 
 Samples are made lazily, in one vectorised call to the physics, when the chip is addressed or 50 ms have gathered. A
 transfer is an instant: all that it reads belongs to its START.
+
+Samples that a simulated chip converts ahead: one conversion of many costs hardly more than one of ten.
+
+They are good as long as no register that they depend on is written, and the input's future is known.
+
+The FSYNC latch of a simulated chip (RM-MPU-6000A 4.3): a pulse on the pin marks one bit of the next sample.
+
+The FIFO of a simulated chip: bytes that forget their oldest, and what ever went into it.
 """
 
+import math
 from abc import abstractmethod
-from typing import Final
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
-from hil_sim.devices.inertial.ahead import Grid, SamplesAhead
-from hil_sim.devices.inertial.fifo import TwinFifo
-from hil_sim.devices.inertial.fsync import FsyncLatch
 from hil_sim.faults import DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, PowerCycle
-from hil_sim.sensing.analog import ChipClock, ImuAnalog
+from hil_sim.sensing.analog import ChipClock, ImuAnalog, KnownAhead
+
+
+class TwinFifo:
+    """Bytes, and the accounts of the samples written.
+
+    Args:
+        size: How many.
+
+    Attributes:
+        produced: Samples written in each of the periods in which it was enabled, the current one last.
+        between: Sample periods between two times in which it was filled.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self.produced = [0]
+        self.between = 0
+        self._bytes = bytearray()
+        self._last = 0
+        self._latch = 0
+        self._filled_s: float | None = None  # mission time of the last sample in it
+        self._period_s = 1.0  # true sample period then
+
+    def __len__(self) -> int:
+        return len(self._bytes)
+
+    def power_up(self) -> None:
+        """Reset values; the accounts go on."""
+        self._bytes = bytearray()
+        self._last = self._latch = 0
+
+    def enable(self) -> None:
+        """USER_CTRL switches it on."""
+        self.produced.append(0)
+
+    def clear(self) -> None:
+        """FIFO_RESET."""
+        self._bytes.clear()
+
+    def fill(self, data: bytes, samples: int, first_s: float, last_s: float, period_s: float) -> bool:
+        """Write samples; whether it ran over.
+
+        Args:
+            data: Their bytes.
+            samples: How many they are.
+            first_s: Mission time of the first, s.
+            last_s: Mission time of the last, s.
+            period_s: True sample period, s.
+        """
+        if self._filled_s is not None and not self.produced[-1]:
+            self.between += max(round((first_s - self._filled_s) / self._period_s) - 1, 0)
+        self.produced[-1] += samples
+        self._period_s = period_s
+        self._filled_s = last_s
+        return self.write(data)
+
+    def write(self, data: bytes) -> bool:
+        """Append bytes; whether it ran over, and the oldest are lost."""
+        self._bytes += data
+        excess = len(self._bytes) - self._size
+        if excess > 0:
+            del self._bytes[:excess]
+        return excess > 0
+
+    def pop(self, count: int, is_enabled: bool) -> bytes:
+        """Bytes read; when it is empty or disabled, the last byte read, again and again."""
+        taken = b""
+        if is_enabled:
+            taken = bytes(self._bytes[:count])
+            del self._bytes[:count]
+        if taken:
+            self._last = taken[-1]
+        return taken + bytes([self._last]) * (count - len(taken))
+
+    def count_high(self) -> int:
+        """FIFO_COUNT_H; reading it latches both halves."""
+        self._latch = len(self._bytes)
+        return self._latch >> 8
+
+    def count_low(self) -> int:
+        """FIFO_COUNT_L, as latched."""
+        return self._latch & 0xFF
+
+
+class FsyncLatch:
+    """Pulses on the pin, until the sample that they mark is made. Times are mission times [s]."""
+
+    def __init__(self) -> None:
+        self._pulses: list[tuple[float, float]] = []  # rise and fall
+
+    def high(self, rise_s: float, fall_s: float) -> None:
+        """The pin is high from ``rise_s`` to ``fall_s``."""
+        self._pulses.append((rise_s, fall_s))
+
+    def latch(self, counts: NDArray[np.int16], times_s: NDArray[np.float64], last_s: float, column: int | None) -> None:
+        """Mark the samples in which the pin was high at any time since the sample before.
+
+        Args:
+            counts: samples (n, 7), changed in place.
+            times_s: when they were made, (n,).
+            last_s: when the sample before them was made.
+            column: the word whose lowest bit is the mark; None: EXT_SYNC_SET is off.
+        """
+        if column is None:
+            return
+        if not self._pulses:
+            counts[:, column] &= ~1
+            return
+        before_s = np.concatenate(([last_s], times_s[:-1]))  # (n,)
+        marks = np.zeros(len(times_s), np.int16)
+        for rise_s, fall_s in self._pulses:
+            first = int(np.searchsorted(times_s, rise_s, "left"))
+            last = int(np.searchsorted(before_s, fall_s, "left"))
+            marks[first:last] = 1
+        counts[:, column] = (counts[:, column] & ~1) | marks
+
+    def forget(self, last_s: float) -> None:
+        """Pulses over before ``last_s``, the time of the newest sample, mark nothing more."""
+        if self._pulses:
+            self._pulses = [pulse for pulse in self._pulses if pulse[1] > last_s]
+
+
+Times = NDArray[np.float64]
+Words = NDArray[np.int16]
+_MOST = 1024
+
+
+class Grid(NamedTuple):
+    """When samples are made.
+
+    Attributes:
+        first_ns: Chip time of the next one.
+        period_ns: Chip time between them.
+        clock: That of the chip.
+        settings: What their words depend on; empty where they cannot be made ahead.
+    """
+
+    first_ns: int
+    period_ns: int
+    clock: ChipClock
+    settings: tuple[object, ...]
+
+
+class SamplesAhead:
+    """The samples of one chip.
+
+    Args:
+        analog: The input.
+        convert: Words at chip times and mission times, none later than a mission time.
+    """
+
+    def __init__(self, analog: KnownAhead, convert: Callable[[Times, Times, float], Words]) -> None:
+        self._analog = analog
+        self._convert = convert
+        self._settings: tuple[object, ...] = ()
+        self._first_ns = 0  # chip time of the first of those converted ahead
+        self._times_s: Times = np.zeros(0)  # (m,)
+        self._words: Words = np.zeros((0, 7), np.int16)
+
+    def next(self, count: int, grid: Grid, latest_s: float) -> tuple[Times, Words]:
+        """The next samples: mission times (n,), none after ``latest_s``, and words (n, 7) that are the caller's."""
+        times_s, words = self._times_s[:count], self._words[:count]
+        fits = grid.settings and grid.settings == self._settings and grid.first_ns == self._first_ns
+        if fits and len(times_s) == count and times_s[-1] <= latest_s:
+            self._first_ns += count * grid.period_ns
+            self._times_s, self._words = self._times_s[count:], self._words[count:]
+            return times_s, words.copy()
+        ticks_ns = grid.first_ns + grid.period_ns * np.arange(count, dtype=np.float64)  # (n,)
+        times_s = np.minimum(grid.clock.times_s(ticks_ns), latest_s)
+        words = self._convert(ticks_ns, times_s, latest_s)
+        if grid.settings:
+            self._make(count, grid._replace(first_ns=grid.first_ns + count * grid.period_ns))
+        return times_s, words
+
+    def _make(self, fewest: int, grid: Grid) -> None:
+        """Convert what the input knows; fewer than ``fewest`` samples would be for nothing."""
+        self._first_ns, self._settings = grid.first_ns, grid.settings
+        ticks_ns = grid.first_ns + grid.period_ns * np.arange(_MOST, dtype=np.float64)
+        times_s = grid.clock.times_s(ticks_ns)
+        known = int(np.searchsorted(times_s, self._analog.known_s))
+        known = known if known >= fewest else 0
+        self._times_s = times_s[:known]
+        self._words = self._convert(ticks_ns[:known], self._times_s, math.inf) if known else self._words[:0]
+
 
 _SECOND_NS = 1_000_000_000
 _FAULTS: Final = (

@@ -16,6 +16,7 @@ class Mpu6050Table(MeasuringEmulator):
 
     needs = "i2c"
     quantities = ("inertial",)
+    where = "address {address:#04x}"
 
     kind: Literal["mpu6050"]
     address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x68
@@ -27,11 +28,6 @@ class Mpu6050Table(MeasuringEmulator):
         table = {"address": said.get("address", 0x68), "measures": name, "at": said["frame"]}
         table["sync_input"] = sheets.pulse and said.get("sync_input", True)
         return Equivalent(table, {name: sheets.imu("mpu6050", said)}, {name: "gyro", f"{name}_rc": "rc"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"address {self.address:#04x}"
 
     def clocks(self, name: str) -> tuple[str, ...]:
         """See ``Emulator``."""

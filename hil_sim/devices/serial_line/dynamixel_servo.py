@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import Field, PositiveFloat
 
 from hil_sim.devices.canopen.servo_loop import ServoLoop
-from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Signal, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
 from hil_sim.devices.serial_line.dynamixel import BAUD_RATES, COUNTS, DynamixelTwin, asks
 from hil_sim.faults import NO_FAULTS, DeviceFaults
 from hil_sim.plants.drives.servo_axis import Axis, AxisAngle, AxisTorque
@@ -157,23 +157,21 @@ class DynamixelServo(DynamixelTwin):
         return stall_n_m * (pwm - rate_rad_s * abs(self._turns) / _FREE_RAD_S)
 
 
-class DynamixelTable(MeasuringEmulator):
-    """An XM430-W350 on a joint; ``torque`` names the sensor of its torque, ``channels``: recorded beside the angle."""
+class DynamixelTable(JointEmulator):
+    """An XM430-W350 on a joint."""
 
     baud_rates: ClassVar[tuple[int, ...]] = BAUD_RATES
     has_clock = False
-    quantities = ("joint_angle",)
     turns_axis = True
+    where = "ID {id}"
 
     kind: Literal["dynamixel"]
     id: Annotated[int, Field(ge=0, le=252)] = 1
-    torque: str
     turns: PositiveFloat = 1.0
     zero_count: int = 2048
     torque_N_m_A: PositiveFloat = 1.78  # noqa: N815  (the newton's letter)
     firmware: Annotated[int, Field(ge=1, le=255)] = 45
     return_delay: Annotated[int, Field(ge=0, le=254)] = 250
-    channels: tuple[Literal["velocity", "torque", "status"], ...] = ()
     reversed_count: bool = False
 
     @classmethod
@@ -198,15 +196,6 @@ class DynamixelTable(MeasuringEmulator):
         torque = sheets.torque(sheets.effort_n_m(said["joint"]), said)
         return Equivalent(table, {name: sheets.encoder(name, own), f"{name}_torque": torque}, {})
 
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"ID {self.id}"
-
-    def signals(self, name: str) -> dict[str, Signal]:
-        """See ``Emulator``."""
-        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
-
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
         options: dict[str, Any] = {
@@ -226,5 +215,4 @@ class DynamixelTable(MeasuringEmulator):
         else:
             options["turns"] *= -1.0 if self.reversed_count else 1.0
             twin = DynamixelServo(bench.axis, bench.start_ns, sensed=torque.measured, **options)
-        recorded = (bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))
-        return Twin(twin, lambda: twin.answered, recorded, asks=asks)
+        return Twin(twin, lambda: twin.answered, self.recorded(bench.name), asks=asks)

@@ -14,7 +14,7 @@ from drivers.records import CAN_SYNC, SCALAR
 from onboard.devices.base import BusDevice, OpeningBus, Problem, Surroundings
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, FollowerChannel, ProducerChannel
+from onboard.timebase.timebase import ChannelClock, FollowerChannel, ProducerChannel
 
 
 class CanDevice(BusDevice):

@@ -13,7 +13,7 @@ from onboard.devices.base import Channels, Surroundings
 from onboard.devices.can.canopen import CanopenNodeDevice
 from onboard.devices.driven import DrivenDevice, MotorDevice
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock
+from onboard.timebase.timebase import ChannelClock
 
 
 class Cia402Device(CanopenNodeDevice, MotorDevice, DrivenDevice):

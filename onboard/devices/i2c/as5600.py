@@ -12,7 +12,7 @@ from onboard.devices.buses import I2cDevice, Identify, SamplePeriod
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, PolledChannel
+from onboard.timebase.timebase import ChannelClock, PolledChannel
 
 SETTLING_S = {16: 2.2e-3, 8: 1.1e-3, 4: 0.55e-3, 2: 0.286e-3}  # of the slow filter, data sheet figure 33
 ECCENTRICITY_RAD = 6e-3  # rms: half a degree at most; the data sheet allows one with the magnet on the axis

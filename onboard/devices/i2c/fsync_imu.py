@@ -11,7 +11,7 @@ from onboard.devices.base import ImuDevice, Surroundings
 from onboard.devices.buses import I2cDevice
 from onboard.section import Positive
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, FreeChannel, SampledChannel
+from onboard.timebase.timebase import ChannelClock, FreeChannel, SampledChannel
 
 
 class FsyncImuDevice(I2cDevice, ImuDevice):

@@ -27,7 +27,7 @@ from onboard.devices.driven import DrivenDevice, MotorDevice
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, PolledChannel
+from onboard.timebase.timebase import ChannelClock, PolledChannel
 
 RETURN_DELAY_S = 500e-6  # as it comes
 

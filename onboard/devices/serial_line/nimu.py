@@ -11,7 +11,7 @@ from onboard.devices.base import Channels, Clock, ImuDevice, Surroundings, first
 from onboard.devices.buses import OpenSerial, PollPeriod, SerialLineDevice
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, FreeChannel
+from onboard.timebase.timebase import ChannelClock, FreeChannel
 
 
 class NimuDevice(SerialLineDevice, ImuDevice):

@@ -16,7 +16,7 @@ from onboard.devices.roles import ImuRole, Roles
 from onboard.devices.serial_line.node_channels import InertialChannel, NodeChannel
 from onboard.section import Positive
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, MarkedChannel
+from onboard.timebase.timebase import ChannelClock, MarkedChannel
 
 IMU_PARTS = tuple((role, axis) for role in ("gyro", "accel") for axis in "xyz")
 

@@ -13,7 +13,7 @@ from onboard.devices.buses import OpenSerial, PollPeriod, SerialLineDevice
 from onboard.devices.roles import Roles, SmoothedChannel, TrackerRole
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, FreeChannel
+from onboard.timebase.timebase import ChannelClock, FreeChannel
 
 TICK_NS = 1000.0  # the messages count microseconds
 

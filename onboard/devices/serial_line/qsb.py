@@ -13,7 +13,7 @@ from onboard.devices.base import Channels, Clock, JointDevice, Surroundings
 from onboard.devices.buses import OpenSerial, PollPeriod, SerialLineDevice
 from onboard.section import Positive
 from onboard.timebase.delays import Delay, on_wire_s
-from onboard.timebase.specs import ChannelClock, FreeChannel, MarkedChannel
+from onboard.timebase.timebase import ChannelClock, FreeChannel, MarkedChannel
 
 TICK_NS = 1.925e6  # 1.900 or 1.953 ms: the manual says both
 LINE_BYTES = 26  # with spaces, stamp, CR and LF

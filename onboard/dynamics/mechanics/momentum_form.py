@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies
-from onboard.dynamics.kinematics import chain_motion, turned
+from onboard.dynamics.kinematics import Bodies, chain_motion, turned
 from onboard.dynamics.mechanics import barycentric
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm

@@ -15,12 +15,23 @@ and the regressor is made of measured signals. Four corrections:
    (Block form of the HC3 of MacKinnon and White, J. Econometrics 29 (1985) 305: too wide when a few blocks carry the
    information, where the plain block sandwich is too narrow.) When the store is full, neighbours are merged and the
    block length doubles: memory is constant, and blocks become longer than slow errors. Blocks in which the motion and
-   its errors repeat are one (:mod:`onboard.estimation.recursive.repeats`).
+   its errors repeat are one (:mod:`onboard.estimation.recursive.consistency`).
 3. *Few blocks*: Student's t, with Satterthwaite's degrees of freedom from each block's share of the information on the
 quantity. 4. *Common causes*: considered parameters (scale or lever of a load cell) shift all rows together and do not
 average out; their part is added in quadrature through the sensitivities of the RLS (Schmidt's consider covariance).
 
 The formal covariance remains a lower bound, because a short run may show too little scatter by chance.
+
+Blocks of time whose errors repeat, because the motion does: they are one block of the jackknife.
+
+What a model leaves (friction, gears, a flexible joint) is a function of the motion. A motion that is repeated, as a
+period of a Fourier series is, leaves the same again: the repetitions are no independent witnesses of that error, and
+the scatter of blocks, each of which has its like among those kept, shows neither its size nor its leverage.
+
+The scores of two blocks, in units of the formal covariance, have a cosine. Of blocks that have nothing in common its
+sign is random and its mean square v that of all pairs; the sum over the n pairs of one lag is then normal with the
+variance n v. The shortest lag where it is larger than chance makes of so many is the period; blocks of one phase are
+added up. Where errors are noise, nothing repeats, and repetitions do count.
 """
 
 import copy
@@ -31,11 +42,58 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import RowError
+from onboard.estimation.policy import DOUBT, of_each, sigmas
 from onboard.estimation.recursive.blocks import TimeBlocks
-from onboard.estimation.recursive.repeats import added_up, phases
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
+
+_FEWEST = 3  # blocks in a period: neighbours are alike for other reasons, and two phases have no scatter
+
+
+def phases(numbers: FloatArray, scores: FloatArray) -> IndexArray:
+    """Group of each block, (b,): one a block, or one a phase of each recording.
+
+    Recordings are as far apart as all blocks together are long, or farther.
+
+    Args:
+        numbers: of the blocks in time, whole, (b,).
+        scores: of the blocks at the estimate, in units in which the formal covariance is the identity, (b, p).
+    """
+    alone, length = np.arange(len(numbers)), np.linalg.norm(scores, axis=1)
+    if len(numbers) < 2 * _FEWEST or not length.all():
+        return alone
+    order = np.argsort(numbers)
+    begins = np.append(True, np.diff(numbers[order]) > len(numbers))
+    recording = np.empty_like(alone)
+    recording[order] = np.cumsum(begins) - 1
+    since = numbers - numbers[order][begins][recording]
+    one, other = np.triu_indices(len(numbers), 1)
+    one, other = np.array([one, other])[:, recording[one] == recording[other]]
+    cosine = np.einsum("ip,ip->i", scores[one], scores[other]) / (length[one] * length[other])
+    lag = np.rint(np.abs(since[one] - since[other])).astype(np.intp)
+    pairs = np.maximum(np.bincount(lag, minlength=_FEWEST + 1), 1)
+    total = np.bincount(lag, cosine, len(pairs))
+    away = total / np.sqrt(pairs * np.mean(cosine**2))
+    away[:_FEWEST] = 0.0
+    looks = len(np.unique(lag[lag >= _FEWEST]))
+    beyond = away > sigmas(of_each(DOUBT, looks))
+    if not beyond.any():
+        return alone
+    period = int(beyond.argmax())
+    period += int(away[period : period + 2].argmax())
+    around = np.arange(period - 1, min(period + 2, len(pairs)))
+    period_blocks = float(np.average(around, weights=np.maximum((total / pairs)[around], 0.0)))
+    phase = np.rint(since % period_blocks * period / period_blocks).astype(np.intp) % period
+    return np.asarray(np.unique(recording * period + phase, return_inverse=True)[1], np.intp)
+
+
+def added_up(group: IndexArray, parts: FloatArray) -> FloatArray:
+    """Sums of the blocks of each group, (g, ...), of (b, ...)."""
+    made = np.zeros((int(group.max(initial=-1)) + 1, *parts.shape[1:]))
+    np.add.at(made, group, parts)
+    return made
+
 
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
 NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise

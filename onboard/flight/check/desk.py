@@ -22,7 +22,7 @@ from onboard.devices.roles import SmoothedChannel
 from onboard.estimation import policy
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.check.preflight import Check, Clock, RunDevices, Wait, look_at_devices
-from onboard.timebase.specs import FollowerChannel, FreeChannel, MarkedChannel, PolledChannel, SampledChannel
+from onboard.timebase.timebase import FollowerChannel, FreeChannel, MarkedChannel, PolledChannel, SampledChannel
 
 SECONDS = 120.0
 WINDOW_S = 1.0

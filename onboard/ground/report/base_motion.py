@@ -1,4 +1,4 @@
-"""Table and figure of :class:`onboard.ground.identify.base_motion.predicted.Predicted` (as figures 4.14 and 4.15)."""
+"""Table and figure of :class:`onboard.ground.identify.base_motion.flown.Predicted` (as figures 4.14 and 4.15)."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
-from onboard.ground.identify.base_motion.predicted import Predicted
+from onboard.ground.identify.base_motion.flown import Predicted
 from onboard.ground.report.flight.base_rate import common, rates
 from onboard.ground.report.flight.figures import legend
 

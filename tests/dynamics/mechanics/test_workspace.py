@@ -1,20 +1,152 @@
-"""Singularities, workspaces and attitude drift: closed forms, the generalized Jacobian, MuJoCo."""
+"""Singularities, workspaces and attitude drift: closed forms, the generalized Jacobian, MuJoCo.
 
+Virtual manipulator, barycentric vectors, Mayeda's counts: second derivations against Pinocchio and MuJoCo.
+
+Joint torques with the base left to itself, against MuJoCo's forward dynamics of the same vehicle.
+"""
+
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from bench.block_race import BlockRace
+from bench.block_system import BlockRace
 from onboard.dynamics.mechanics import barycentric as bary
 from onboard.dynamics.mechanics import nonholonomic, workspace
 from onboard.dynamics.mechanics import virtual_manipulator as virtual
+from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count, free_base_count
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
+from tests.dynamics import mujoco_twin
 from tests.dynamics.mechanics.mujoco_flights import START, arm, fly
+
+SLIDE = '<joint type="slide" axis="{}"/>'
+TABLE = SLIDE.format("1 0 0") + SLIDE.format("0 1 0") + '<joint type="hinge" axis="0 0 1"/>'
+BASES = {BaseKind.FREE: ("<freejoint/>", 6, 7), BaseKind.PLANAR: (TABLE, 3, 3), BaseKind.FIXED: ("", 0, 0)}
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_mujoco_accelerates_as_asked(rng, base):
+    links = mujoco_twin.random_vehicle(rng, ["revolute", "revolute", "revolute"])
+    joint, freedom, pose = BASES[base]
+    model = mujoco_twin.to_mujoco(links, joint)
+    space = JointSpace(
+        FloatingArm(
+            VehicleModel(mujoco_twin.to_urdf(links), VehicleSpec(base, "base", gravity_m_s2=(0.3, -1.0, -9.0))),
+            "link_3",
+        )
+    )
+    if base is not BaseKind.FREE:
+        model.opt.gravity = (0.0, 0.0, -9.0) if base is BaseKind.PLANAR else (0.3, -1.0, -9.0)
+    q, dq, ddq = rng.uniform(-1.0, 1.0, (3, 3))
+    data = mujoco.MjData(model)
+    if base is BaseKind.FREE:
+        data.qpos[3] = 1.0
+    data.qpos[pose:], data.qvel[freedom:] = q, dq
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    for row, unit in zip(M, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    data.qvel[:freedom] = -np.linalg.solve(M[:freedom, :freedom], M[:freedom, freedom:] @ dq)  # no momentum
+    data.qfrc_applied[freedom:] = space.torque(q, dq, ddq)
+    mujoco.mj_forward(model, data)
+    assert data.qacc[freedom:] == pytest.approx(ddq, abs=1e-9)
+    inverse = np.linalg.inv(M)[freedom:, freedom:]
+    assert space.inertia(q) @ inverse == pytest.approx(np.eye(3), abs=1e-9)
+
+
+KINDS = (["revolute"] * 5, ["revolute", "prismatic", "continuous", "fixed", "revolute"], ["prismatic"] * 2)
+
+
+def random_arm(rng, kinds):
+    links = mujoco_twin.random_vehicle(rng, kinds)
+    vehicle = VehicleModel(mujoco_twin.to_urdf(links), VehicleSpec(BaseKind.FREE, "base"))
+    return FloatingArm(vehicle, links[-1].name), mujoco_twin.to_mujoco(links), links
+
+
+@pytest.mark.parametrize("kinds", KINDS, ids=str)
+def test_the_virtual_tip_is_the_real_tip_of_mujoco(rng, kinds):
+    for _ in range(20):
+        floating, model, links = random_arm(rng, kinds)
+        chain, q = chain_of(floating), rng.uniform(-2, 2, floating.joints)
+        data = mujoco.MjData(model)
+        data.qpos[7:] = q
+        mujoco.mj_forward(model, data)
+        tip, base = data.body(links[-1].name).xpos, data.body("base")
+        centre = base.subtree_com if hasattr(base, "subtree_com") else data.subtree_com[base.id]
+        np.testing.assert_allclose(centre + virtual.virtual_tip(chain, q), tip, atol=1e-9)
+
+
+def test_virtual_links_are_constant_but_for_prismatic_joints(rng):
+    floating, _, _ = random_arm(rng, ["revolute", "prismatic", "revolute"])
+    chain = chain_of(floating)
+    one, other = (virtual.virtual_links(chain, q) for q in (np.zeros(3), np.array([0.3, 0.2, -1.0])))
+    moved = np.linalg.norm(other - one, axis=1)
+    assert moved[1] == pytest.approx(0.2 * virtual.mass_shares(chain)[1])  # (2.29)
+    assert np.delete(moved, 1).max() == 0.0
+
+
+def test_the_virtual_jacobian_is_the_generalized_one(rng):
+    for _ in range(10):
+        floating, _, _ = random_arm(rng, ["revolute"] * 4)
+        chain, q = chain_of(floating), rng.uniform(-2, 2, 4)
+        J = virtual.virtual_jacobian(chain, q, bary.body_rates(chain, q))
+        np.testing.assert_allclose(J, floating.generalized_jacobian(q)[:3], atol=1e-12)
+
+
+def test_momentum_and_energy_from_barycentric_vectors(rng):
+    for _ in range(20):
+        floating, _, _ = random_arm(rng, ["revolute"] * rng.integers(1, 7))
+        chain, n = chain_of(floating), floating.joints
+        q, dq, w = rng.uniform(-2, 2, n), rng.normal(size=n), rng.normal(size=3)
+        A, H = floating.momentum_map(q), floating.mass_matrix(q)
+        v = -np.linalg.solve(A[:3, :3], A[:3, 3:6] @ w + A[:3, 6:] @ dq)  # the centre of mass at rest
+        nu = np.concatenate([v, w, dq])
+        D, D_q, D_qq = bary.reduced_inertia(chain, q)
+        np.testing.assert_allclose(D @ w + D_q @ dq, (A @ nu)[3:], rtol=0, atol=1e-10)
+        energy = 0.5 * (w @ D @ w + 2 * w @ D_q @ dq + dq @ D_qq @ dq)
+        assert energy == pytest.approx(0.5 * nu @ H @ nu, abs=1e-10)
+        for ours, fast in zip((D, D_q, D_qq), floating.reduced_inertia(q), strict=True):
+            np.testing.assert_allclose(ours, fast, atol=1e-10)
+
+
+def test_barycentric_vectors_of_a_body_close(rng):
+    """Mass-weighted positions of all bodies about the vehicle's centre of mass vanish (2.30-2.33)."""
+    floating, _, _ = random_arm(rng, ["revolute"] * 4)
+    chain = chain_of(floating)
+    b, m = bary.barycentric(chain), chain.mass
+    for i in range(5):
+        np.testing.assert_allclose(m[:i].sum() * b.l[i] - m[i] * b.c[i] + m[i + 1 :].sum() * b.r[i], 0.0, atol=1e-12)
+
+
+def test_arms_that_are_no_chain_are_refused(rng):
+    links = mujoco_twin.random_vehicle(rng, ["revolute", "revolute"], [0, 0])
+    vehicle = VehicleModel(mujoco_twin.to_urdf(links), VehicleSpec(BaseKind.FREE, "base"))
+    with pytest.raises(SignalError, match="serial arms"):
+        chain_of(FloatingArm(vehicle, "link_2"))
+    floating, _, _ = random_arm(rng, ["revolute", "prismatic"])
+    with pytest.raises(SignalError, match="revolute joints only"):
+        bary.barycentric(chain_of(floating))
+
+
+def test_closed_form_counts_of_dymaflex():
+    chain = chain_of(arm())  # yaw, pitch, roll, pitch, roll: every axis across the one before
+    assert first_cluster(chain) == 1
+    assert fixed_base_count(chain, np.array([0.0, 0.0, -9.81])).parameters == 7 * 5 - 4 - 2
+    assert fixed_base_count(chain, np.array([9.81, 0.0, 0.0])).parameters == 7 * 5 - 4
+    assert free_base_count(chain).parameters == 45
+
+
+def test_other_joints_have_no_closed_form(rng):
+    floating, _, _ = random_arm(rng, ["revolute", "prismatic"])
+    assert fixed_base_count(chain_of(floating), np.array([0.0, 0.0, -9.81])) is None
+    assert free_base_count(chain_of(floating)) is None
+
 
 # Base 40 kg, links 4 and 3 kg, 1 and 1 m long, joints about z, the first half a metre from the base's centre.
 PLANAR = """<robot name="planar">

@@ -7,7 +7,7 @@ from toy_angle.driver import COUNTS_PER_REVOLUTION, ToyAngle
 from onboard.devices.base import JointDevice
 from onboard.devices.buses import SerialLineDevice
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import FreeChannel
+from onboard.timebase.timebase import FreeChannel
 
 PERIOD_NS = 5e6
 WIRE_NS = 1e6

@@ -1,11 +1,20 @@
-"""Campaigns on real worker processes, a worker, the scheduler or the client killed: the results of a serial run."""
+"""Campaigns on real worker processes, a worker, the scheduler or the client killed: the results of a serial run.
+
+Campaigns as processes of their own, and what their results hold.
+
+A flight's files are in memory where there is room, and gone afterwards, also those of a worker that was killed.
+"""
 
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pyarrow.dataset
@@ -14,21 +23,171 @@ import pytest
 from onboard import cli
 from onboard.cli.campaign import fly
 from onboard.ground.campaign import plan_file
+from onboard.ground.campaign import scratch as module
 from onboard.ground.campaign.design import items
 from onboard.ground.campaign.flights import OtherCodeError
 from onboard.ground.campaign.revision import revision
+from onboard.ground.campaign.scratch import scratch
+from onboard.ground.campaign.store import Content, Store
 from onboard.recording.reader import LogReader
-from tests.ground.campaign.processes import (
-    MISSION,
-    campaign,
-    dask,
-    free_port,
-    results,
-    running,
-    serial,
-    until,
-    workers_of,
-)
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from onboard.ground.campaign import scratch
+scratch.MEMORY = Path(sys.argv[1])
+with scratch.scratch() as directory:
+    (directory / "flight.mcap").write_text("a log")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "MEMORY", tmp_path)
+    return tmp_path
+
+
+def test_files_are_in_memory_and_gone_afterwards(memory):
+    before = tempfile.gettempdir()
+    with scratch() as directory:
+        assert directory.parent == memory
+        with tempfile.TemporaryDirectory() as own:  # of a plan's own function
+            assert Path(own).parent == directory
+    assert list(memory.iterdir()) == []
+    assert tempfile.gettempdir() == before
+
+
+def test_without_room_they_are_on_the_disk(memory, monkeypatch, tmp_path_factory):
+    disk = tmp_path_factory.mktemp("disk")
+    monkeypatch.setattr(module, "_ROOM", 1 << 62)
+    monkeypatch.setattr(tempfile, "tempdir", str(disk))
+    with scratch() as directory:
+        assert directory.parent == disk
+    monkeypatch.setattr(module, "MEMORY", memory / "missing")
+    with scratch() as directory:
+        assert directory.parent == disk
+
+
+def test_what_a_killed_worker_left_is_removed_and_nothing_that_is_in_use(memory):
+    killed = subprocess.run([sys.executable, "-c", _KILLED, str(memory)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    [left] = memory.iterdir()
+    assert (left / "flight.mcap").exists()
+    with scratch():
+        assert left.exists()  # as fresh as one that is about to be locked
+    os.utime(left, (0.0, 0.0))
+    with scratch() as first:
+        assert not left.exists()
+        (first / "flight.mcap").write_text("a log")
+        os.utime(first, (0.0, 0.0))
+        with scratch() as second:
+            assert first != second
+            assert (first / "flight.mcap").exists()
+    assert list(memory.iterdir()) == []
+
+
+ROOT = Path(__file__).parents[3]
+MISSION = """[campaign]
+name = "short"
+seeds = {seeds}
+[flight]
+mission = "rocksat"
+[scenario]
+sequence = [
+    {{phase = 0, action = "hold", duration_s = 1.5}},
+    {{phase = 3, action = "strokes", strokes = 5, amplitude = {{joint_1 = 0.21}}, stroke_s = 0.6, transfer_s = 0.5}},
+    {{phase = 9, action = "hold", duration_s = 0.2}},
+]
+"""
+
+
+def serial(directory: Path, plan: Path) -> dict[str, bytes]:
+    """What each file of results holds when the flights are flown one after the other in this process."""
+    read = plan_file.read(plan)
+    code = revision(read.file.flight.call or "")
+    flights = {item.address(code): item for item in items(read)}
+    store = Store(directory)
+    store.begin(Content("serial", "", code, flights))
+    for address, item in flights.items():
+        store.take(address, item, code, fly(item, code))
+    return results(directory)
+
+
+def results(directory: Path) -> dict[str, bytes]:
+    """Content of each file of results; empty before the first."""
+    return {path.name: path.read_bytes() for path in sorted((directory / "flights").glob("*.parquet"))}
+
+
+@contextmanager
+def running(scratch: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A Python that runs ``words``, with temporary files below ``scratch``; ended with the context."""
+    scratch.mkdir(exist_ok=True)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(scratch)}
+    with (
+        (scratch / f"{time.monotonic_ns()}.log").open("w") as said,
+        subprocess.Popen([sys.executable, *words], env=environment, stdout=said, stderr=said) as process,
+    ):
+        try:
+            yield process
+        finally:
+            with suppress(ProcessLookupError):
+                process.terminate()
+                process.wait(60)
+
+
+def campaign(out: Path, plan: Path, *more: str) -> tuple[str, ...]:
+    """Words of a Python that runs a campaign."""
+    return ("-m", "onboard.cli", "campaign", str(plan), "-o", str(out), *more)
+
+
+def dask(port: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Words of a Python that is Dask's scheduler, and of one that is a worker with one process."""
+    host = ("--host", "127.0.0.1", "--port", str(port))
+    return (
+        ("-m", "distributed.cli.dask_scheduler", *host, "--no-dashboard"),
+        (
+            "-m",
+            "distributed.cli.dask_worker",
+            f"tcp://127.0.0.1:{port}",
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ),
+    )
+
+
+def free_port() -> int:
+    """One that nobody listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
+    """Processes that a campaign has spawned to fly."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            if int(fields[1]) == process.pid and b"spawn_main" in path.with_name("cmdline").read_bytes():
+                found.append(int(path.parent.name))
+    return found
+
+
+def until(happens: Callable[[], bool], longest_s: float) -> None:
+    """Wait for something.
+
+    Raises:
+        TimeoutError: it does not happen.
+    """
+    end_s = time.monotonic() + longest_s
+    while not happens():
+        if time.monotonic() > end_s:
+            raise TimeoutError("it did not happen")
+        time.sleep(0.05)
+
 
 LONGEST_S = 120.0
 CALLED = """[campaign]

@@ -1,6 +1,6 @@
 """The twins' CAN traffic as python-can records it for candump's users, and our driver on that record.
 
-``tests/kernel/test_candump.py`` has it from candump itself.
+``tests/kernel/test_canopen.py`` has it from candump itself.
 """
 
 import re

@@ -6,7 +6,6 @@ A state is its bits 6, 5, 3, 2, 1, 0 of the statusword; a command is a controlwo
 import contextlib
 import math
 import struct
-import threading
 import time
 
 import canopen
@@ -16,10 +15,11 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 from canopen.profiles.p402 import BaseNode402
 from hypothesis import given
 
-from hil_sim.buses.can_virtual import VirtualCan
+from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import START_NS, Analog, CanRig
 
 NODE = 5
@@ -341,29 +341,18 @@ def network(drive, channel, node):
     link = VirtualCan(channel)
     bus = CanBus(link)
     bus.add(drive)
-    stop = threading.Event()
-
-    def run():
-        while not stop.is_set():
-            bus.advance(time.monotonic_ns())
-            time.sleep(0.0002)
-
-    thread = threading.Thread(target=run, daemon=True)
     net = canopen.Network()
     net.connect(channel, interface="virtual")
     net.add_node(node)
-    thread.start()
-    try:
+    with contextlib.closing(link), RealTime(bus):
         until_s = time.monotonic() + 10.0
         while node.nmt.state != "PRE-OPERATIONAL" and time.monotonic() < until_s:
             time.sleep(0.01)
-        yield net
-    finally:
-        net.sync.stop()
-        net.disconnect()
-        stop.set()
-        thread.join()
-        link.close()
+        try:
+            yield net
+        finally:
+            net.sync.stop()
+            net.disconnect()
 
 
 @pytest.mark.realtime

@@ -4,7 +4,6 @@ import contextlib
 import itertools
 import socket
 import struct
-import threading
 import time
 
 import NetFT
@@ -14,6 +13,7 @@ from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.devices.net_box import NetBox
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock
 
 COUNTS = [100, -200, 300, -40, 50, -60]
@@ -32,22 +32,10 @@ def served():
     """Its address, while a thread serves it on the real clock."""
     start_ns = time.monotonic_ns()
     end = UdpEnd()
-    bus, stop = NetworkBus(end), threading.Event()
+    bus = NetworkBus(end)
     bus.add(NetBox(INPUTS, RateClock(start_ns=start_ns), start_ns))
-
-    def run():
-        while not stop.is_set():
-            bus.advance(time.monotonic_ns())
-            time.sleep(5e-4)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
+    with contextlib.closing(end), RealTime(bus):
         yield end.address
-    finally:
-        stop.set()
-        thread.join(5.0)
-        end.close()
 
 
 def test_a_client_of_others_reads_it_once_and_as_a_stream():

@@ -1,6 +1,6 @@
 """Node guarding (CiA 301, 7.2.8.3.2.1) of nodes without heartbeat, on the wire and by a stranger's master."""
 
-import threading
+import contextlib
 import time
 
 import canopen
@@ -8,11 +8,12 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.buses.can_virtual import VirtualCan
+from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus
 from hil_sim.devices.can_bus.frame_length import frame_bits
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.faults import Fault, FaultPlan
+from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import START_NS, Analog, CanRig
 
 NODE, GUARD, EMCY = 2, 0x702, 0x082
@@ -121,21 +122,10 @@ def test_a_remote_frame_has_no_data_and_another_bit(identifier, asked):
 
 @pytest.mark.realtime
 def test_the_master_of_python_canopen_guards_it():
-    link, stop = VirtualCan("guarding"), threading.Event()
+    link = VirtualCan("guarding")
     bus = CanBus(link)
-    start_ns = time.monotonic_ns()
-    node = cell(start_ns)
-    bus.add(node)
-
-    def pump():
-        while not stop.is_set():
-            bus.advance(time.monotonic_ns())
-            time.sleep(0.0005)
-
-    thread = threading.Thread(target=pump)
-    thread.start()
-    net = canopen.Network()
-    try:
+    bus.add(cell(time.monotonic_ns()))
+    with contextlib.closing(link), RealTime(bus), canopen.Network() as net:
         net.connect(interface="virtual", channel="guarding")
         remote = net.add_node(NODE, canopen.ObjectDictionary())
         remote.nmt.wait_for_bootup(3)
@@ -148,8 +138,3 @@ def test_the_master_of_python_canopen_guards_it():
         assert states == {"PRE-OPERATIONAL"}
         assert remote.nmt.state == "OPERATIONAL"
         remote.nmt.stop_node_guarding()
-    finally:
-        net.disconnect()
-        stop.set()
-        thread.join()
-        link.close()

@@ -11,11 +11,12 @@ import pytest
 import smbus2
 
 from drivers.ports import CanFrame
-from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
+from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
 
 
@@ -113,8 +114,7 @@ class Bench:
 
     def __init__(self, mission, link, net):
         self.mission, self.net = mission, net
-        self._link, self._stop = link, threading.Event()
-        self._thread = threading.Thread(target=self._pump)
+        self._link, self._running = link, contextlib.ExitStack()
 
     def power_up(self, *nodes):
         """Returns when these nodes have sent their boot-up messages: heard here, for canopen forgets earlier ones."""
@@ -122,7 +122,7 @@ class Bench:
         start_ns = time.monotonic_ns()
         pulse = PulseLine(Nobody())
         self.mission.attach(i2c=I2cBus(), can=CanBus(self._link), pulse=pulse, start_ns=start_ns)
-        self._thread.start()
+        self._running.enter_context(RealTime(self.mission))
         assert all(boot.wait(10) for boot in heard)
 
     def boots(self, *nodes):
@@ -136,15 +136,8 @@ class Bench:
 
     def close(self):
         self.net.disconnect()
-        self._stop.set()
-        if self._thread.ident:
-            self._thread.join()
+        self._running.close()
         self._link.close()
-
-    def _pump(self):
-        while not self._stop.is_set():
-            self.mission.advance(time.monotonic_ns())
-            time.sleep(0.0005)
 
 
 @pytest.fixture

@@ -3,16 +3,15 @@
 import contextlib
 import itertools
 import struct
-import threading
 import time
 
 import pytest
 
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.tcp_ends import ListeningTcp, VirtualTcp
-from hil_sim.devices.ur_controller import UrController
-from hil_sim.devices.ur_tables import rate
+from hil_sim.devices.ur_controller import UrController, rate
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
 SIX = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
@@ -28,22 +27,10 @@ def served(start_ns=None, **how):
     """Its port, while a thread serves it on the real clock."""
     start_ns = time.monotonic_ns() if start_ns is None else start_ns
     listener = ListeningTcp()
-    bus, stop = NetworkBus(listener), threading.Event()
+    bus = NetworkBus(listener)
     bus.add(UrController(INPUTS, RateClock(start_ns=start_ns), start_ns, **how))
-
-    def run():
-        while not stop.is_set():
-            bus.advance(time.monotonic_ns())
-            time.sleep(5e-4)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
+    with contextlib.closing(listener), RealTime(bus):
         yield listener.address[1]
-    finally:
-        stop.set()
-        thread.join(5.0)
-        listener.close()
 
 
 def test_universal_robots_own_client_reads_it():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil_sim.plants.motions.base_sway import Sway
+from hil_sim.plants.motions.carrier import Sway
 from hil_sim.scenario.vehicle_tables import BaseSway
 
 TIME_s = np.arange(0.0, 12.0, 0.002)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hil_sim.devices.vehicle_file import rehearsal
-from hil_sim.plants.motions.base_sway import attitudes
+from hil_sim.plants.motions.carrier import attitudes
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import config
 from tests.hil_sim.plants.rocket import AS_DRAWN

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from onboard.dynamics.centre import centre_of
 from onboard.dynamics.free_flight import BasePrediction, SensorPrediction
 from onboard.dynamics.joint_errors import Displaced
 from onboard.dynamics.kinematics import turned
 from onboard.dynamics.spatial import times
+from onboard.dynamics.tracked_pose import centre_of
 from onboard.estimation.arrays import hat
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle.bodies import Bodies, Columns

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from onboard import config
 from onboard.flight.estimate.problem.identification import NAMING_SEED, build_identifier, build_model
-from onboard.ground.before.mechanics.counts import Counted, counted
+from onboard.ground.before.mechanics.analysis import Counted, counted
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.regressor.base_parameters import BaseParameters, base_parameters
 from onboard.regressor.groupings import Groupings, groupings

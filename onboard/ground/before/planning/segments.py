@@ -18,8 +18,16 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, FreeBound
 from onboard.ground.before.planning.limits import MotionLimits
-from onboard.ground.before.planning.planning import FEWEST_PIECES, PIECE_s, Wanted, chosen_of, ticks_of
-from onboard.ground.before.planning.search import FINE_HZ, Search, search
+from onboard.ground.before.planning.planning import (
+    FEWEST_PIECES,
+    FINE_HZ,
+    PIECE_s,
+    Search,
+    Wanted,
+    chosen_of,
+    search,
+    ticks_of,
+)
 from onboard.ground.before.planning.splines import Splines
 from onboard.identification.exiddm.segment_choice import reduced
 

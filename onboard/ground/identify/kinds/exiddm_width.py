@@ -12,7 +12,7 @@ from onboard import config
 from onboard.devices.recorded import RecordedDevice
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.replay.smoothing_choice import FEWEST_SAMPLES, narrowest, with_settings
+from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, narrowest, with_settings
 from onboard.recording.reader import LogReader
 
 # Widths are tried in each order until the error grows: a fit of noise takes minutes.

@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
-from onboard.dynamics.kinematics import chain_motion, cross
+from onboard.dynamics.kinematics import Bodies, chain_motion, cross
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray

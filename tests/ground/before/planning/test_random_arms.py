@@ -31,8 +31,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import segments
 from onboard.ground.before.planning.limits import JointLimit, LimitsFile, MotionLimits
-from onboard.ground.before.planning.planning import Wanted
-from onboard.ground.before.planning.search import PlanningProblem, Search, SearchResult, search
+from onboard.ground.before.planning.planning import PlanningProblem, Search, SearchResult, Wanted, search
 from onboard.ground.before.planning.segments import plan_segments, scaled
 from tests.ground.before.planning.test_planning import SCENARIO
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from onboard.ground.log.export.csv_text import CsvEncoder, cells, header
+from onboard.ground.log.export.csv import CsvEncoder, cells, header
 from onboard.ground.log.tables.columns import TableColumn
 
 integers = st.sampled_from(["|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8"])
