@@ -354,18 +354,19 @@ class Bracket:
     Args:
         question_ns: lower bound of the request's time on the wire.
         answer_ns: the answer's time on the wire.
+        longest_ns: from the request's end to the sample, at the most.
     """
 
-    def __init__(self, question_ns: float, answer_ns: float) -> None:
+    def __init__(self, question_ns: float, answer_ns: float, longest_ns: float = np.inf) -> None:
         self.question_ns, self.answer_ns = round(question_ns), round(answer_ns)
+        self._longest_ns = longest_ns
         self.sigma_ns = np.inf
         self.samples = 0
         self.newest_ns = 0
 
     def update(self, rows: Rows) -> None:
         """Take samples."""
-        half_ns = 0.5 * (rows["host_ns"] - rows["tick"].astype(np.int64) - self.question_ns - self.answer_ns)
-        for one in np.maximum(half_ns, 0.0).tolist():
+        for one in np.maximum(0.5 * self._width_ns(rows), 0.0).tolist():
             square = self.sigma_ns**2 if self.samples else one * one / 3.0
             self.sigma_ns = float(np.sqrt(square + (one * one / 3.0 - square) / min(self.samples + 1, 32)))
             self.samples += 1
@@ -373,6 +374,8 @@ class Bracket:
 
     def time_ns(self, rows: Rows) -> NDArray[np.int64]:
         """Middle of the interval in which each of ``rows`` (n,) was taken [ns], (n,)."""
-        earliest = rows["tick"].astype(np.int64) + self.question_ns
-        latest = rows["host_ns"] - self.answer_ns
-        return np.asarray(earliest + (latest - earliest) // 2, np.int64)
+        return np.asarray(rows["tick"].astype(np.int64) + self.question_ns + self._width_ns(rows) // 2, np.int64)
+
+    def _width_ns(self, rows: Rows) -> NDArray[np.int64]:
+        between = rows["host_ns"] - rows["tick"].astype(np.int64) - self.question_ns - self.answer_ns
+        return np.minimum(between, self._longest_ns).astype(np.int64)

@@ -8,6 +8,7 @@ where the line is silent. What was asked for was so at some time between questio
 Clock specifications of channels, given by a device's module and used by the timebase.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -61,10 +62,15 @@ class FreeChannel(NamedTuple):
 
 
 class PolledChannel(NamedTuple):
-    """A polled channel: ``tick`` is the time of the request, ``host_ns`` of the answer; their times on the wire."""
+    """A polled channel: ``tick`` is the time of the request, ``host_ns`` of the answer; their times on the wire.
+
+    ``longest_ns``: after the question's end in which a device that answers at once has sampled, however late the host
+        reads its answer.
+    """
 
     question_ns: float = 0.0
     answer_ns: float = 0.0
+    longest_ns: float = math.inf
 
 
 class ProducerChannel(NamedTuple):

@@ -116,6 +116,20 @@ def test_what_was_asked_lies_between_question_and_answer(rng: np.random.Generato
     assert timebase.trusted("cell")
 
 
+@pytest.mark.parametrize("read_late_ns", [0, 4_000_000])
+def test_a_device_that_answers_at_once_has_sampled_by_then_however_late_the_host_reads(read_late_ns: int) -> None:
+    question_ns, answer_ns, longest_ns = 160_000, 500_000, 500_000
+    rows = np.zeros(50, SCALAR)
+    rows["tick"] = START_NS + np.arange(50) * 5_000_000
+    rows["host_ns"] = rows["tick"].astype(np.int64) + question_ns + longest_ns + answer_ns + read_late_ns
+    timebase = Timebase({"joint": PolledChannel(question_ns, answer_ns, longest_ns)}, None)
+    timebase.update(int(rows["host_ns"][-1]), {"joint": rows})
+    times = timebase.time_ns("joint", rows)
+    assert times is not None
+    np.testing.assert_array_equal(times - rows["tick"].astype(np.int64), question_ns + longest_ns // 2)
+    assert timebase.sigma_ns("joint", 0) == pytest.approx(longest_ns / 12**0.5)
+
+
 def test_a_channel_that_was_never_asked_is_not_trusted() -> None:
     timebase = Timebase({"cell": PolledChannel()}, None)
     assert not timebase.trusted("cell")

@@ -42,8 +42,9 @@ class DynamixelDevice(SerialLineDevice, MotorDevice, DrivenDevice):
     """
 
     about_clock = (
-        "The middle between request and the beginning of its own answer, by the host's clock; where it samples in "
-        "between is not known, which is `delay_sigma_ms`. It has no input for the sync line."
+        "The middle between the question's end and the moment when its own answer is due (return delay, answers before "
+        "its own), by the host's clock, however late that reads the answer; where it samples in between, and how late "
+        "an adapter sends the question, is not known, which is `delay_sigma_ms`. It has no input for the sync line."
     )
     driver_configs = (DynamixelConfig, DynamixelTiming)
     shares_bus = True
@@ -74,7 +75,7 @@ after_stop = "hold"            # it has no brake: without torque the arm falls
     ] = None
     delay_sigma_ms: Annotated[
         NotNegative,
-        Field(description="1 sigma of when it samples: (its return delay, 0.5 ms, + `poll_period_ms`) / sqrt(12)."),
+        Field(description="1 sigma of when it samples: (its return delay, 0.5 ms, + 1 ms of the adapter) / sqrt(12)."),
     ] = 0.45
     sample_period_ms: SamplePeriod = DynamixelTiming.sample_period_ms
     timeout_ms: Positive = DynamixelTiming.timeout_ms
@@ -134,12 +135,16 @@ after_stop = "hold"            # it has no brake: without torque the arm falls
 
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
-        question_s, answer_s = self._on_wire_s(around, self._place(name, around))
-        return dict.fromkeys(self.settings(name).channels, PolledChannel(1e9 * question_s, 1e9 * answer_s))
+        before = self._place(name, around)
+        question_s, answer_s = self._on_wire_s(around, before)
+        turns = 1 if self.fast_sync_read else 1 + before  # each waits for its return delay, or the first for all
+        longest_s = RETURN_DELAY_S * turns + self._on_wire_s(around, 0)[1] - answer_s
+        spec = PolledChannel(1e9 * question_s, 1e9 * answer_s, 1e9 * longest_s)
+        return dict.fromkeys(self.settings(name).channels, spec)
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""
-        cause = "its answer and those after it on the wire; the sample lies between it and the question's end"
+        cause = "its answer and those after it on the wire; it samples between the question's end and its answer"
         _, answer_s = self._on_wire_s(around, self._place(name, around))
         found = self.settings(name).channels
         return [Delay(channel, "", answer_s, 1e-3 * self.delay_sigma_ms, cause) for channel in found]
