@@ -378,4 +378,4 @@ class Bracket:
 
     def _width_ns(self, rows: Rows) -> NDArray[np.int64]:
         between = rows["host_ns"] - rows["tick"].astype(np.int64) - self.question_ns - self.answer_ns
-        return np.minimum(between, self._longest_ns).astype(np.int64)
+        return np.asarray(np.minimum(between, self._longest_ns), np.int64)

@@ -201,9 +201,9 @@ class Mixture(NamedTuple):
         apart = self.means - mean
         return mean, np.tensordot(self.weights, self.covariances, 1) + (self.weights * apart.T) @ apart
 
-    def corrected(self, by: FloatArray, covariance: FloatArray) -> "Mixture":
-        """With every mean corrected by so much, (p,), of this covariance, (p, p)."""
-        return self._replace(means=self.means + by, covariances=self.covariances + covariance)
+    def wider(self, covariance: FloatArray) -> "Mixture":
+        """With a doubt of this covariance, (p, p), common to all."""
+        return self._replace(covariances=self.covariances + covariance)
 
     def ends(self, along: FloatArray, below: ArrayLike) -> FloatArray:
         """Quantiles of linear functions of it, (q, m), about their means.

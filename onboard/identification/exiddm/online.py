@@ -280,7 +280,7 @@ class ExiddmIdentifier:
     def _weighed(self) -> Weighed:
         """What may not be as stated, by the filter's state."""
         assert self.exiddm.state is not None
-        return self.exiddm.rivals.weighed(self.exiddm.state, self.exiddm.covariance)
+        return self.exiddm.rivals.weighed(self.exiddm.corrected(self.exiddm.state), self.exiddm.covariance)
 
     def _by_the_data(self, found: Corrections) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
@@ -341,7 +341,7 @@ class ExiddmIdentifier:
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
         noise = self.exiddm.correction  # which the misfit does not widen
-        self._mixed = weighed, mixture.corrected(noise.shift, noise.covariance / misfit), misfit
+        self._mixed = weighed, mixture.wider(noise.covariance / misfit), misfit
         return self._mixed[1:]
 
     def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:

@@ -1,16 +1,18 @@
-"""Normal equations of parts of a flight, by instrument (:mod:`onboard.identification.whole_flight.fit`)."""
+"""Normal equations of parts of a flight, by instrument; a fit (:mod:`~onboard.identification.whole_flight.fit`)."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Normal
+from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.exiddm.misfit import beyond_chance
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 _PATIENCE = 6  # predictions by whose gain the rest is judged
@@ -40,6 +42,13 @@ class NormalEquations(NamedTuple):
     instrument: str
     held: bool
     middle_s: float
+    noise: FloatArray  # (k,) of the joints' samples: the gradient is without what it added
+
+    def without(self, noise: FloatArray) -> "NormalEquations":
+        """Without what noise of the joints' samples added to the gradient, (p,), in place of what it is without now."""
+        own, normal = noise[self.columns], self.normal
+        gradient = normal.gradient + self.noise - own
+        return self._replace(normal=Normal(normal.information, gradient, normal.squares), noise=own)
 
     def moved(self, by: FloatArray) -> "NormalEquations":
         """At parameters that are so far from the estimate, (p,), as the normal equations tell it."""
@@ -47,6 +56,22 @@ class NormalEquations(NamedTuple):
         change = normal.information @ d
         squares = normal.squares + float(d @ (2.0 * normal.gradient + change))
         return self._replace(normal=Normal(normal.information, normal.gradient + change, max(0.0, squares)))
+
+
+class FlightFit(NamedTuple):
+    """The maximum likelihood estimate of a whole flight."""
+
+    payload: BodyEstimate  # in the payload link's frame
+    fit: Fit
+    names: tuple[str, ...]  # of the parameters fitted
+    chi: FloatArray  # (10,) standard parameters of the payload
+    chi_covariance: FloatArray  # (10, 10)
+    correction: NoiseCorrection  # of all parameters, for noise of the joints, which is in them
+    blocks: tuple[NormalEquations, ...]  # at the estimate
+    misfit: float  # residual sum over its degrees of freedom
+    by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
+    residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
+    glitches: int  # lines left out
 
 
 def total_of(blocks: Sequence[NormalEquations], parameters: int) -> Normal:

@@ -23,16 +23,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from onboard.dynamics.model.payload import BodyEstimate, body_estimate
+from onboard.dynamics.model.payload import body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection, correction_of
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.prediction.joint_noise import correction_of
+from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.whole_flight.blocks import (
+    FlightFit,
     Instrument,
     NormalEquations,
     apart,
@@ -59,22 +61,6 @@ class Segment(NamedTuple):
     held: bool
 
 
-class FlightFit(NamedTuple):
-    """The maximum likelihood estimate of a whole flight."""
-
-    payload: BodyEstimate  # in the payload link's frame
-    fit: Fit
-    names: tuple[str, ...]  # of the parameters fitted
-    chi: FloatArray  # (10,) standard parameters of the payload
-    chi_covariance: FloatArray  # (10, 10)
-    correction: NoiseCorrection  # of these, for noise of the joints, which is in them
-    blocks: tuple[NormalEquations, ...]  # at the estimate
-    misfit: float  # residual sum over its degrees of freedom
-    by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
-    residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
-    glitches: int  # lines left out
-
-
 class _Minimum(NamedTuple):
     """Where the residual sum is least."""
 
@@ -90,6 +76,7 @@ class _Along(NamedTuple):
     ticks: slice
     values: FloatArray  # (b, lines)
     jacobian: FloatArray  # (b, lines, predictor's p), by the state at the block's start
+    state: FloatArray  # (predictor's p,) there
     d_rate: FloatArray  # (3, predictor's p) of the rate there by the state at the segment's start
     lines: FloatArray  # (b, 2 + kinks)
 
@@ -233,27 +220,39 @@ class WholeFlight:
         Raises:
             ConvergenceError, SingularError, RowError, SignalError: as :meth:`fit`.
         """
-        self._left = [found.residuals]
-        return self._found(self._settle(found.fit.x, _FINE, known=found.blocks), found.glitches)
+        self._left, back = [found.residuals], -found.correction.shift
+        known = tuple(block.without(0.0 * back).moved(back) for block in found.blocks)
+        return self._found(self._settle(found.fit.x + back, _FINE, known=known), found.glitches)
 
     def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
-        found, blocks = minimum.fit, minimum.blocks
-        correction = correction_of(found.covariance[:10], self._noise_added(found.x))
-        chi, covariance = found.x[:10] + correction.shift, found.covariance[:10, :10] + correction.covariance
+        found, blocks, added = minimum.fit, minimum.blocks, self._noise_added(minimum.fit.x)
+        correction = correction_of(found.covariance, sum(added, np.zeros(len(self.names))))
+        if added:  # in one step: anew at its end, it is not sure to be smaller along what is hardly known
+            found = found._replace(x=found.x + correction.shift)
+            blocks = tuple(b.moved(correction.shift).without(n) for b, n in zip(blocks, added, strict=True))
+        chi, covariance = found.x[:10], found.covariance[:10, :10] + correction.covariance[:10, :10]
         freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
         told = found, self.names, chi, covariance, correction, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
 
-    def _noise_added(self, x: FloatArray) -> FloatArray:
-        """What noise of the joints' samples adds to the gradient, (p,), at x, (p,)."""
-        added, widths = np.zeros(len(self.names)), [own.stop - own.start for own in self._predictor.lines]
+    def _noise_added(self, x: FloatArray) -> list[FloatArray]:
+        """What noise of the joints' samples adds to the gradient of each block, (p,) each, at x; empty for nothing."""
+        found, noisy, widths = [], False, [own.stop - own.start for own in self._predictor.lines]
         for k, one in enumerate(self.segments):
-            use = np.repeat(self._use[k] & np.isin(np.arange(len(widths)), self.devices), widths, axis=1)[1:-1]
-            by_state = self._predictor.noise_added(one.ticks, self._sigma[k][1:-1], use, self.state(x, k))
-            by_state[PAYLOAD] *= one.held
-            added[: self.constants] += by_state[RATE.stop :]
-        return added
+            use = np.repeat(self._use[k] & np.isin(np.arange(len(widths)), self.devices), widths, axis=1)
+            sigma = self._sigma[k]
+            noisy = noisy or is_noisy(self._predictor, one.ticks, sigma[1:-1], use[1:-1], self.state(x, k))
+            for along in self._along(x, k, np.inf) if noisy else ():
+                here, before = along.ticks, along.ticks.start - 1
+                ticks, known = one.ticks.part(slice(before, here.stop + 1)), (sigma[here], use[here], along.state)
+                lines, _ = added_by_line(self._predictor, ticks, *known, before // BATCH_TICKS)
+                lines[:, PAYLOAD] *= one.held
+                for instrument in self.instruments:
+                    if use[here, instrument.lines].any():
+                        of_rates = np.zeros(len(self.names) - self.constants)
+                        found.append(np.append(lines[instrument.lines, RATE.stop :].sum(axis=0), of_rates))
+        return found
 
     def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:
         """Normal equations of all ticks up to so many seconds after the start of each segment, at x, (p,)."""
@@ -268,8 +267,8 @@ class WholeFlight:
                         r, J, columns = self._rows(along, k, instrument, use)
                         ticks = np.arange(along.ticks.start, along.ticks.stop)[use]
                         self._left[k][ticks, instrument.lines] = r.reshape(len(ticks), -1)
-                        normal = Normal.of(r, J)
-                        found.append(NormalEquations(normal, columns, r.size, instrument.name, one.held, middle_s))
+                        known = Normal.of(r, J), columns, r.size, instrument.name, one.held, middle_s
+                        found.append(NormalEquations(*known, np.zeros(columns.size)))
         return found
 
     def without_payload(self, x: FloatArray) -> list[tuple[float, float]]:
@@ -360,7 +359,7 @@ class WholeFlight:
             lines, values = self._lines(ticks.time_s[here]), predicted.values
             for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
                 values = values + (lines @ x[at])[:, None] * predicted.jacobian[:, :, bias_at]
-            yield _Along(here, values, predicted.jacobian, d_rate, lines)
+            yield _Along(here, values, predicted.jacobian, state, d_rate, lines)
             transition = predicted.transition[RATE].copy()
             transition[:, RATE] = 0.0
             d_rate = predicted.transition[RATE, RATE] @ d_rate + transition

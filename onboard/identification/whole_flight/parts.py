@@ -17,11 +17,12 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.whole_flight.blocks import NormalEquations, total_of
+from onboard.identification.whole_flight.blocks import FlightFit, NormalEquations, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
-from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 
 PAYLOAD = slice(0, 10)
 DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
@@ -113,6 +114,11 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) 
     across = some.information[PAYLOAD]  # (10, p)
     own = across[:, PAYLOAD]
     S = own - across @ found.fit.covariance @ across.T
+    noise = np.zeros(found.fit.x.size)
+    for block in rows:
+        noise[block.columns] += block.noise
+    doubt = across @ found.correction.sigma - NOISE_SIGMA * noise[PAYLOAD]
+    S += np.outer(doubt, doubt)
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
     squares, freedom = squares_of(some.gradient[PAYLOAD] / scale, S / np.outer(scale, scale), DETERMINED)
     return Difference(squares / max(1.0, found.misfit), freedom, part)

@@ -23,9 +23,9 @@ from onboard.estimation.policy import DOUBT, chance_text
 from onboard.identification.exiddm.prediction.further import FurtherCell, instrument_of
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.leaning import Causes
-from onboard.identification.whole_flight.blocks import total_of
+from onboard.identification.whole_flight.blocks import FlightFit, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
-from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 
 KINDS = (
     "gyro_scale",
@@ -105,8 +105,9 @@ def bodies_of(flight: WholeFlight, found: FlightFit) -> Chance:
 
 def _scaled(flight: WholeFlight, found: FlightFit, at: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Corrections in their stated sigmas, (k,), and the covariance that these should have, (k, k)."""
-    sigma = flight.sigma[at]
-    return found.fit.x[at] / sigma, np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
+    sigma, P = flight.sigma[at], found.fit.covariance[np.ix_(at, at)]
+    doubt = found.correction.sigma[at] / sigma
+    return found.fit.x[at] / sigma, np.eye(at.size) - P / np.outer(sigma, sigma) + np.outer(doubt, doubt)
 
 
 def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[CorrectionKind]) -> FlightFit:
@@ -163,5 +164,5 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     causes = Causes(keys, flight.sigma, [NOISE_KEY])
     effects = causes.effects(D @ found.fit.covariance)
-    effects[:, -1] = np.abs(D[:, :10] @ found.correction.sigma)
+    effects[:, -1] = np.abs(D @ found.correction.sigma)
     return causes.said(effects, sigma, size)

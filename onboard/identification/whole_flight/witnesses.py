@@ -17,7 +17,8 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, chance_text, of_each
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.quantities import Findings
-from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
+from onboard.identification.whole_flight.blocks import FlightFit
+from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import differences
 from onboard.identification.whole_flight.stated import CorrectionKind, bodies_of, kinds_of
 
@@ -102,7 +103,8 @@ def without_each(
 def _by_the_data(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
     """Errors of joints and links in sigmas of what the flight tells of each; instruments are tested kind by kind."""
     at = flight.of_bodies
-    sigmas = found.fit.x[at] / expected_sigma(flight.sigma[at] ** 2, np.diag(found.fit.covariance)[at])
+    expected = expected_sigma(flight.sigma[at] ** 2, np.diag(found.fit.covariance)[at])
+    sigmas = found.fit.x[at] / np.hypot(expected, found.correction.sigma[at])
     return {found.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
 
 

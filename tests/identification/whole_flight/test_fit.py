@@ -102,6 +102,43 @@ def test_a_fit_again_is_that_of_all_ticks_anew(ticks, predictor, fitted):
     np.testing.assert_allclose(np.sqrt(np.diag(found.fit.covariance)), sigma, rtol=0.01)
 
 
+@pytest.fixture(scope="module")
+def noisy(ticks):
+    """Joint accelerations with white noise, which is known, and which the rates do not have."""
+    of_each = 0.3 * np.array([[0.0], [1.0]])
+    sigma = np.broadcast_to(of_each, ticks.joint_sigma.shape).copy()
+    ddq = ticks.ddq + 0.3 * np.random.default_rng(8).standard_normal(ticks.ddq.shape)
+    return ticks._replace(ddq=ddq, joint_sigma=sigma, sample_sigma=sigma)
+
+
+def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predictor, fitted):
+    flight = WholeFlight(predictor, WIDE, segments(noisy))
+    found = flight.fit(fitted[1].fit.x)
+    sigma = np.sqrt(np.diag(found.fit.covariance))
+    added = np.zeros(len(found.names))
+    for block in found.blocks:
+        assert block.noise.any() == (block.instrument == "accelerometer")
+        added[block.columns] += block.noise
+    assert found.correction.shift[0] > 0.5 * sigma[0]  # the payload was light by so much
+    np.testing.assert_allclose(found.correction.shift, found.fit.covariance @ added)
+    left = total_of(found.blocks, len(added)).gradient + flight.prior_information @ found.fit.x
+    assert np.abs(left * sigma).max() < 0.02
+    again = flight.fit_again(found)
+    assert np.abs((again.fit.x - found.fit.x) / sigma).max() < 0.1  # begun with the noise, which is taken out again
+
+
+def test_parts_agree_where_noise_of_the_joints_makes_the_payload_light(noisy, predictor, fitted):
+    """Without the correction the accelerometer, whose rows hold the noise, contradicts the gyro."""
+    agreed = []
+    for some in (noisy, noisy._replace(sample_sigma=0.0 * noisy.sample_sigma)):
+        found = WholeFlight(predictor, WIDE, segments(some)).fit(fitted[1].fit.x)
+        [own] = [one for one in differences(found, lambda _: 0) if one.part == "the accelerometer"]
+        agreed.append(own.chance)
+    corrected, as_fitted = agreed
+    assert corrected > 0.01
+    assert as_fitted < 1e-4
+
+
 def test_what_was_flown_free_narrows_the_interval(ticks, predictor, fitted):
     _, whole = fitted
     flight = WholeFlight(predictor, WIDE, segments(ticks)[1:])
@@ -323,7 +360,7 @@ def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predict
     effect = np.sqrt((wider - stated) / 0.02) / found.chi[0]
     assert float(told) / 100.0 == pytest.approx(effect, rel=0.05)
     assert not found.correction.sigma.any()  # exact joints
-    noisy = found.correction._replace(sigma=0.1 * found.chi)
+    noisy = found.correction._replace(sigma=0.1 * found.fit.x * (np.arange(found.fit.x.size) < 10))
     assert leans_on(flight, found._replace(correction=noisy))[0].startswith(f"leans on {NOISE_KEY} (10 %)")
 
 

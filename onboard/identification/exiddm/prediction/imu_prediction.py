@@ -10,6 +10,7 @@ would make the payload too light (errors in variables). Their functions come thr
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import (
     DisturbancePrior,
@@ -39,7 +40,7 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     imu_along,
     imu_blocks,
 )
-from onboard.identification.exiddm.prediction.joint_noise import JointNoise, in_turn
+from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.moving_base import MovingBase
 from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
@@ -53,13 +54,12 @@ from onboard.identification.exiddm.prediction.parameters import (
     together,
 )
 from onboard.identification.exiddm.prediction.scaled import Scaled
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
+from onboard.identification.exiddm.prediction.ticks import TickPrediction, Ticks
 from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
-_NOISELESS = 1e-3  # of the variance of a line: what noise of the joints below that does to an estimate is left out
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 
 
@@ -233,6 +233,13 @@ class ImuPredictor:
         begin = int(layout.estimated(f"attitude {one.name}")[0])
         return PlacedPose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
 
+    @cached_property
+    def of_forces(self) -> IndexArray:
+        """Lines of accelerometers and cells."""
+        rates = [np.arange(own.start, own.start + 3) for own in self.lines[: len(self._imus)]]
+        poses = [np.arange(own.start, own.stop) for own in self.lines[self._of_poses]]
+        return np.setdiff1d(np.arange(self.lines[-1].stop), np.concatenate([*rates, *poses])).astype(np.intp)
+
     @property
     def no_ticks(self) -> Ticks:
         """None of this vehicle's."""
@@ -251,38 +258,6 @@ class ImuPredictor:
             state: (p,).
         """
         return self._noise.of(q, joint_sigma, self.chi(state))
-
-    def noise_added(
-        self, ticks: Ticks, sigma: FloatArray, use: BoolArray, state: FloatArray, turn: int = 0
-    ) -> FloatArray:
-        """What noise of the joints' samples adds to the gradient of predicted less measured, (p,); see `joint_noise`.
-
-        Zero where it is next to nothing beside that of every line; by delays: a rate of change of noise is as often
-        along it as against; of a tracker's pose, in which rates are summed; and of lines of rates: see `joint_noise`.
-
-        Args:
-            ticks: b + 2 of them.
-            sigma: of what was measured, (b, m).
-            use: which lines count, (b, m).
-            state: (p,) at the first tick.
-            turn: whose turn it is first, a count.
-        """
-        added, weight = np.zeros(len(state)), np.divide(1.0, sigma**2, out=np.zeros(sigma.shape), where=use)
-        noise = self.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1]
-        if (weight * noise**2).max(initial=0.0) < _NOISELESS:
-            return added
-        weight[:, np.flatnonzero(np.arange(6 * len(self._imus)) % 6 < 3)] = 0.0  # an IMU's rates come first
-        weight[:, [k for own in self.lines[self._of_poses] for k in range(own.start, own.stop)]] = 0.0
-        errors = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
-        for first in range(0, len(weight), PIECE):
-            own, error = ticks.part(slice(first, first + PIECE + 2)), errors[first : first + PIECE + 2].copy()
-            error[0] = 0.0  # the momentum is that of the first tick
-            wrong = self.predict(own.q, own.dq + error[:, 0], own.ddq + error[:, 1], state, own.cyclic, own.thrust)
-            right = self.predict(own.q, own.dq, own.ddq, state, own.cyclic, own.thrust)
-            change = weight[first : first + PIECE] * (wrong.values - right.values)
-            added += np.einsum("bm,bmp->p", change, wrong.jacobian - right.jacobian)
-            state = right.state
-        return np.where(["delay" in name for name in self.names], 0.0, added)
 
     def predict(
         self,

@@ -6,6 +6,7 @@ from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection, correction_of
+from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.bounded_work import BoundedWork
 
@@ -21,7 +22,7 @@ class Holding(BoundedWork):
         state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
         covariance: (p, p).
         noise_added: what noise of the joints' samples has added to the gradient since the start or the last change,
-            (p,): see ``ImuPredictor.noise_added``.
+            (p,): see :mod:`~onboard.identification.exiddm.prediction.noise_in_gradient`.
         held: a payload is held; None while that is not decided.
     """
 
@@ -32,6 +33,7 @@ class Holding(BoundedWork):
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.held: bool | None = None
         self.noise_added = self._noise_before = np.zeros(len(predictor.names))
+        self._corrected: tuple[FloatArray, FloatArray, FloatArray] | None = None  # state, noise, and what they give
 
     @property
     def holds(self) -> bool:
@@ -42,15 +44,23 @@ class Holding(BoundedWork):
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
         if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
             return None
-        correction = self.correction
-        covariance = self.covariance[PAYLOAD, PAYLOAD] + correction.covariance
-        return body_estimate(self.state[PAYLOAD] + correction.shift, covariance)
+        covariance = self.covariance[PAYLOAD, PAYLOAD] + self.correction.covariance
+        return body_estimate(self.corrected(self.state)[PAYLOAD], covariance)
+
+    def corrected(self, state: FloatArray) -> FloatArray:
+        """The filter's state, (p,), without what noise of the joints has done to it; the same array for the same."""
+        if not self.noise_added.any():
+            return state
+        of = self._corrected
+        if of is None or of[0] is not state or of[1] is not self.noise_added:
+            of = self._corrected = state, self.noise_added, state + self.covariance @ self.noise_added
+        return of[2]
 
     def _noise_of(self, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> None:
         """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
         if self.held and self.state is not None and ticks.sample_sigma.any():
             turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
-            self.noise_added = self.noise_added + self.predictor.noise_added(ticks, sigma, use, self.state, turn)
+            self.noise_added = self.noise_added + noise_added(self.predictor, ticks, sigma, use, self.state, turn)
 
     @property
     def correction(self) -> NoiseCorrection:

@@ -296,7 +296,7 @@ class RecursiveExiddm(Holding):
     def _step(self) -> None:
         assert self.state is not None
         ticks, self._due, self._window = self._pending, self._due - self._step_work, self._none
-        step = self.rivals.step(self.state, self.covariance) if self.held else None
+        step = self.rivals.step(self.corrected(self.state), self.covariance) if self.held else None
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -343,7 +343,7 @@ class RecursiveExiddm(Holding):
                 self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
                 return
             self._stepped = None if self._stepped.over else self._stepped
-        adds = self.rivals.adds(self.state, self.covariance) if self.held else None
+        adds = self.rivals.adds(self.corrected(self.state), self.covariance) if self.held else None
         self._snapshots.append(self.state, self.covariance, adds)
         self._snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
@@ -363,10 +363,10 @@ class RecursiveExiddm(Holding):
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
         # an empty arm that seems to be heavier than drawn may hold something: a change decides
-        if self.held and (free := self.rivals.freeing(self.state, self.covariance)) is not None:
+        if self.held and (free := self.rivals.freeing(self.corrected(self.state), self.covariance)) is not None:
             self._free(free)
             return
-        accused = self.fusion.standing(self.innovations.contradicting(self.state, self.covariance))
+        accused = self.fusion.standing(self.innovations.contradicting(self.corrected(self.state), self.covariance))
         if accused is not None:
             self._before = bool(self.held)
             kept = HeldPayload.SAME if accused.batches else HeldPayload.NEW

@@ -30,6 +30,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import (
     RATE,
     ImuPredictor,
 )
+from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.pieces import Pieces
 from onboard.identification.exiddm.steps import NO_STEPS, Inside
@@ -80,7 +81,7 @@ class Solved(NamedTuple):
     residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
     kept: FloatArray  # (p, p) covariance with which a filter goes on
     steps: Changed  # inside it
-    noise_added: FloatArray  # (p,) by noise of the joints' samples to the gradient: ``ImuPredictor.noise_added``
+    noise_added: FloatArray  # (p,) by noise of the joints' samples to the gradient
 
     @property
     def mass_sigma(self) -> float:
@@ -368,7 +369,7 @@ class WindowSolve:
             products - across @ moves,
         )
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
-        noise = self._predictor.noise_added(self._ticks, self._sigma[1:-1], use, start)
+        noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
         self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise)
         self.over, self._descent = True, None
 

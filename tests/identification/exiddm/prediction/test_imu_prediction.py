@@ -15,6 +15,7 @@ from onboard.identification.exiddm.prediction.further import CellPrior, Disturba
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
+from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
@@ -52,7 +53,7 @@ def test_what_is_added_to_a_gradient_is_half_the_derivative_of_the_variance(pred
         return 0.5 * float((noise[:, 3:] ** 2).sum())  # without the gyro's lines
 
     ticks = ticks._replace(sample_sigma=ticks.sample_sigma * [[0.0], [1.0]])  # products of rates are neglected
-    added = predictor.noise_added(ticks, SIGMA, USE, state)
+    added = noise_added(predictor, ticks, SIGMA, USE, state)
     bodies = [k for k, name in enumerate(predictor.names) if name.endswith("_payload") or "inertial" in name]
     size = np.where(np.isfinite(predictor.sigma), predictor.sigma, 0.05)[bodies]
     steps = 1e-4 * np.eye(len(state))[bodies]
@@ -68,7 +69,7 @@ def test_noise_of_less_than_a_thousandth_of_every_line_is_left_out(predictor, ti
     share = ((predictor.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1] / SIGMA) ** 2).max()
     for part, counts in ((0.9e-3, False), (1.5e-3, True)):
         quiet = ticks._replace(sample_sigma=ticks.sample_sigma * np.sqrt(part / share))
-        assert predictor.noise_added(quiet, SIGMA, USE, state).any() == counts
+        assert noise_added(predictor, quiet, SIGMA, USE, state).any() == counts
 
 
 def test_an_estimate_is_corrected_for_noise_with_doubt_in_its_power():

@@ -221,3 +221,16 @@ def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch
     recursive.update(ticks_of(signals))
     assert [change.kind for change in recursive.changes] == ["change", "capture"]
     assert 2.0 < since_s[0] < 3.15 < recursive.changes[0].since_s
+
+
+def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
+    exiddm = online(held)
+    state = np.arange(len(exiddm.covariance), dtype=float)
+    exiddm.covariance = np.diag(1.0 + state)
+    assert exiddm.corrected(state) is state
+    exiddm.noise_added = np.where(state == PAYLOAD.start, 2.0, 0.0)
+    corrected = exiddm.corrected(state)
+    np.testing.assert_array_equal(corrected - state, exiddm.covariance @ exiddm.noise_added)
+    assert exiddm.corrected(state) is corrected  # what is weighed by it is weighed once
+    exiddm.noise_added = 2.0 * exiddm.noise_added
+    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ exiddm.noise_added)
