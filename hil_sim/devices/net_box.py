@@ -11,7 +11,7 @@ samples are 7000 a second since power-up. Bit 31 of the status is an error: here
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -108,12 +108,11 @@ class NetBox(NetworkedTwin[int]):
 class NetFtTable(MeasuringEmulator):
     """A component of the sensor; a bus has one twin."""
 
-    needs: ClassVar[str] = "udp"
+    needs = "udp"
     quantities = FORCES
     where = "component {component}"
 
     kind: Literal["net_ft"]
-    bus: str
     component: Annotated[int, Field(ge=1, le=6)] = 1
     rate_hz: PositiveFloat = 1000.0
     counts: PositiveFloat = 1e6  # of a newton or newton metre

@@ -196,9 +196,9 @@ class BotaFtTable(MeasuringEmulator):
 
     baud_rates = (_BAUD,)
     quantities = FORCES
+    where = "component {component}"
 
     kind: Literal["bota_ft"]
-    bus: str
     component: Annotated[int, Field(ge=1, le=6)] = 1
     range: PositiveFloat = 1e6  # N or N m
     latency_ms: NonNegative = 0.4
@@ -215,11 +215,6 @@ class BotaFtTable(MeasuringEmulator):
             "temperature": said.get("temperature", False),
         }
         return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
-
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"component {self.component}"
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
