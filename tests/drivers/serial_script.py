@@ -243,3 +243,39 @@ def fault_at_any_call(
         flight.stop()
         assert "bus_error" in codes(flight.batches), fail_at
         yield flight
+
+
+def nothing_left_out(batches, channel):
+    """Rows and gaps of a channel follow on one another, without expanding gaps that may be billions long."""
+    rows = of(batches, channel)
+    spans = [(int(number), int(number)) for number in rows["sequence"]]
+    for gap in of(batches, "gap"):
+        if gap["channel"] == channel.encode():
+            assert gap["first_missing"] <= gap["last_missing"]
+            spans.append((int(gap["first_missing"]), int(gap["last_missing"])))
+    at = 0
+    for first, last in sorted(spans):
+        assert first == at, channel
+        at = last + 1
+    assert np.all(np.diff(rows["sequence"].astype(np.int64)) > 0)
+    if len(rows):
+        assert rows["tick"].max() < 2**63  # never below 0
+
+
+def fuzzed(flight: SerialFlight, moves: list[tuple], pump: Callable[[int, object], object] | None = None) -> None:
+    """A flight under any bytes, stalls and faults never raises, and its rows and gaps leave nothing out.
+
+    Args:
+        flight: Started.
+        moves: Time that passes, what comes at its end, and a fault: 1 to 3 at that call of the port, 4 a broken port.
+        pump: How a move is flown; ``SerialFlight.pump`` by default.
+    """
+    for after_ns, said, fault in moves:
+        flight.port.fail_at = flight.port.calls + fault if fault in {1, 2, 3} else -1
+        flight.port.broken = fault == 4
+        (pump or flight.pump)(after_ns, said)
+    flight.port.fail_at, flight.port.broken = -1, False
+    flight.pump()
+    flight.stop()
+    for channel in flight.device.channels:
+        nothing_left_out(flight.batches, channel)

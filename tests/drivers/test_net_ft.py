@@ -16,9 +16,17 @@ from drivers.records import SampleStatus
 from drivers.transports.network import UdpPort
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.serial_script import MS, ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces
+from tests.drivers.serial_script import (
+    MS,
+    ScriptedSerial,
+    SerialFlight,
+    bytewise,
+    fault_at_any_call,
+    fed,
+    fuzzed,
+    pieces,
+)
 from tests.drivers.serial_script import whole as at_once
-from tests.drivers.test_serial_fuzz import nothing_left_out
 
 BAD, RESET = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET
 FX, MZ = NetFtChannel("fx", 0, 1e-6, "N"), NetFtChannel("mz", 5, 1e-6, "N m")
@@ -196,20 +204,15 @@ SAID = st.lists(
 
 
 @settings(max_examples=150)
-@given(data=st.data())
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(data):
+@given(
+    moves=st.lists(
+        st.tuples(st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS]), SAID, st.integers(0, 40)), max_size=25
+    )
+)
+def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(moves):
     flight = Flight()
     flight.start()
-    times = st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS])
-    for after_ns, said, fault in data.draw(st.lists(st.tuples(times, SAID, st.integers(0, 40)), max_size=25)):
-        flight.port.fail_at = flight.port.calls + fault if fault in {1, 2, 3} else -1
-        flight.port.broken = fault == 4
-        flight.pump(after_ns, b"".join(said))
-    flight.port.fail_at, flight.port.broken = -1, False
-    flight.pump()
-    flight.stop()
-    for channel in flight.device.channels:
-        nothing_left_out(flight.batches, channel)
+    fuzzed(flight, moves, lambda after_ns, said: flight.pump(after_ns, b"".join(said)))
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 8001.0, np.nan])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
@@ -11,7 +11,16 @@ from drivers.records import SampleStatus
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.pose_model import HEARTBEAT, SHORT, SIGNED, WHOLE, message, pose
-from tests.drivers.serial_script import ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces
+from tests.drivers.serial_script import (
+    MS,
+    ScriptedSerial,
+    SerialFlight,
+    bytewise,
+    fault_at_any_call,
+    fed,
+    fuzzed,
+    pieces,
+)
 from tests.drivers.serial_script import whole as at_once
 
 GOOD, BAD = SampleStatus.OK, SampleStatus.NOT_VALID
@@ -204,3 +213,23 @@ def test_a_port_that_fails_is_opened_again():
 def flight_closed():
     clock, port = VirtualClock(), ScriptedSerial()
     return SerialFlight(clock, port, PoseTracker("tracker", port.open, clock))
+
+
+MESSAGES = st.builds(
+    message,
+    st.binary(max_size=130),
+    st.sampled_from([138, 138, 138, 0, 2, 111, 30]),
+    st.integers(0, 255),
+    st.sampled_from([1, 1, 2]),
+    st.sampled_from([0, 0, 0, 1, 2]),
+)
+TIMES = st.sampled_from([0, MS, 10 * MS, 10 * MS, 600 * MS, 10_000 * MS])
+
+
+@settings(max_examples=150)
+@given(moves=st.lists(st.tuples(TIMES, MESSAGES | st.binary(max_size=50), st.integers(0, 40)), max_size=25))
+def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(moves):
+    clock, port = VirtualClock(), ScriptedSerial()
+    flight = SerialFlight(clock, port, PoseTracker("x", port.open, clock))
+    flight.start()
+    fuzzed(flight, moves)

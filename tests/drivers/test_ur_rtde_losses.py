@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.rtde_flight import BAD, CHANNELS, MS, PERIOD_S, RESET, Flight
 from tests.drivers.rtde_model import framed
-from tests.drivers.serial_script import fault_at_any_call
-from tests.drivers.test_serial_fuzz import nothing_left_out
+from tests.drivers.serial_script import fault_at_any_call, fuzzed
 
 
 @pytest.fixture
@@ -119,24 +118,23 @@ FUZZED = st.one_of(
 
 
 @settings(max_examples=150)
-@given(data=st.data())
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(data):
+@given(
+    moves=st.lists(
+        st.tuples(st.sampled_from([0, MS, 8 * MS, 600 * MS, 10_000 * MS]), FUZZED, st.integers(0, 40)), max_size=25
+    )
+)
+def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(moves):
     flight = Flight()
     flight.start()
-    times = st.sampled_from([0, MS, 8 * MS, 600 * MS, 10_000 * MS])
-    for after_ns, said, fault in data.draw(st.lists(st.tuples(times, FUZZED, st.integers(0, 40)), max_size=25)):
-        flight.port.fail_at = flight.port.calls + fault if fault in {1, 2, 3} else -1
-        flight.port.broken = fault == 4
+
+    def pump(after_ns, said):
         flight.time_s += {"old": -20.0, "far": 9e8}.get(said, 1e-9 * after_ns)
         if isinstance(said, bytes):
             flight.pump(after_ns, said)
         else:
             flight.pump(after_ns, flight.model.data(max(0.0, flight.time_s % 1e9)) if flight.model.sends else b"")
-    flight.port.fail_at, flight.port.broken = -1, False
-    flight.pump()
-    flight.stop()
-    for channel in flight.device.channels:
-        nothing_left_out(flight.batches, channel)
+
+    fuzzed(flight, moves, pump)
 
 
 @pytest.mark.parametrize(
