@@ -5,6 +5,6 @@ digit is not detected (a wrong length is); the converter runs on its own clock.
 """
 
 from drivers.dsc_load_cell.device import DscLoadCell
-from drivers.dsc_load_cell.message import DscLoadCellConfig, DscReply, Number, decode_number, read_command
+from drivers.dsc_load_cell.message import DscLoadCellConfig, DscReply, decode_number, read_command
 
-__all__ = ["DscLoadCell", "DscLoadCellConfig", "DscReply", "Number", "decode_number", "read_command"]
+__all__ = ["DscLoadCell", "DscLoadCellConfig", "DscReply", "decode_number", "read_command"]

@@ -10,7 +10,6 @@ from drivers.dynamixel.packet import Block, Reply, answer_bytes, crc16, read_req
 from drivers.dynamixel.registers import (
     DynamixelConfig,
     DynamixelTiming,
-    Identity,
     Present,
     decode_identity,
     decode_present,
@@ -21,7 +20,6 @@ __all__ = [
     "DynamixelBus",
     "DynamixelConfig",
     "DynamixelTiming",
-    "Identity",
     "Present",
     "Reply",
     "answer_bytes",

@@ -8,14 +8,13 @@ unknown, so such units must be configured; the converter runs on its own clock, 
 
 from drivers.modbus_load_cell.device import ModbusLoadCell
 from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, crc16, read_request
-from drivers.modbus_load_cell.registers import ModbusLoadCellConfig, Weights, decode_weights
+from drivers.modbus_load_cell.registers import ModbusLoadCellConfig, decode_weights
 
 __all__ = [
     "ModbusException",
     "ModbusLoadCell",
     "ModbusLoadCellConfig",
     "ModbusReply",
-    "Weights",
     "crc16",
     "decode_weights",
     "read_request",

@@ -6,7 +6,6 @@ temperature LSB; the chip runs up to 1 % off its nominal rate, so rows carry a s
 
 from drivers.mpu6050.device import Mpu6050
 from drivers.mpu6050.fifo import decode_packets
-from drivers.mpu6050.registers import CHIPS, Chip, Mpu6050Config
-from drivers.mpu6050.self_test import SelfTest
+from drivers.mpu6050.registers import Mpu6050Config
 
-__all__ = ["CHIPS", "Chip", "Mpu6050", "Mpu6050Config", "SelfTest", "decode_packets"]
+__all__ = ["Mpu6050", "Mpu6050Config", "decode_packets"]

@@ -6,6 +6,6 @@ when within the internal sample period a record is taken is not said there; its 
 """
 
 from drivers.net_ft.device import NetFt, NetFtChannel, NetFtConfig
-from drivers.net_ft.record import RECORD, RecordStream, request
+from drivers.net_ft.record import RecordStream, request
 
-__all__ = ["RECORD", "NetFt", "NetFtChannel", "NetFtConfig", "RecordStream", "request"]
+__all__ = ["NetFt", "NetFtChannel", "NetFtConfig", "RecordStream", "request"]

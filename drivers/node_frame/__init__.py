@@ -6,7 +6,6 @@
 
 from drivers.node_frame.device import NodeFrame
 from drivers.node_frame.frame import (
-    Descriptor,
     FrameChannel,
     FrameStream,
     NodeFrameConfig,
@@ -15,7 +14,6 @@ from drivers.node_frame.frame import (
 )
 
 __all__ = [
-    "Descriptor",
     "FrameChannel",
     "FrameStream",
     "NodeFrame",

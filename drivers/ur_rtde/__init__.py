@@ -6,12 +6,10 @@ payload and the tool taken off, ``ft_raw_wrench`` (e-Series) has not.
 """
 
 from drivers.ur_rtde.device import RtdeConfig, UrRtde
-from drivers.ur_rtde.packet import Package, PackageStream, Recipe, RtdeChannel, decode_recipe, decode_text
+from drivers.ur_rtde.packet import PackageStream, RtdeChannel, decode_recipe, decode_text
 
 __all__ = [
-    "Package",
     "PackageStream",
-    "Recipe",
     "RtdeChannel",
     "RtdeConfig",
     "UrRtde",

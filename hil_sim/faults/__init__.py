@@ -2,7 +2,7 @@
 
 from hil_sim.faults.inputs import FaultyImu, FaultyScalar, reported_phases
 from hil_sim.faults.oscillator import FaultyClock
-from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, FaultWindow, PowerCycle, garbled
+from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, PowerCycle, garbled
 from hil_sim.faults.vocabulary import CLOCK_KINDS, EFFECTS, INPUT_KINDS, Fault, FaultError, FaultKind, parse
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "FaultError",
     "FaultKind",
     "FaultPlan",
-    "FaultWindow",
     "FaultyClock",
     "FaultyImu",
     "FaultyScalar",

@@ -1,8 +1,6 @@
 """Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
 from onboard.config.bases.free_body import Load
-from onboard.config.bases.pivot import Pivot
-from onboard.config.bases.planar import Body
 from onboard.config.bases.prediction import Prediction
 from onboard.config.checks import with_urls
 from onboard.config.errors import ConfigError, Origin
@@ -12,14 +10,12 @@ from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import RecordingSection, Vehicle
 
 __all__ = [
-    "Body",
     "ConfigError",
     "ImuPriorKeys",
     "JointKeys",
     "Load",
     "Origin",
     "Phases",
-    "Pivot",
     "Prediction",
     "Prior",
     "RecordingSection",
