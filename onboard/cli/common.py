@@ -170,17 +170,6 @@ def worst(codes: Sequence[int]) -> int:
     return FAILED if FAILED in codes else max(codes, default=OK)
 
 
-def add_live(command: Any) -> None:
-    """The option ``--live`` of a command that flies."""
-    command.add_argument(
-        "--live",
-        nargs="?",
-        const="127.0.0.1:8765",
-        metavar="HOST:PORT",
-        help="serve the flight to Foxglove or Lichtblick by WebSocket (default ws://127.0.0.1:8765)",
-    )
-
-
 def add_page(command: Any, shows: str = "the flight") -> None:
     """The options ``--page``, ``--page-address`` and ``--page-plan``."""
     command.add_argument(
@@ -196,6 +185,37 @@ def add_page(command: Any, shows: str = "the flight") -> None:
         type=Path,
         metavar="FILE",
         help="show on it, beside each interval, the one that this plan expects (plan.json of heft plan)",
+    )
+
+
+def add_flying(command: Any) -> None:
+    """The options of a command that flies: what it asks for, who may look on, what it hands over."""
+    command.add_argument(
+        "--until",
+        metavar="GOAL",
+        help='ask for motions until half of the 95 %% intervals are so narrow: "mass 1 %%, centre 5 mm"',
+    )
+    command.add_argument(
+        "--segments", type=Path, metavar="FILE", help="the motions to ask for (heft plan --segments), for --until"
+    )
+    command.add_argument(
+        "--live",
+        nargs="?",
+        const="127.0.0.1:8765",
+        metavar="HOST:PORT",
+        help="serve the flight to Foxglove or Lichtblick by WebSocket (default ws://127.0.0.1:8765)",
+    )
+    add_page(command)
+    command.add_argument(
+        "--telemetry",
+        metavar="LINK",
+        help="send CCSDS packets to udp://HOST:PORT, serial:///dev/ttyS0?baud=19200 or file://PATH (docs/ground.md)",
+    )
+    command.add_argument(
+        "--hand-over",
+        type=Path,
+        metavar="FILE",
+        help="keep the URDF with the identified payload there while all its numbers are good (docs/hand_over.md)",
     )
 
 
@@ -246,7 +266,7 @@ def show_page(arguments: Any, address: str, source: "Source", urdf: Path | None 
 
 
 @contextmanager
-def serve_page(arguments: Any, log: Path, vehicle: "config.Vehicle") -> Iterator[None]:
+def _serve_page(arguments: Any, log: Path, vehicle: "config.Vehicle") -> Iterator[None]:
     """The page process of ``--page`` while a flight to ``log`` lasts; none without the option.
 
     Raises:
@@ -263,43 +283,12 @@ def serve_page(arguments: Any, log: Path, vehicle: "config.Vehicle") -> Iterator
         yield
 
 
-def add_telemetry(command: Any) -> None:
-    """The option ``--telemetry`` of a command that flies."""
-    command.add_argument(
-        "--telemetry",
-        metavar="LINK",
-        help="send CCSDS packets to udp://HOST:PORT, serial:///dev/ttyS0?baud=19200 or file://PATH (docs/ground.md)",
-    )
-
-
-def add_hand_over(command: Any) -> None:
-    """The option ``--hand-over`` of a command that flies."""
-    command.add_argument(
-        "--hand-over",
-        type=Path,
-        metavar="FILE",
-        help="keep the URDF with the identified payload there while all its numbers are good (docs/hand_over.md)",
-    )
-
-
 def with_hand_over(vehicle: "config.Vehicle", path: Path | None) -> "config.Vehicle":
     """A vehicle whose flight hands over its payload in a file; the same where there is no path."""
     return vehicle if path is None else vehicle.model_copy(update={"hand_over": path.absolute()})
 
 
-def add_until(command: Any) -> None:
-    """The options ``--until`` and ``--segments`` of a command that flies."""
-    command.add_argument(
-        "--until",
-        metavar="GOAL",
-        help='ask for motions until half of the 95 %% intervals are so narrow: "mass 1 %%, centre 5 mm"',
-    )
-    command.add_argument(
-        "--segments", type=Path, metavar="FILE", help="the motions to ask for (heft plan --segments), for --until"
-    )
-
-
-def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
+def _serve_live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
     """The live server of ``--live``; none without the option.
 
     Raises:
@@ -314,7 +303,7 @@ def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | N
     return serving(log, address)
 
 
-def send_telemetry(link: str | None, log: Path, vehicle: "config.Vehicle") -> AbstractContextManager[None]:
+def _send_telemetry(link: str | None, log: Path, vehicle: "config.Vehicle") -> AbstractContextManager[None]:
     """The process of ``--telemetry``; none without the option.
 
     Raises:
@@ -327,6 +316,21 @@ def send_telemetry(link: str | None, log: Path, vehicle: "config.Vehicle") -> Ab
     except ImportError as error:
         raise ValueError(f"--telemetry needs spacepackets ({error}): pip install 'heft-flight[telemetry]'") from error
     return sending(log, link, vehicle.file.telemetry)
+
+
+@contextmanager
+def shown(arguments: Any, log: Path, vehicle: "config.Vehicle") -> Iterator[None]:
+    """All that shows a flight to ``log`` while it lasts, by the options of :func:`add_flying`.
+
+    Raises:
+        ValueError: an address or a link is none or not available, or a library is not installed.
+    """
+    with (
+        _serve_live(arguments.live, log),
+        _serve_page(arguments, log, vehicle),
+        _send_telemetry(arguments.telemetry, log, vehicle),
+    ):
+        yield
 
 
 def bus_and_url(text: str, option: str = "--url") -> tuple[str, str]:

@@ -10,20 +10,14 @@ from onboard.cli.common import (
     NOT_READY,
     OK,
     Commands,
-    add_hand_over,
-    add_live,
-    add_page,
-    add_telemetry,
-    add_until,
+    add_flying,
     busy,
     complain,
     console,
     load_vehicle,
     next_log,
-    send_telemetry,
-    serve_live,
-    serve_page,
     show,
+    shown,
     with_hand_over,
     with_urls,
 )
@@ -49,14 +43,10 @@ def add(commands: Commands) -> None:
     fly.add_argument("--motion", type=Path, metavar="CSV", help="motion for the drives, in place of that of [drive]")
     fly.add_argument("--arm", action="store_true", help="drive the arm: after a preflight, when every drive is ready")
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
-    add_until(fly)
     spoken = fly.add_mutually_exclusive_group()
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
-    add_live(fly)
-    add_page(fly)
-    add_telemetry(fly)
-    add_hand_over(fly)
+    add_flying(fly)
     fly.set_defaults(command=_fly)
 
 
@@ -88,9 +78,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         with (
             runner.Servers(vehicle, shared=True) as servers,  # before there are threads
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
-            serve_live(arguments.live, log),
-            serve_page(arguments, log, vehicle),
-            send_telemetry(arguments.telemetry, log, vehicle),
+            shown(arguments, log, vehicle),
         ):
             flight = runner.fly(
                 vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan, servers=servers

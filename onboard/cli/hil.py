@@ -10,22 +10,16 @@ from onboard.cli.common import (
     FAILED,
     OK,
     Commands,
-    add_hand_over,
+    add_flying,
     add_json,
-    add_live,
-    add_page,
-    add_telemetry,
-    add_until,
     complain,
     console,
     next_log,
     page_address,
     progress,
-    send_telemetry,
-    serve_live,
-    serve_page,
     show,
     show_foreseen,
+    shown,
     warn,
     with_hand_over,
     write_json,
@@ -58,12 +52,8 @@ def add(commands: Commands) -> None:
         help="something breaks between two mission times [s], e.g. off:imu_base:10:12 (no END: to its end); repeatable",
     )
     hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
-    add_until(hil)
     hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
-    add_live(hil)
-    add_page(hil)
-    add_telemetry(hil)
-    add_hand_over(hil)
+    add_flying(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
 
@@ -114,11 +104,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         if arguments.realtime:
             serve = _serving(flown_as, asks, arguments)
             try:
-                with (
-                    serve_live(arguments.live, log),
-                    serve_page(arguments, log, vehicle),
-                    send_telemetry(arguments.telemetry, log, vehicle),
-                ):
+                with shown(arguments, log, vehicle):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
             except FlightError as error:
                 complain(error)
