@@ -1,6 +1,7 @@
 """From a scenario's ``[device.*]`` tables to twins on their buses."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -121,7 +122,7 @@ class Twins:
     ) -> None:
         self._scenario = scenario
         self._buses = buses
-        self._produced: list[tuple[Twin, Callable[[], int]]] = []
+        self._produced: dict[str, Callable[[], int]] = {}  # by channel
         twins: dict[str, Twin] = {}
         for name, table in devices.items():
             place = None if table.bus is None else scenario.bus[table.bus]
@@ -145,12 +146,10 @@ class Twins:
 
     def produced(self) -> dict[str, int]:
         """Samples made so far, per channel of the flight log."""
-        counts: dict[str, int] = {}
         for bus in self._buses.values():
             if isinstance(bus, CanBus):
                 bus.look()
-        for twin, made in self._produced:
-            counts |= dict.fromkeys(twin.channels, made())
+        counts = {channel: made() for channel, made in self._produced.items()}
         for name, table in self._scenario.bus.items():
             bus = self._buses[name]
             if isinstance(table, CanBusTable) and isinstance(bus, CanBus) and table.sync_channel is not None:
@@ -161,7 +160,7 @@ class Twins:
 
     def _plug(self, table: Emulator, twin: Twin) -> None:
         """Put a twin on its bus, and know how its samples are counted there."""
-        made = twin.produced
+        made, counted = twin.produced, dict[str, Callable[[], int]]()
         if table.bus is None:
             if table.drives is not None:
                 self._bus(table.drives, PulseLine).drive(twin.device)
@@ -170,12 +169,14 @@ class Twins:
         elif table.needs == "pair":
             self._bus(table.bus, PairBus).add(twin.device)
         elif table.needs == "can":
-            self._bus(table.bus, CanBus).add(twin.device)
+            bus = self._bus(table.bus, CanBus)
+            bus.add(twin.device)
+            counted = {c: partial(bus.heard.__getitem__, one) for c, one in (twin.identifiers or {}).items()}
         elif table.needs in ("tcp", "udp"):
             self._bus(table.bus, NetworkBus).add(twin.device)
         else:
             made = self._plug_serial(self._bus(table.bus, SerialBus), twin)
-        self._produced.append((twin, made))
+        self._produced |= dict.fromkeys(twin.channels, made) | counted
 
     @staticmethod
     def _plug_serial(bus: SerialBus, twin: Twin) -> Callable[[], int]:

@@ -99,6 +99,7 @@ class Twin(NamedTuple):
         drive_pin: Of the sync box: wires the sync line to an input.
         asks: On a serial line, where it is asked: whether a message of the flight computer asks for a sample;
             None: each does.
+        identifiers: On a CAN bus, where it talks unasked: by channel, of the message that is a sample.
     """
 
     device: Any
@@ -108,6 +109,7 @@ class Twin(NamedTuple):
     pin: Pin | None = None
     drive_pin: Callable[[Pin], None] | None = None
     asks: Callable[[bytes], bool] | None = None
+    identifiers: Mapping[str, int] | None = None
 
 
 class Equivalent(NamedTuple):
