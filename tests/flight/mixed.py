@@ -18,6 +18,7 @@ from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.net_box import NetBox
+from hil_sim.devices.odrive import OdriveTwin
 from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
@@ -44,7 +45,7 @@ from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, St
 
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
-LINKS = 8
+LINKS = 9
 BOOT_MS = 1_000  # the slowest twin is up after half of it
 DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -132,6 +133,7 @@ class MixedWorld:
             "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
             "tty_wrist": SerialBusTable(kind="serial", baud_rate=460_800),
+            "odrives": CanBusTable(kind="can", bit_rate=250_000),
             "robot": TcpBusTable(kind="tcp"),
             "box": UdpBusTable(kind="udp"),
         }
@@ -171,6 +173,8 @@ class MixedWorld:
         bus["tty_grip"].add(DscLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
         bus["tty_tracker"].add(PoseTrackerTwin(Cameras(), RateClock(), START_NS))
+        wave, torque = Analog(angle(9)), Analog(dithered(TORQUE_N_M, 0.02))
+        bus["odrives"].add(OdriveTwin(5, wave, torque, RateClock(1e-4), START_NS, turns=8.0, zero_rev=2.0**-8))
         self.palm = BotaTwin({4: (Analog(force_n), 30.0)}, RateClock(-2e-4), START_NS)
         bus["tty_wrist"].add(self.palm)
         for identifier, zero in ((1, 2048), (2, 1000)):

@@ -111,7 +111,7 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
     signal = smoothed(flying, rows, SECONDS - 0.1)
     at_ns = START_NS + np.arange(4300, 4600, 50) * MS
     roles = roles_of(flying)
-    assert len(roles.joints) == 8
+    assert len(roles.joints) == 9
     for joint in roles.joints:
         number = int(joint.joint[-1])
         true = np.array([angle(number)(1e-9 * (t - START_NS)) for t in at_ns.tolist()])

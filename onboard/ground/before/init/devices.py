@@ -23,6 +23,7 @@ URLS = {
     LINES: "gpio-pair:///dev/gpiochip0?data=5&clock=6",
     ROBOT: "tcp://192.168.56.101:30004",
     BOX: "udp://192.168.1.1:49152",
+    "odrives": "can+socketcan://can1?bitrate=250000",
 }
 
 

@@ -1,0 +1,96 @@
+"""ODrive motor controllers on CAN, by the messages that they send unasked (CANSimple); read, never commanded."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from drivers import transports
+from drivers.device import Device
+from drivers.odrive import COUNTS, OdriveAxis, Odrives
+from drivers.records import SCALAR
+from onboard.devices.base import BusDevice, Channels, OpeningBus, Problem, Surroundings
+from onboard.devices.driven import MotorDevice
+from onboard.devices.roles import Roles
+from onboard.section import NotNegative, Positive
+from onboard.timebase.delays import Delay
+from onboard.timebase.timebase import ChannelClock, FollowerChannel, FreeChannel
+
+
+class OdriveDevice(MotorDevice):
+    """An axis of an ODrive (firmware 0.6: S1, Pro, Micro) on a joint, with others on its bus.
+
+    `counts_per_revolution`: 1048576 times the motor's revolutions in one of the joint; negative where it counts against
+    the joint. `torque`: its own estimate, of the motor, and by the gear that of the joint. A bus without other talkers:
+    its identifiers are not those of CANopen.
+    """
+
+    bus_type = "CAN without SYNC"
+    urls = transports.CAN_URLS
+    shares_bus = True
+    records = SCALAR
+    driver_configs = (OdriveAxis,)
+    about_clock = (
+        "The arrival of each message, less `delay_ms`: messages carry no time. When within its control cycle the "
+        "estimate is taken is not published, which is part of `delay_sigma_ms`."
+    )
+    keeps_zero = False
+    new_bus = "odrives"
+    new_keys: ClassVar[str] = """node = {number}                       # its can.node_id
+counts_per_revolution = 8388608 # yours: 1048576 x gear, here 8; negative where it turns against the joint
+zero_count = 0                 # yours: what it reads at joint angle zero
+noise_rad = 5e-5               # yours: one sample, of an arm at rest
+"""
+    kind: Literal["odrive"]
+    node: Annotated[int, Field(ge=0, le=63)]
+    counts_per_revolution: int = COUNTS
+    rate_hz: Annotated[
+        Positive, Field(description="Of its messages: 1000 / `encoder_msg_rate_ms`, and of `torques_msg_rate_ms`.")
+    ] = OdriveAxis.rate_hz
+    delay_ms: Annotated[NotNegative, Field(description="From the estimate to the arrival of its message.")] = 0.5
+    delay_sigma_ms: Annotated[NotNegative, Field(description="Standard deviation of `delay_ms`.")] = 0.2
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """See ``BusDevice``: all axes of a bus are one driver."""
+        port = bus.own(transports.open_can(bus.url, bus.clock))
+        axes = [one.settings(name) for name, one in bus.devices.items() if isinstance(one, OdriveDevice)]
+        return [Odrives(port, axes, bus.name)]
+
+    @classmethod
+    def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
+        """See ``BusDevice``."""
+        by_node: dict[int, str] = {}
+        for name, one in devices.items():
+            other = by_node.setdefault(one.node, name) if isinstance(one, OdriveDevice) else name
+            if other != name:
+                yield ["device", name, "node"], f"{name!r} and {other!r} are one node; give each its own can.node_id"
+
+    def settings(self, name: str) -> OdriveAxis:
+        """See ``BusDevice``."""
+        return self._settings(OdriveAxis, name=name)
+
+    def channels(self, name: str) -> Channels:
+        """Position, velocity, torque."""
+        return dict.fromkeys(self.settings(name).channels, SCALAR)
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``: and when it samples is not known."""
+        found = super().roles(name, period_s)
+        found.joints[0] = found.joints[0]._replace(delay_sigma_s=1e-3 * self.delay_sigma_ms)
+        return found
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``: position and velocity come together."""
+        free = FreeChannel(1.0, 1e6 * self.delay_ms, 1e6 * self.delay_sigma_ms)
+        return {
+            channel: FollowerChannel(name) if channel == f"{name}_velocity" else free for channel in self.channels(name)
+        }
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        cause = "from the estimate to the arrival of its message"
+        return [
+            Delay(channel, "", 1e-3 * self.delay_ms, 1e-3 * self.delay_sigma_ms, cause)
+            for channel in self.channels(name)
+        ]
