@@ -20,12 +20,12 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PositiveFloat
 
 from hil_sim.devices.can_bus.can_wire import TransmitFrame
-from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Signal, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
 from hil_sim.devices.powered import PoweredTwin
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
@@ -152,19 +152,17 @@ class OdriveTwin(PoweredTwin):
             self._transmit(self._node << 5 | command, data, now_ns)
 
 
-class OdriveTable(MeasuringEmulator):
-    """An axis. ``torque`` names its motor's sensor; ``channels``: what is recorded beside the angle."""
+class OdriveTable(JointEmulator):
+    """An axis."""
 
-    needs: ClassVar[str] = "can"
-    quantities = ("joint_angle",)
+    needs = "can"
+    where = "node {node}"
 
     kind: Literal["odrive"]
     node: Annotated[int, Field(ge=0, le=63)]
-    torque: str
     turns: float = 1.0
     zero_rev: float = 0.0
     rate_Hz: PositiveFloat = 100.0
-    channels: tuple[Literal["velocity", "torque"], ...] = ()
 
     @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
@@ -182,15 +180,6 @@ class OdriveTable(MeasuringEmulator):
         torque = sheets.torque(sheets.effort_n_m(said["joint"]), said)
         return Equivalent(table, {name: sheets.encoder(name, said), f"{name}_torque": torque}, {name: "crystal"})
 
-    @property
-    def place(self) -> str:
-        """See ``Emulator``."""
-        return f"node {self.node}"
-
-    def signals(self, name: str) -> dict[str, Signal]:
-        """See ``Emulator``."""
-        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
-
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
         twin = OdriveTwin(
@@ -204,7 +193,6 @@ class OdriveTable(MeasuringEmulator):
             rate_hz=self.rate_Hz,
             faults=bench.faults,
         )
-        heard = {bench.name: _ESTIMATES, f"{bench.name}_velocity": _ESTIMATES, f"{bench.name}_torque": _TORQUES}
-        own = {bench.name, *(f"{bench.name}_{one}" for one in self.channels)}
-        identifiers = {channel: self.node << 5 | command for channel, command in heard.items() if channel in own}
-        return Twin(twin, lambda: twin.samples[_ESTIMATES], tuple(identifiers), identifiers=identifiers)
+        commands = {f"{bench.name}_torque": _TORQUES}
+        own = {channel: self.node << 5 | commands.get(channel, _ESTIMATES) for channel in self.recorded(bench.name)}
+        return Twin(twin, lambda: twin.samples[_ESTIMATES], tuple(own), identifiers=own)

@@ -14,7 +14,7 @@ from drivers.ports import CanFrame
 from drivers.records import SampleStatus
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.test_serial_fuzz import nothing_left_out
+from tests.drivers.serial_script import nothing_left_out
 
 MS = 1_000_000
 BAD, RESET = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET
