@@ -155,6 +155,7 @@ class BusDevice(DeviceSection):
     )
     new_bus: ClassVar[str] = ""  # its bus there; a serial line of its own if empty,
     new_baud: ClassVar[int] = 115_200  # of this speed
+    new_url: ClassVar[str] = ""  # of that bus, where it is no line and its name does not say it
     answering: ClassVar[Answering | None] = None  # asks who is on an open line or connection; None: it cannot be asked
     bus: str
 

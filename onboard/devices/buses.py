@@ -206,6 +206,7 @@ class PairDevice(BusDevice):
     bus_type = "a clock line and a data line"
     urls = transports.PAIR_URLS
     new_bus = "cell_lines"
+    new_url = "gpio-pair:///dev/gpiochip0?data=5&clock=6"
 
     @classmethod
     def open_on(cls, bus: OpeningBus) -> list[Device]:

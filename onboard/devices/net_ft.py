@@ -31,6 +31,7 @@ class NetFtDevice(StreamedDevice, ComponentDevice):
     )
     answering: ClassVar[Answering | None] = staticmethod(answering)
     new_bus = "box"
+    new_url = "udp://192.168.1.1:49152"
     new_keys: ClassVar[str] = """rate_hz = 1000                 # these three: as on its configuration page
 counts_per_N = 1e6
 counts_per_N_m = 1e6

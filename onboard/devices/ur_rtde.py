@@ -29,6 +29,8 @@ class UrOutputs(StreamedDevice):
     urls = TCP_URLS
     driver_configs = (RtdeConfig,)
     tick_ns = TICK_NS
+    new_bus = "robot"
+    new_url = "tcp://192.168.56.101:30004"
     about_clock = (
         "The controller's `timestamp`, fitted to the least delayed arrivals; `latency_ms` and half of `poll_period_ms` "
         "are taken off. All devices of a controller have the same times: an error of them is common to all."
@@ -63,7 +65,6 @@ class UrJointDevice(UrOutputs, MotorDevice):
     """
 
     kind: Literal["ur_joint"]
-    new_bus = "robot"
     answering: ClassVar[Answering | None] = staticmethod(answering)
     new_keys: ClassVar[
         str
@@ -102,7 +103,6 @@ torque_scale_sigma = 0.1       # yours: of that, relative
 class UrWrenchDevice(UrOutputs, ComponentDevice):
     """A component of an e-Series' wrist sensor, `ft_raw_wrench`, in the axes of the flange: nothing is taken off it."""
 
-    new_bus = "robot"
     new_keys = "rate_hz = 125                  # as of the joints\n"
     kind: Literal["ur_wrench"]
 

@@ -36,6 +36,7 @@ class OdriveDevice(MotorDevice):
     )
     keeps_zero = False
     new_bus = "odrives"
+    new_url = "can+socketcan://can1?bitrate=250000"
     new_keys: ClassVar[str] = """node = {number}                       # its can.node_id
 counts_per_revolution = 8388608 # yours: 1048576 x gear, here 8; negative where it turns against the joint
 zero_count = 0                 # yours: what it reads at joint angle zero

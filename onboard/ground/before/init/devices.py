@@ -14,16 +14,12 @@ from onboard.devices.driven import DrivenDevice, MotorDevice
 from onboard.devices.registry import DEVICES
 
 RECORDED = "recorded"  # by somebody else: an import brings it in
-CAN, GPIO, LINES, ROBOT, BOX = "can_0", "sync_line", "cell_lines", "robot", "box"
+CAN, GPIO = "can_0", "sync_line"
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")  # of a wrist sensor, each a device
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
 URLS = {
     CAN: "can+socketcan://can0?bitrate=500000",
     GPIO: "gpio:///dev/gpiochip0?line=17",
-    LINES: "gpio-pair:///dev/gpiochip0?data=5&clock=6",
-    ROBOT: "tcp://192.168.56.101:30004",
-    BOX: "udp://192.168.1.1:49152",
-    "odrives": "can+socketcan://can1?bitrate=250000",
 }
 
 
@@ -73,7 +69,7 @@ def _table(device: str, kind: str, number: int, common: str) -> NewDevice:
     """The table of a device of a bus; ``common``: keys that its role has, before its own."""
     model = _model(kind)
     bus = model.new_bus.format(number=number) or f"tty_{device}"
-    url = URLS.get(bus, f"serial:///dev/{bus}?baud={model.new_baud}")
+    url = model.new_url or URLS.get(bus, f"serial:///dev/{bus}?baud={model.new_baud}")
     if bus.startswith("i2c_"):
         url = f"i2c:///dev/{bus.replace('_', '-')}"
     keys = model.new_keys.format(number=number)
