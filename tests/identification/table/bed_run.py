@@ -65,3 +65,10 @@ def exact(run, every=3):
 def noisy(run, rng, errors=ImuErrors()):  # noqa: B008
     sampled = sample(run.flight, errors, rng)
     return tick_signals(*sampled[:4], sampled[4:], 5, 0.1)
+
+
+def once_a_turn(q, dq, ddq):
+    """Cosine and sine of an angle and their two derivatives, (n, 3, 2); each (n,)."""
+    cos, sin = np.cos(q), np.sin(q)
+    turned = [(cos, sin), (-sin * dq, cos * dq), (-sin * ddq - cos * dq**2, cos * ddq - sin * dq**2)]
+    return np.stack([np.stack(pair, axis=1) for pair in turned], axis=1)

@@ -7,7 +7,7 @@ from onboard.estimation.smoothing import SmoothingWindow, uncorrelated_s
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.joints import step
-from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, vehicle
+from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
 WIDTH_s, RATE_rad_s, ACCELERATION_rad_s2 = 0.3, 4e-3, 0.1
 
@@ -66,16 +66,7 @@ def _truth(signals):
 
 def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
     """Joint 2 reads ``q + 0.006 cos q``; its multiple is found, and residuals fall by what it does."""
-    q, dq, ddq = clean.q[:, 1], clean.dq[:, 1], clean.ddq[:, 1]
-    waves = [np.cos(q), np.sin(q)]
-    functions = np.stack(
-        [
-            np.stack(waves, axis=1),
-            np.stack([-waves[1] * dq, waves[0] * dq], axis=1),
-            np.stack([-waves[1] * ddq - waves[0] * dq**2, waves[0] * ddq - waves[1] * dq**2], axis=1),
-        ],
-        axis=1,
-    )
+    functions = once_a_turn(clean.q[:, 1], clean.dq[:, 1], clean.ddq[:, 1])
     read = [getattr(clean, name).copy() for name in ("q", "dq", "ddq")]
     for order, motion in enumerate(read):
         motion[:, 1] += 0.006 * functions[:, order, 0]

@@ -5,10 +5,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from onboard.dynamics.model.inertia import elements
+from onboard.identification.corrections import contradicted
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.quantities import Findings
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.rivals import answered
-from tests.identification.table.bed_run import BOX, PRIOR, WIDE, fly, noisy, vehicle
+from tests.identification.table.bed_run import BOX, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
 TRUTH = np.array([BOX.mass_kg, *BOX.centre_of_mass_m, *elements(BOX.inertia_kg_m2)])
 
@@ -18,9 +20,9 @@ def signals():
     return noisy(fly(0.6), np.random.default_rng(7)).coarser(2)
 
 
-def found(signals):
+def found(signals, prior=PRIOR):
     """What is answered of a run, its errors of mass, centre and moment of inertia in sigmas, those of the plain fit."""
-    exiddm = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, PRIOR)
+    exiddm = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior)
     plain = exiddm.fit()
     told = answered(exiddm, plain)
     off = []
@@ -64,3 +66,19 @@ def test_what_is_wrong_is_named_and_the_payload_told_inside_its_interval(signals
     assert name in doubt.removeprefix("not as stated: ").split(" or ")
     assert plain.max() > 5.0
     assert off.max() < 3.3
+
+
+def test_with_the_error_that_is_named_nothing_else_contradicts_the_run(signals):
+    """A scale of 5 % of an encoder that has an error once a turn, which would have to be twenty of its sigmas."""
+    motions = [motion.copy() for motion in (signals.q, signals.dq, signals.ddq)]
+    for motion in motions:
+        motion[:, 4] *= 1.05
+    q, dq, ddq = motions
+    functions, joint = once_a_turn(q[:, 4], dq[:, 4], ddq[:, 4]), vehicle().joints[4].name
+    exact = JointPrior(2e-4, 1e-3, 2e-4, 2e-4)
+    errors = {one.name: exact for one in vehicle().joints} | {joint: exact._replace(cyclic=(1e-3,))}
+    prior = PRIOR._replace(geometry=GeometryPrior(0.0, errors))
+    told, off, _ = found(signals._replace(q=q, dq=dq, ddq=ddq, cyclic=functions), prior)
+    assert "scale_joint_5" in told.findings.doubts[0]
+    assert off.max() < 3.3
+    assert contradicted(told.joints.in_told_sigmas) == ()
