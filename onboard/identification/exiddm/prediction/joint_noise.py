@@ -9,9 +9,9 @@ does to a line of sigma R, it adds ``sum (dE/dx)' s^2 E / R^2`` to the gradient 
 an estimate of covariance P is off by -P times that (Fuller, Measurement Error Models, 1987, section 3.2), mostly
 towards a light payload. s is the noise of the joints' samples as it is, without an inflation. Every product is taken of
 predictions with an error of one joint's rate or acceleration, each in its turn, of lines of forces and moments alone.
-(Encoders' noise added to flights once and twice more moved masses by two thirds of that. Lines of rates are left out: an
-error that lasts for a batch or longer changes the momentum that is carried on, which noise does not, and 3 to 100 times
-as much as noise came of it.)
+(Encoders' noise added to flights once and twice more moved masses by two thirds of that. Lines of rates are left out:
+an error that lasts for a batch or longer changes the momentum that is carried on, which noise does not, and 3 to 100
+times as much as noise came of it.)
 
 An estimate is corrected by that, with the doubt in the power of stated noise as its sigma.
 """
