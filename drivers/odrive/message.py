@@ -4,9 +4,11 @@ An identifier is the node (0 to 63) times 32, and the command; all numbers are l
 """
 
 import struct
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from drivers.errors import FrameError
+from drivers.ports import Station
 
 HEARTBEAT, ENCODER_ESTIMATES, TORQUES = 0x01, 0x09, 0x1C
 NODES, COMMANDS = 64, 32
@@ -75,3 +77,12 @@ def decode_pair(data: bytes) -> tuple[float, float]:
         raise FrameError(f"estimates of {len(data)} bytes in place of 8: is it an ODrive?")
     first, second = _PAIR.unpack(data)
     return first, second
+
+
+def heard(frames: Mapping[int, bytes]) -> Iterator[Station]:
+    """Axes on a bus, by the last frame of each identifier: those that send heartbeats and estimates."""
+    for node in range(NODES):
+        beat, pair = (frames.get(node * COMMANDS + command, b"") for command in (HEARTBEAT, ENCODER_ESTIMATES))
+        if len(beat) == len(pair) == _PAIR.size:
+            torques = node * COMMANDS + TORQUES in frames
+            yield Station(node, f"ODrive, {'position and torque' if torques else 'position; it sends no torques'}")

@@ -30,6 +30,7 @@ from onboard.timebase.timebase import ChannelClock, FollowerChannel, SyncLine
 Channels = dict[str, np.dtype[np.void]]
 Clock = Callable[[], int]
 Answering = Callable[[SerialPort, Callable[[float], object]], Iterator[Station]]
+Heard = Callable[[Mapping[int, bytes]], Iterator[Station]]
 Problem = tuple[list[str], str]
 """The key that is wrong, as a path from the top of the file, and a sentence with the remedy."""
 
@@ -157,6 +158,7 @@ class BusDevice(DeviceSection):
     new_baud: ClassVar[int] = 115_200  # of this speed
     new_url: ClassVar[str] = ""  # of that bus, where it is no line and its name does not say it
     answering: ClassVar[Answering | None] = None  # asks who is on an open line or connection; None: it cannot be asked
+    heard: ClassVar[Heard | None] = None  # of a CAN bus that is none of CANopen's: by the last frame of each identifier
     bus: str
 
     @classmethod

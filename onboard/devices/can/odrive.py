@@ -8,8 +8,9 @@ from pydantic import Field
 from drivers import transports
 from drivers.device import Device
 from drivers.odrive import COUNTS, OdriveAxis, Odrives
+from drivers.odrive.message import heard
 from drivers.records import SCALAR
-from onboard.devices.base import BusDevice, Channels, OpeningBus, Problem, Surroundings
+from onboard.devices.base import BusDevice, Channels, Heard, OpeningBus, Problem, Surroundings
 from onboard.devices.driven import MotorDevice
 from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive
@@ -34,6 +35,7 @@ class OdriveDevice(MotorDevice):
         "The arrival of each message, less `delay_ms`: messages carry no time. When within its control cycle the "
         "estimate is taken is not published, which is part of `delay_sigma_ms`."
     )
+    heard: ClassVar[Heard | None] = staticmethod(heard)
     keeps_zero = False
     new_bus = "odrives"
     new_url = "can+socketcan://can1?bitrate=250000"

@@ -170,6 +170,7 @@ def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[DetectedDevice]:
         OSError: the bus is gone.
     """
     heard: Counter[int] = Counter()
+    said: dict[int, bytes] = {}
     errors, states, syncs_ns = 0, dict[int, int](), list[int]()
     since_ns = clock()
     for _ in range(round(HEARD_S / STEP_S)):
@@ -178,6 +179,7 @@ def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[DetectedDevice]:
             errors += got.is_error
             if not got.is_error:
                 heard[got.identifier] += 1
+                said[got.identifier] = got.data
                 syncs_ns += [got.host_ns] if got.identifier == frame.SYNC else []
                 if len(got.data) == 1 and got.identifier - frame.HEARTBEAT in NODES:
                     states[got.identifier - frame.HEARTBEAT] = got.data[0] & 0x7F
@@ -187,6 +189,15 @@ def on_can(port: CanPort, clock: Clock, wait: Wait) -> Iterable[DetectedDevice]:
     if len(syncs_ns) > 1:
         period_us = 1e-3 * (syncs_ns[-1] - syncs_ns[0]) / (len(syncs_ns) - 1)
         yield DetectedDevice("080h", f"SYNC, every {1e-3 * period_us:.3g} ms", "canopen_sync", round(period_us))
+    others = [
+        DetectedDevice(f"ID {one.number}", one.what, kind, one.number)
+        for kind, section in DEVICES.items()
+        if issubclass(section, BusDevice) and section.heard is not None
+        for one in section.heard(said)
+    ]
+    if others:  # what asks CANopen nodes could be a command to these
+        yield from others
+        return
     nodes = sorted(states.keys() | _answering(port, wait))
     for node in nodes:
         yield _node(port, clock, wait, node, states.get(node))

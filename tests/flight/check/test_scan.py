@@ -18,6 +18,7 @@ from onboard.cli import BAD_INPUT, OK, main
 from onboard.devices.registry import DEVICES
 from onboard.flight.check import scan
 from onboard.ground.before.init import seen
+from tests.drivers.can_peers import FakeCan
 
 
 def looked_at(scenario: str, *faults: str) -> list[scan.Bus]:
@@ -239,3 +240,14 @@ def test_a_wrist_sensor_on_a_line_is_known_by_a_frame() -> None:
     six = list(scan.on_line(Line(said, unasked=True), at_once, "serial"))
     assert [(one.kind, one.number) for one in six] == [("bota_ft", n) for n in range(1, 7)]
     assert not list(scan.on_line(Line(said[:-1] + b"\0", unasked=True), at_once, "serial"))
+
+
+def test_odrives_are_known_by_what_they_send_and_nobody_is_asked_beside_them() -> None:
+    """Node 48: an SDO read of CANopen node 7 would be its command to change its state."""
+    port = FakeCan()
+    for command in (0x01, 0x09):
+        port.put(0, 48 << 5 | command, bytes(8))  # type: ignore[no-untyped-call]
+    [found] = scan.on_can(port, lambda: 0, at_once)
+    assert (found.kind, found.number) == ("odrive", 48)
+    assert "no torques" in found.what
+    assert not port.sent
