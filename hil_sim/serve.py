@@ -46,16 +46,7 @@ from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.buses.tcp_ends import ListeningTcp
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.faults import parse
-from hil_sim.scenario.bus_tables import (
-    BusTable,
-    CanBusTable,
-    I2cBusTable,
-    PairBusTable,
-    PulseLineTable,
-    SerialBusTable,
-    TcpBusTable,
-    UdpBusTable,
-)
+from hil_sim.scenario import bus_tables
 
 _LEASH_PERIOD_S: Final = 0.1
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
@@ -129,7 +120,7 @@ class _CanPort(Port):
 class PseudoTerminal(Port):
     """A pseudo-terminal, linked to as ``path``; kernel tier and this one share it."""
 
-    def __init__(self, path: Path, table: SerialBusTable, seed: int) -> None:
+    def __init__(self, path: Path, table: bus_tables.SerialBusTable, seed: int) -> None:
         self._terminal = PtySerial(path)
         self._line = SerialBus(self._terminal, seed, latency_ns=round(table.adapter_latency_ms * 1e6))
         super().__init__(self._line, f"serial://{path}?{serial_options(table)}")
@@ -161,8 +152,8 @@ class NetworkPort(Port):
         table: Of the bus: TCP or UDP.
     """
 
-    def __init__(self, table: TcpBusTable | UdpBusTable) -> None:
-        self._listener = ListeningTcp() if isinstance(table, TcpBusTable) else UdpEnd()
+    def __init__(self, table: bus_tables.TcpBusTable | bus_tables.UdpBusTable) -> None:
+        self._listener = ListeningTcp() if isinstance(table, bus_tables.TcpBusTable) else UdpEnd()
         self._network = NetworkBus(self._listener)
         host, port = self._listener.address
         super().__init__(self._network, f"{table.kind}://{host}:{port}")
@@ -181,7 +172,7 @@ class NetworkPort(Port):
         self._listener.close()
 
 
-def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0) -> Ports:
+def open_sockets(tables: Mapping[str, bus_tables.BusTable], directory: Path, seed: int = 0) -> Ports:
     """Open every bus for another process.
 
     Args:
@@ -191,20 +182,20 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
     """
     directory.mkdir(parents=True, exist_ok=True)
 
-    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+    def open_port(bus: str, table: bus_tables.BusTable, place: int, seed: int) -> Port:
         del place
         match table:
-            case I2cBusTable():
+            case bus_tables.I2cBusTable():
                 return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
-            case PairBusTable():
+            case bus_tables.PairBusTable():
                 return PairPort(directory / f"{bus}.sock")
-            case CanBusTable():
+            case bus_tables.CanBusTable():
                 return _CanPort(directory / bus, table.bit_rate, seed)
-            case PulseLineTable():
+            case bus_tables.PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
-            case SerialBusTable():
+            case bus_tables.SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
-            case TcpBusTable() | UdpBusTable():
+            case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
                 return NetworkPort(table)
 
     return open_ports(tables, open_port, seed)

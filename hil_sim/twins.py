@@ -16,20 +16,9 @@ from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.faults import DeviceFaults, FaultError
 from hil_sim.plants.drives.servo_axis import Axis
 from hil_sim.plants.world import Plant
+from hil_sim.scenario import sensor_tables
 from hil_sim.scenario.bus_tables import CanBusTable, PulseLineTable
 from hil_sim.scenario.load import Scenario, ScenarioError
-from hil_sim.scenario.sensor_tables import (
-    EncoderTable,
-    ForceCellTable,
-    ImuTable,
-    LoadCellTable,
-    MotorTorqueTable,
-    PhaseTable,
-    PoseTable,
-    SensorTable,
-    ThrustTable,
-    WheelRateTable,
-)
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor, TachoSensor, ThrustSensor, of_actuator
 from hil_sim.sensing.pose_sensor import PoseSensor
@@ -65,25 +54,27 @@ def emulators(scenario: Scenario) -> dict[str, Emulator]:
     return devices
 
 
-def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator, at: str) -> Sensor:
+def sensor(plant: Plant, table: sensor_tables.SensorTable, rng: np.random.Generator, at: str) -> Sensor:
     """An example of the sensor that ``table`` describes, at a place in the plant.
 
     Raises:
         ScenarioError: no such place.
     """
     match table:
-        case ImuTable():
+        case sensor_tables.ImuTable():
             return ImuSensor(plant, table, rng, at)
-        case EncoderTable():
+        case sensor_tables.EncoderTable():
             return EncoderSensor(plant, table, rng, at)
-        case LoadCellTable() | ForceCellTable():
+        case sensor_tables.LoadCellTable() | sensor_tables.ForceCellTable():
             return LoadCellSensor(plant, table, rng, at)
-        case MotorTorqueTable():
+        case sensor_tables.MotorTorqueTable():
             return MotorTorqueSensor(plant, table, rng, at)
-        case WheelRateTable() | ThrustTable():
+        case sensor_tables.WheelRateTable() | sensor_tables.ThrustTable():
             return of_actuator(plant, table, rng, at)
-        case PoseTable() | PhaseTable():
-            return PoseSensor(plant, table, rng, at) if isinstance(table, PoseTable) else PhaseSensor(plant)
+        case sensor_tables.PoseTable() | sensor_tables.PhaseTable():
+            return (
+                PoseSensor(plant, table, rng, at) if isinstance(table, sensor_tables.PoseTable) else PhaseSensor(plant)
+            )
 
 
 class Twins:

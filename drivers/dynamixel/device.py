@@ -6,6 +6,7 @@ from math import tau
 from typing import TYPE_CHECKING
 
 from drivers import transports
+from drivers.dynamixel import registers
 from drivers.dynamixel import registers as table
 from drivers.dynamixel.packet import (
     ALERT,
@@ -18,15 +19,6 @@ from drivers.dynamixel.packet import (
     statuses,
     sync_read_request,
     write_request,
-)
-from drivers.dynamixel.registers import (
-    BetweenRounds,
-    DynamixelConfig,
-    DynamixelTiming,
-    KnownServo,
-    decode_driven,
-    decode_identity,
-    decode_present,
 )
 from drivers.errors import ConfigurationError
 from drivers.ports import SerialPort, Station
@@ -76,15 +68,15 @@ class DynamixelBus(PolledDevice):
     def __init__(
         self,
         name: str,
-        servos: Sequence[DynamixelConfig],
+        servos: Sequence[registers.DynamixelConfig],
         open_port: OpenPort,
         clock: Clock,
-        timing: DynamixelTiming | None = None,
+        timing: registers.DynamixelTiming | None = None,
         play: "PlayerConfig[DynamixelAxisConfig] | None" = None,
         rest: Callable[[float], object] = transports.rest,
     ) -> None:
-        self.timing = DynamixelTiming() if timing is None else timing
-        self._servos = {servo.id: KnownServo(servo) for servo in servos}
+        self.timing = registers.DynamixelTiming() if timing is None else timing
+        self._servos = {servo.id: registers.KnownServo(servo) for servo in servos}
         if not servos or len(self._servos) < len(servos):
             raise ConfigurationError(f"{name}: ids {[servo.id for servo in servos]}: give each servo one of its own")
         super().__init__(
@@ -96,8 +88,8 @@ class DynamixelBus(PolledDevice):
             self.timing.timeout_ms,
             0.0,
         )
-        self._asides: deque[BetweenRounds] = deque()
-        self._aside_open: BetweenRounds | None = None
+        self._asides: deque[registers.BetweenRounds] = deque()
+        self._aside_open: registers.BetweenRounds | None = None
         self._next_look_ns = 0
         self._looked_at = 0
         self._extra = 0  # surplus bytes in the request, which mark it against a late answer
@@ -128,7 +120,7 @@ class DynamixelBus(PolledDevice):
         self._aside_open = None
         for identifier, servo in self._servos.items():
             self._lost(servo)
-            self._asides.append(BetweenRounds(identifier, table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(registers.BetweenRounds(identifier, table.IDENTITY, table.IDENTITY_BYTES))
         self._next_look_ns = now_ns + LOOK_NS
 
     # What is driven
@@ -176,7 +168,7 @@ class DynamixelBus(PolledDevice):
         if self._holds and any(servo.is_there for servo in self._servos.values()):
             return b""
         if self._driven is not None and (transfer := self._driven.transfer()) is not None:
-            self._aside_open = BetweenRounds(*transfer, is_driving=True)
+            self._aside_open = registers.BetweenRounds(*transfer, is_driving=True)
         elif self._asides:
             self._aside_open = self._asides.popleft()
         else:
@@ -192,12 +184,12 @@ class DynamixelBus(PolledDevice):
         absent = [identifier for identifier, servo in self._servos.items() if not servo.is_there]
         if absent and len(absent) < len(identifiers):  # where none is there, rounds ask all of them
             looked_for = absent[self._looked_at % len(absent)]
-            self._asides.append(BetweenRounds(looked_for, table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(registers.BetweenRounds(looked_for, table.IDENTITY, table.IDENTITY_BYTES))
         identifier = identifiers[self._looked_at]
         if self._servos[identifier].is_there:
-            self._asides.append(BetweenRounds(identifier, *self._servos[identifier].health))
+            self._asides.append(registers.BetweenRounds(identifier, *self._servos[identifier].health))
             if self._servos[identifier].faults:
-                self._asides.append(BetweenRounds(identifier, table.HARDWARE_ERROR, 1))
+                self._asides.append(registers.BetweenRounds(identifier, table.HARDWARE_ERROR, 1))
 
     def _question(self, retry: bool) -> bytes:
         self._extra = 1 - self._extra if retry or self._was_partial else 0
@@ -255,13 +247,13 @@ class DynamixelBus(PolledDevice):
                 values += self._of_servo(host_ns, servo, block)
         return values
 
-    def _of_servo(self, host_ns: int, servo: KnownServo, block: Block) -> list[Value]:
-        config, present = servo.config, decode_present(block.data[table.PRESENT - self._block[0] :])
+    def _of_servo(self, host_ns: int, servo: registers.KnownServo, block: Block) -> list[Value]:
+        config, present = servo.config, registers.decode_present(block.data[table.PRESENT - self._block[0] :])
         if servo.is_there:
             servo.missed = 0
         else:  # all were asked, as none was there
             servo.is_there = True
-            self._asides.append(BetweenRounds(config.id, table.IDENTITY, table.IDENTITY_BYTES))
+            self._asides.append(registers.BetweenRounds(config.id, table.IDENTITY, table.IDENTITY_BYTES))
         self._follow_alert(host_ns, servo, alert=bool(block.error & ALERT))
         encoder_fails = bool((servo.faults or 0) & table.ENCODER_ERROR)
         position, accepted = (present.position, False) if encoder_fails else servo.position.place(present.position)
@@ -278,29 +270,29 @@ class DynamixelBus(PolledDevice):
             told("_torque", present.current, servo.ampere, "A", good=bool(servo.ampere) and not block.error),
         ]
         if config.driven:
-            said = decode_driven(block.data)
+            said = registers.decode_driven(block.data)
             if self._driven is not None:
                 self._driven.on_block(config.id, host_ns, block.error, said)
             ok = int(SampleStatus.OK)
             readings.append(Value(f"{config.name}_status", said.moving, 1.0, "", said.watchdog, ok))
         return [one for one in readings if one.channel in config.channels]
 
-    def _missed(self, host_ns: int, servo: KnownServo) -> None:
+    def _missed(self, host_ns: int, servo: registers.KnownServo) -> None:
         servo.missed += 1
         if servo.missed >= SILENT_AFTER:
             self._lost(servo)
             text = f"id {servo.config.id} does not answer: check its cable and supply"
             self._tell(host_ns, servo, Severity.ERROR, "silent", text)
 
-    def _lost(self, servo: KnownServo) -> None:
+    def _lost(self, servo: registers.KnownServo) -> None:
         servo.is_there = False
         if self._driven is not None:
             self._driven.lost(servo.config.id)
 
-    def _follow_alert(self, host_ns: int, servo: KnownServo, *, alert: bool) -> None:
+    def _follow_alert(self, host_ns: int, servo: registers.KnownServo, *, alert: bool) -> None:
         if alert and servo.faults == 0:
             servo.faults = None
-            self._asides.append(BetweenRounds(servo.config.id, table.HARDWARE_ERROR, 1))
+            self._asides.append(registers.BetweenRounds(servo.config.id, table.HARDWARE_ERROR, 1))
         elif not alert and servo.faults != 0:
             servo.faults = 0
             self._tell(host_ns, servo, Severity.INFO, "hardware_error_over", "its hardware error is over")
@@ -328,8 +320,8 @@ class DynamixelBus(PolledDevice):
             text = f"hardware error {servo.faults:02X}h: {said}. It stays until a reboot"
             self._tell(host_ns, servo, Severity.ERROR, "hardware_error", text)
 
-    def _identified(self, host_ns: int, servo: KnownServo, data: bytes) -> None:
-        who = decode_identity(data)
+    def _identified(self, host_ns: int, servo: registers.KnownServo, data: bytes) -> None:
+        who = registers.decode_identity(data)
         if servo.missed >= SILENT_AFTER:
             self._tell(host_ns, servo, Severity.INFO, "recovered", f"id {servo.config.id} answers again")
         servo.is_there, servo.missed = True, 0
@@ -342,12 +334,12 @@ class DynamixelBus(PolledDevice):
         text = f"model {who.model}, firmware {who.firmware}: {how}, answers after {who.return_delay_us} us"
         hint = ": write 0 to address 9 for shorter rounds" if who.return_delay_us > 20 else ""
         self._tell(host_ns, servo, Severity.INFO, "identified", text + hint)
-        self._asides.append(BetweenRounds(servo.config.id, table.TEMPERATURE_LIMIT, 1))
+        self._asides.append(registers.BetweenRounds(servo.config.id, table.TEMPERATURE_LIMIT, 1))
         if servo.config.torque and not servo.ampere:
             text = f"current of model {who.model} is unknown, or it has none: give ampere_per_count, or torque = false"
             self._tell(host_ns, servo, Severity.ERROR, "no_current", text)
 
-    def _judge_health(self, host_ns: int, servo: KnownServo, data: bytes) -> None:
+    def _judge_health(self, host_ns: int, servo: registers.KnownServo, data: bytes) -> None:
         decivolt, celsius = int.from_bytes(data[:2], "little"), data[2]
         hot = bool(servo.temperature_limit) and celsius > servo.temperature_limit - HOT_BELOW_LIMIT
         if hot and not servo.is_hot:
@@ -355,7 +347,7 @@ class DynamixelBus(PolledDevice):
             self._tell(host_ns, servo, Severity.WARNING, "hot", text)
         servo.is_hot = hot
 
-    def _tell(self, host_ns: int, servo: KnownServo, severity: Severity, code: str, text: str) -> None:
+    def _tell(self, host_ns: int, servo: registers.KnownServo, severity: Severity, code: str, text: str) -> None:
         self._report.event(host_ns, severity, code, text, servo.config.name)
 
 

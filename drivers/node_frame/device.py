@@ -9,16 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.errors import FrameError, WrongDeviceError
 from drivers.marks import MARK
+from drivers.node_frame import frame
 from drivers.node_frame.counters import TURN, FrameTicks, NodeCounters
-from drivers.node_frame.frame import (
-    DATA,
-    DESCRIPTOR,
-    Descriptor,
-    FrameStream,
-    NodeFrameConfig,
-    decode_descriptor,
-    payload_dtype,
-)
 from drivers.records import SCALAR, SampleStatus, Severity
 from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 from drivers.unwrap import unwrapped
@@ -33,7 +25,7 @@ _SEQUENCE_AT = slice(4, 8)
 class _Known(NamedTuple):
     """Last descriptor of the node and the derived layout of its data frames."""
 
-    descriptor: Descriptor
+    descriptor: frame.Descriptor
     counters: NodeCounters
     prefix: bytes
     dtype: np.dtype[np.void]
@@ -62,11 +54,11 @@ class NodeFrame(SerialDevice):
         config: Node number and channels.
     """
 
-    def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: NodeFrameConfig) -> None:
+    def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: frame.NodeFrameConfig) -> None:
         self.config = config
         super().__init__(name, open_port, clock, config.poll_period_ms, config.silence_ms)
         self._names = [f"{name}_{channel}" for channel in config.channels]
-        self._frames = FrameStream()
+        self._frames = frame.FrameStream()
         self._known: _Known | None = None
         self._held: deque[tuple[int, bytes]] = deque()
         self._before_held: int | None = None  # sequence before the first held frame, if frames were dropped
@@ -110,13 +102,13 @@ class NodeFrame(SerialDevice):
     def _other(self, now_ns: int, host_ns: int, payload: bytes) -> None:
         """Handle any frame but a data frame of the known schema."""
         kind, node = payload[:2]
-        if kind not in {DATA, DESCRIPTOR}:
+        if kind not in {frame.DATA, frame.DESCRIPTOR}:
             text = f"frame of kind {kind:#04x}: the node speaks another version of the format"
             self._report.event(host_ns, Severity.ERROR, "version", text)
         elif node != self.config.node:
             text = f"frame of node {node}, not {self.config.node}: correct the configuration, one node per port"
             self._report.event(host_ns, Severity.WARNING, "other_node", text)
-        elif kind == DESCRIPTOR:
+        elif kind == frame.DESCRIPTOR:
             self._heard(now_ns)
             self._describe(host_ns, payload)
         else:
@@ -134,7 +126,7 @@ class NodeFrame(SerialDevice):
 
     def _describe(self, host_ns: int, payload: bytes) -> None:
         try:
-            told = decode_descriptor(payload)
+            told = frame.decode_descriptor(payload)
             self._check(told)
         except (FrameError, WrongDeviceError) as error:
             code = "wrong_device" if isinstance(error, WrongDeviceError) else "bad_descriptor"
@@ -148,7 +140,7 @@ class NodeFrame(SerialDevice):
         if another or self._known.counters.is_past(told.sequence):
             self._adopt(host_ns, told, rebooted=True)
 
-    def _check(self, told: Descriptor) -> None:
+    def _check(self, told: frame.Descriptor) -> None:
         names = tuple(channel.name for channel in told.channels)
         if names != self.config.channels:
             raise WrongDeviceError(
@@ -156,7 +148,7 @@ class NodeFrame(SerialDevice):
                 "flash the right firmware, or correct the configuration"
             )
 
-    def _adopt(self, host_ns: int, told: Descriptor, *, rebooted: bool) -> None:
+    def _adopt(self, host_ns: int, told: frame.Descriptor, *, rebooted: bool) -> None:
         """Use a descriptor (the first one, or one after a restart of the node) for the frames that follow."""
         held, self._held = self._held, deque()
         first_ns = held[0][0] if held else host_ns
@@ -164,9 +156,9 @@ class NodeFrame(SerialDevice):
         began_with_us = tick / told.tick_hz <= 1e-9 * (first_ns - self._started_ns)  # its first frames were for us
         before = -1 if rebooted or (began_with_us and self._before_held is None) else self._before_held
         counters = NodeCounters(told.tick_hz, max(0, tick), first_ns, before)
-        prefix = bytes([DATA, told.node]) + told.schema.to_bytes(2, "little")
+        prefix = bytes([frame.DATA, told.node]) + told.schema.to_bytes(2, "little")
         units = [channel.unit.encode() for channel in told.channels]
-        self._known = known = _Known(told, counters, prefix, payload_dtype(told.channels), units)
+        self._known = known = _Known(told, counters, prefix, frame.payload_dtype(told.channels), units)
         self._pulse = 0
         self._before_held = None
         self._after_reset |= rebooted

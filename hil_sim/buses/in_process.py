@@ -30,16 +30,7 @@ from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
 from hil_sim.buses.tcp_ends import VirtualTcp
 from hil_sim.buses.udp_ends import UdpEnd
-from hil_sim.scenario.bus_tables import (
-    BusTable,
-    CanBusTable,
-    I2cBusTable,
-    PairBusTable,
-    PulseLineTable,
-    SerialBusTable,
-    TcpBusTable,
-    UdpBusTable,
-)
+from hil_sim.scenario import bus_tables
 
 _looks: Final[dict[str, Callable[[], None]]] = {}  # by channel: what is to come is there afterwards
 _away: set[str] = set()  # channels whose adapter is pulled out
@@ -239,7 +230,7 @@ class EdgePort(Port):
 
 
 class _SerialPort(Port):
-    def __init__(self, path: str, table: SerialBusTable, seed: int) -> None:
+    def __init__(self, path: str, table: bus_tables.SerialBusTable, seed: int) -> None:
         adapter = VirtualSerial(path)
         self._installed = install_serial(adapter)
         bus = SerialBus(adapter, seed, latency_ns=round(table.adapter_latency_ms * 1e6))
@@ -252,8 +243,8 @@ class _SerialPort(Port):
 
 
 class _NetworkPort(Port):
-    def __init__(self, table: TcpBusTable | UdpBusTable, host: str) -> None:
-        tcp = isinstance(table, TcpBusTable)
+    def __init__(self, table: bus_tables.TcpBusTable | bus_tables.UdpBusTable, host: str) -> None:
+        tcp = isinstance(table, bus_tables.TcpBusTable)
         self._host = VirtualTcp(host) if tcp else UdpEnd(host)
         super().__init__(NetworkBus(self._host), f"{table.kind}://{host}:{30004 if tcp else 49152}")
 
@@ -262,7 +253,12 @@ class _NetworkPort(Port):
 
 
 def in_process(
-    tables: Mapping[str, BusTable], directory: Path, clock: Callable[[], int], *, name: str = "hil", seed: int = 0
+    tables: Mapping[str, bus_tables.BusTable],
+    directory: Path,
+    clock: Callable[[], int],
+    *,
+    name: str = "hil",
+    seed: int = 0,
 ) -> Ports:
     """Open every bus in this process.
 
@@ -274,20 +270,20 @@ def in_process(
         seed: Of the jitter of all stamps.
     """
 
-    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+    def open_port(bus: str, table: bus_tables.BusTable, place: int, seed: int) -> Port:
         del place
         match table:
-            case I2cBusTable():
+            case bus_tables.I2cBusTable():
                 return _I2cPort(f"/dev/i2c-{name}-{bus}", clock)
-            case PairBusTable():
+            case bus_tables.PairBusTable():
                 return _PairPort(f"/dev/gpiochip-{name}-{bus}", clock)
-            case CanBusTable():
+            case bus_tables.CanBusTable():
                 return _CanPort(f"{name}_{bus}", table.bit_rate, seed)
-            case PulseLineTable():
+            case bus_tables.PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
-            case SerialBusTable():
+            case bus_tables.SerialBusTable():
                 return _SerialPort(f"/dev/hil-{name}-{bus}", table, seed)
-            case TcpBusTable() | UdpBusTable():
+            case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
                 return _NetworkPort(table, f"hil-{name}-{bus}")
 
     return open_ports(tables, open_port, seed)

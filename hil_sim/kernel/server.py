@@ -25,16 +25,7 @@ from hil_sim.buses.ports import Port, Ports, open_ports
 from hil_sim.faults import NEVER
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
-from hil_sim.scenario.bus_tables import (
-    BusTable,
-    CanBusTable,
-    I2cBusTable,
-    PairBusTable,
-    PulseLineTable,
-    SerialBusTable,
-    TcpBusTable,
-    UdpBusTable,
-)
+from hil_sim.scenario import bus_tables
 from hil_sim.serve import NetworkPort, PairPort, PseudoTerminal
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
@@ -175,7 +166,7 @@ class _CanPort(Port):
 
 
 def open_nodes(
-    tables: Mapping[str, BusTable],
+    tables: Mapping[str, bus_tables.BusTable],
     directory: Path,
     *,
     i2c_node: str = "i2c-9",
@@ -195,19 +186,19 @@ def open_nodes(
         OSError: The kernel has no CUSE, no CAN or no such interface.
     """
 
-    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+    def open_port(bus: str, table: bus_tables.BusTable, place: int, seed: int) -> Port:
         match table:
-            case I2cBusTable():
+            case bus_tables.I2cBusTable():
                 return _I2cPort(_counted_on(i2c_node, place), table.bit_rate)
-            case PairBusTable():
+            case bus_tables.PairBusTable():
                 return PairPort(directory / f"{bus}.sock")
-            case CanBusTable():
+            case bus_tables.CanBusTable():
                 return _CanPort(_counted_on(can_interface, place), table.bit_rate, seed)
-            case PulseLineTable():
+            case bus_tables.PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
-            case SerialBusTable():
+            case bus_tables.SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
-            case TcpBusTable() | UdpBusTable():
+            case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
                 return NetworkPort(table)
 
     return open_ports(tables, open_port, seed)

@@ -12,18 +12,7 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.free_flyer import (
-    ARM,
-    BASE,
-    IMU_QUATERNION,
-    JOINTS,
-    Body,
-    GRASP_m,
-    IMU_POSITION_m,
-    Motion,
-    arm_xml,
-    body_xml,
-)
+from hil_sim.plants import free_flyer
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 from hil_sim.plants.parts.pucks import Puck, drag_wrench
 
@@ -51,26 +40,32 @@ class PlanarFlight(NamedTuple):
 
 
 def world(
-    payload: Body, base: Body = BASE, arm: Sequence[Body] = ARM, tilt_m_s2: Sequence[float] | FloatArray = (0.0, 0.0)
+    payload: free_flyer.Body,
+    base: free_flyer.Body = free_flyer.BASE,
+    arm: Sequence[free_flyer.Body] = free_flyer.ARM,
+    tilt_m_s2: Sequence[float] | FloatArray = (0.0, 0.0),
 ) -> mujoco.MjModel:
     """The vehicle on its table; ``tilt_m_s2``: gravity along the table, table axes."""
-    held = body_xml("payload", payload, GRASP_m)
+    held = free_flyer.body_xml("payload", payload, free_flyer.GRASP_m)
     slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
-    place, turn = (" ".join(repr(float(v)) for v in values) for values in (IMU_POSITION_m, IMU_QUATERNION))
+    place, turn = (
+        " ".join(repr(float(v)) for v in values) for values in (free_flyer.IMU_POSITION_m, free_flyer.IMU_QUATERNION)
+    )
     imu = f'<site name="imu" pos="{place}" quat="{turn}"/>'
+    on_base = slides + imu + free_flyer.arm_xml(held, arm)
     x, y = (float(value) for value in tilt_m_s2)
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
         f'<option gravity="{x!r} {y!r} {-STANDARD_GRAVITY}" integrator="RK4" timestep="0.002">'
         '<flag contact="disable"/></option>'
-        f"<worldbody>{body_xml('base', base, (0.0, 0.0, 0.0), slides + imu + arm_xml(held, arm))}</worldbody>"
+        f"<worldbody>{free_flyer.body_xml('base', base, (0.0, 0.0, 0.0), on_base)}</worldbody>"
         '<sensor><gyro site="imu"/><accelerometer site="imu"/></sensor></mujoco>'
     )
 
 
 def fly(
     model: mujoco.MjModel,
-    motion: Motion,
+    motion: free_flyer.Motion,
     velocity: Sequence[float] | FloatArray,
     drags: Sequence[Drag],
     duration_s: float,
@@ -101,7 +96,7 @@ def fly(
         data.qfrc_applied[:3] = drag
         data.qfrc_applied[3:] = data.qfrc_bias[3:] + M[3:, :3] @ base + M[3:, 3:] @ joints
 
-    flight = PlanarFlight(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3)))
+    flight = PlanarFlight(*(np.empty((samples, width)) for width in (1, free_flyer.JOINTS, free_flyer.JOINTS, 3, 3, 3)))
     mujoco.set_mjcb_control(torque)
     try:
         for k in range(samples):

@@ -7,20 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import (
-    FAILED,
-    OK,
-    Commands,
-    add_json,
-    complain,
-    console,
-    load_vehicle,
-    next_log,
-    progress,
-    show,
-    with_urls,
-    write_json,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
@@ -35,7 +22,7 @@ if TYPE_CHECKING:
 _WEIGHED_SIGMA_KG = 0.005
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     calibrate = commands.add_parser(
         "calibrate",
@@ -63,7 +50,7 @@ def _kind(kinds: Any, name: str, about: str, device: str, **others: Any) -> Any:
     one.add_argument("--latitude-deg", type=float, help="of the place, for gravity; without it 0.15 %% are added")
     one.add_argument("--height-m", type=float, default=0.0, help="above the sea (0)")
     one.add_argument("--dry-run", action="store_true", help="show what would change in the file, and leave it")
-    add_json(one)
+    common.add_json(one)
     one.set_defaults(command=_calibrate, what=name, **others)
     return one
 
@@ -134,7 +121,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from onboard.ground.calibrate import readings, vehicle_file
     from onboard.recording.reader import LogReader
 
-    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
+    vehicle = common.with_urls(common.load_vehicle(arguments.vehicle), arguments.url)
     if not arguments.dry_run:
         vehicle_file.require_writable(vehicle)
     if arguments.what == "balance" and (done := _part(arguments, vehicle)) is not None:
@@ -143,12 +130,12 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     at = readings.spans_of(arguments.at)
     log = arguments.log or _recorded(arguments, vehicle, device)
     try:
-        with progress() as bar:
+        with common.progress() as bar:
             bar.add_task(f"{arguments.what} {log.name}", total=None)
             found = arguments.analyse(arguments, LogReader(log), vehicle, device, at)
     except CalibrationError as error:
-        complain(f"{error} ({vehicle.label} is as it was; the log is {log})")
-        return FAILED
+        common.complain(f"{error} ({vehicle.label} is as it was; the log is {log})")
+        return common.FAILED
     return _written(arguments, vehicle, found, device, log)
 
 
@@ -174,8 +161,8 @@ def _part(a: argparse.Namespace, vehicle: "config.Vehicle") -> int | None:
             rig = _simulated_part(a, vehicle, rig)
         found = supports.balance_part(vehicle, a.link, rig)
     except CalibrationError as error:
-        complain(f"{error} ({vehicle.label} is as it was)")
-        return FAILED
+        common.complain(f"{error} ({vehicle.label} is as it was)")
+        return common.FAILED
     return _written(a, vehicle, found, a.link, a.rig)
 
 
@@ -201,17 +188,19 @@ def _written(
     tables = dict.fromkeys(one.table for one in found.changes if one.table[0] in ("device", "link"))
     found.changes += [result.KeyChange(table, "calibrated", note) for table in tables]
     text = vehicle_file.changed(vehicle, found.changes)
-    show(result.render(found, f"{arguments.what}: {what} of {vehicle.file.vehicle.name}"))
+    common.show(result.render(found, f"{arguments.what}: {what} of {vehicle.file.vehicle.name}"))
     for line in found.notes:
-        console().print(line, soft_wrap=True, highlight=False, markup=False)
+        common.console().print(line, soft_wrap=True, highlight=False, markup=False)
     if arguments.dry_run:
         sys.stdout.write(vehicle_file.difference(vehicle, text))
     else:
         vehicle_file.replace(vehicle, text)
     told = "would be changed" if arguments.dry_run else "changed"
-    console().print(f"{vehicle.label}: {len(found.changes)} keys {told}; from {source}", soft_wrap=True, markup=False)
-    write_json(arguments.json, found.as_json() | {"log": str(source), "device": what, "calibrated": note})
-    return OK
+    common.console().print(
+        f"{vehicle.label}: {len(found.changes)} keys {told}; from {source}", soft_wrap=True, markup=False
+    )
+    common.write_json(arguments.json, found.as_json() | {"log": str(source), "device": what, "calibrated": note})
+    return common.OK
 
 
 def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
@@ -252,7 +241,7 @@ def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: 
     wanted = {device, *(imus if arguments.what == "balance" else [])}
     some = bench.only(vehicle, wanted)
     name = f"{vehicle.file.vehicle.name}-{arguments.what}"
-    log: Path = arguments.record or next_log(vehicle.file.recording.directory, name)
+    log: Path = arguments.record or common.next_log(vehicle.file.recording.directory, name)
     if arguments.hil is not None:
         _simulated(arguments, some, device, log)
     else:
@@ -274,7 +263,7 @@ def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device:
         arguments.latitude_deg = LATITUDE_deg
     scenario = arguments.hil or vehicle.file.vehicle.name
     settings = steps.settings(arguments, vehicle, device)
-    with progress() as bar:
+    with common.progress() as bar:
         task = bar.add_task(f"{arguments.what} bench, seed {arguments.seed}", total=1.0)
         world, urls = open_bench(arguments.what, scenario, arguments.seed, set(vehicle.file.device), settings)
         with world:
@@ -293,7 +282,7 @@ def _guided(steps: "list[GuideStep]", vehicle: "config.Vehicle", log: Path) -> N
             input(f"{number}/{len(steps)}  {step.text} Enter when it is so: ")
             pumped.check()
             run.mark(bench.BEGIN, step.name)
-            with progress() as bar:
+            with common.progress() as bar:
                 task = bar.add_task(step.name, total=step.hold_s)
                 begun_s = time.monotonic()
                 while (done_s := time.monotonic() - begun_s) < step.hold_s:

@@ -7,18 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import (
-    FAILED,
-    NOT_READY,
-    OK,
-    Commands,
-    add_json,
-    busy,
-    load_vehicle,
-    show,
-    with_urls,
-    write_json,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
@@ -27,7 +16,7 @@ if TYPE_CHECKING:
 _MOVE_S, _DRY_RUN_S = 20.0, 10.0
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     checkout = commands.add_parser("checkout", help="walk through the checkout list, or compute what a loss leaves")
     checkout.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
@@ -46,7 +35,7 @@ def add(commands: Commands) -> None:
     checkout.add_argument("--move", type=float, metavar="S", default=_MOVE_S, help="to move a joint (default 20)")
     checkout.add_argument("--dry-run", type=float, metavar="S", default=_DRY_RUN_S, help="its length (default 10)")
     checkout.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
-    add_json(checkout)
+    common.add_json(checkout)
     checkout.set_defaults(command=_checkout)
 
 
@@ -58,7 +47,7 @@ def _checkout(arguments: argparse.Namespace) -> int:
     ):
         if not 0.0 < value < 1e6:
             raise ValueError(f"{option} {value:g}: give a positive number")
-    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
+    vehicle = common.with_urls(common.load_vehicle(arguments.vehicle), arguments.url)
     if arguments.without:
         return _without(vehicle, arguments)
     if arguments.scenario:
@@ -77,13 +66,13 @@ def _without(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     from onboard.ground.before.foresee.plan import plan_of
 
     scenario = scenario_of(vehicle.path, arguments.scenario)
-    with busy(f"what is left without {', '.join(arguments.without)}"):
+    with common.busy(f"what is left without {', '.join(arguments.without)}"):
         plan = plan_of(vehicle, default_plan(scenario, 1.0 / vehicle.file.estimation.row_rate_hz))
         found = foresee_without(vehicle, plan, list(dict.fromkeys(arguments.without)))
     motion = "the motion of the scenario" if arguments.scenario else "the default motion of a rehearsal"
-    show(contingency.render(found, motion))
-    write_json(arguments.json, found.as_json())
-    return OK if found.useful else FAILED
+    common.show(contingency.render(found, motion))
+    common.write_json(arguments.json, found.as_json())
+    return common.OK if found.useful else common.FAILED
 
 
 class _Console:
@@ -115,11 +104,11 @@ def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     bench = checkout.Bench(time.monotonic_ns, time.sleep, lambda: datetime.now(UTC), workers.run_for, dry_run)
     lengths = checkout.Lengths(arguments.seconds, arguments.move, 60.0 * arguments.minutes)
     record = checkout.checkout(vehicle, Estimator(vehicle), bench, _Console(), lengths)
-    show(checkout.render(record))
+    common.show(checkout.render(record))
     path = checkout.write(record, directory)
     print(path)
-    write_json(arguments.json, record.as_json())
-    return OK if record.ready else NOT_READY
+    common.write_json(arguments.json, record.as_json())
+    return common.OK if record.ready else common.NOT_READY
 
 
 def _dry_run(vehicle: "config.Vehicle", seconds: float) -> "CheckResult":

@@ -4,25 +4,14 @@ import argparse
 import time
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import (
-    NOT_READY,
-    OK,
-    Commands,
-    add_json,
-    busy,
-    console,
-    load_vehicle,
-    show,
-    with_urls,
-    write_json,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
     from onboard.flight.check.scan import Bus
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     devices = commands.add_parser(
         "devices",
@@ -38,7 +27,7 @@ def add(commands: Commands) -> None:
     devices.add_argument("--test", metavar="WHAT", help="a kind that answers on a bus, or a device of --vehicle")
     devices.add_argument("--vehicle", help="of --test: its vehicle.toml, or the name of a packaged vehicle")
     devices.add_argument("--seconds", type=float, metavar="S", help="that --test runs (default 120)")
-    add_json(devices)
+    common.add_json(devices)
     devices.set_defaults(command=_devices)
 
 
@@ -52,7 +41,7 @@ def _devices(arguments: argparse.Namespace) -> int:
 
     buses = _scanned(arguments.url)
     adapters = [] if arguments.url else serial_adapters()
-    out = console()
+    out = common.console()
     for bus in buses:
         out.print(bus.url, markup=False, highlight=False, style="bold")
         lines = [f"  {one.where:8s} {one.what}" + (f" -> {one.kind}" if one.kind else "") for one in bus.found]
@@ -68,8 +57,8 @@ def _devices(arguments: argparse.Namespace) -> int:
         out.print("\nlines for vehicle.toml, with the joints, frames and numbers yours:\n")
         out.print(text, markup=False, highlight=False, soft_wrap=True)
     as_json = [{**bus._asdict(), "found": [one._asdict() for one in bus.found]} for bus in buses]
-    write_json(arguments.json, {"buses": as_json, "serial": adapters, "vehicle_toml": text})
-    return OK
+    common.write_json(arguments.json, {"buses": as_json, "serial": adapters, "vehicle_toml": text})
+    return common.OK
 
 
 def _scanned(urls: list[str]) -> "list[Bus]":
@@ -77,7 +66,7 @@ def _scanned(urls: list[str]) -> "list[Bus]":
 
     buses: list[Bus] = []
     for url in urls or scan.urls():
-        with busy(f"looking at {url}"):
+        with common.busy(f"looking at {url}"):
             buses.append(scan.scan(url, time.monotonic_ns, time.sleep))
     return buses
 
@@ -90,12 +79,12 @@ def _test(arguments: argparse.Namespace) -> int:
     if not 0.0 < seconds <= 3600.0:
         raise ValueError(f"--seconds {seconds:g}: give the length of the test, up to an hour")
     vehicle, names = _of_file(arguments) if arguments.vehicle is not None else _on_bus(arguments)
-    with busy(f"{', '.join(names)} at rest for {seconds:g} s: do not touch"):
+    with common.busy(f"{', '.join(names)} at rest for {seconds:g} s: do not touch"):
         tests = desk.desk_tests(vehicle, names, time.monotonic_ns, time.sleep, workers.run_for, seconds)
     for test in tests:
-        show(desk.render(test))
-    write_json(arguments.json, {"tests": [_as_json(test) for test in tests]})
-    return NOT_READY if any(test.problems for test in tests) else OK
+        common.show(desk.render(test))
+    common.write_json(arguments.json, {"tests": [_as_json(test) for test in tests]})
+    return common.NOT_READY if any(test.problems for test in tests) else common.OK
 
 
 def _as_json(test: Any) -> dict[str, Any]:
@@ -108,7 +97,7 @@ def _of_file(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]
     from onboard.devices.base import BusDevice
     from onboard.flight.check import desk
 
-    vehicle = with_urls(load_vehicle(arguments.vehicle), arguments.url)
+    vehicle = common.with_urls(common.load_vehicle(arguments.vehicle), arguments.url)
     there = {name: one.kind for name, one in vehicle.file.device.items() if isinstance(one, BusDevice)}
     names = [name for name, kind in there.items() if arguments.test in (name, kind)]
     if not names:

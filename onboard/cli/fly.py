@@ -5,28 +5,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import (
-    FAILED,
-    NOT_READY,
-    OK,
-    Commands,
-    add_flying,
-    busy,
-    complain,
-    console,
-    load_vehicle,
-    next_log,
-    show,
-    shown,
-    with_hand_over,
-    with_urls,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
     fly.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
@@ -46,7 +31,7 @@ def add(commands: Commands) -> None:
     spoken = fly.add_mutually_exclusive_group()
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
-    add_flying(fly)
+    common.add_flying(fly)
     fly.set_defaults(command=_fly)
 
 
@@ -56,14 +41,15 @@ def _fly(arguments: argparse.Namespace) -> int:
     from onboard.flight.supervise import runner
     from onboard.flight.supervise.runner_processes import FlightError
 
-    vehicle, plan = config.with_mission(load_vehicle(arguments.vehicle), arguments.until, arguments.segments), None
+    vehicle = config.with_mission(common.load_vehicle(arguments.vehicle), arguments.until, arguments.segments)
+    plan = None
     driven = _with_drives(vehicle, arguments)
     if driven is None:
-        return NOT_READY
+        return common.NOT_READY
     vehicle = driven
     log = arguments.log
     if log is None:
-        new_log = next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
+        new_log = common.next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
         plan = runner.plan_of(vehicle, new_log, fresh=arguments.new)
         vehicle, log = plan.vehicle, plan.log
         if plan.before is not None and vehicle.arm:
@@ -73,25 +59,25 @@ def _fly(arguments: argparse.Namespace) -> int:
         from onboard.recording.reader import LogReader
 
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
-    vehicle = with_hand_over(with_urls(vehicle, arguments.url), arguments.hand_over)
+    vehicle = common.with_hand_over(common.with_urls(vehicle, arguments.url), arguments.hand_over)
     try:
         with (
             runner.Servers(vehicle, shared=True) as servers,  # before there are threads
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
-            shown(arguments, log, vehicle),
+            common.shown(arguments, log, vehicle),
         ):
             flight = runner.fly(
                 vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan, servers=servers
             )
     except FlightError as error:
-        complain(error)
-        return FAILED
+        common.complain(error)
+        return common.FAILED
     print(flight.log)
     for lost in flight.lost:
-        complain(f"of the log: {lost}")
+        common.complain(f"of the log: {lost}")
     for name in flight.died:
-        complain(f"the {name} worker died; see its message above, and the event in the log")
-    return FAILED if flight.died or flight.lost or (flight.missing and not flight.was_over) else OK
+        common.complain(f"the {name} worker died; see its message above, and the event in the log")
+    return common.FAILED if flight.died or flight.lost or (flight.missing and not flight.was_over) else common.OK
 
 
 def _with_drives(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> "config.Vehicle | None":
@@ -114,16 +100,18 @@ def _with_drives(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> "c
         raise ValueError(f"{vehicle.label}: no motion to drive: give --motion, or [drive] motion")
     playing = [bus for bus in vehicle.buses if vehicle.play(bus) is not None]
     looks = time.monotonic_ns, time.sleep, workers.run_for, None, preflight.FLIGHT_S, Estimator(vehicle), time.time()
-    with busy("preflight, before the arm is driven") as told:
-        found = preflight.preflight(with_urls(vehicle, arguments.url), *looks, told)
+    with common.busy("preflight, before the arm is driven") as told:
+        found = preflight.preflight(common.with_urls(vehicle, arguments.url), *looks, told)
     played = vehicle.motion.name if vehicle.motion is not None else "segments as they are asked for"
     if found.ready:
-        console().print(f"preflight is green: {played} on {', '.join(playing)}")
+        common.console().print(f"preflight is green: {played} on {', '.join(playing)}")
         return vehicle
-    show(preflight.render(found))
+    common.show(preflight.render(found))
     if vehicle.arm:
-        complain("the preflight is not green: the arm is not driven, and nothing flown; fly without --arm to record")
+        common.complain(
+            "the preflight is not green: the arm is not driven, and nothing flown; fly without --arm to record"
+        )
         return None
-    complain("the preflight is not green: the flight begins, and the arm is not driven")
+    common.complain("the preflight is not green: the flight begins, and the arm is not driven")
     off = drive.model_copy(update={"armed": False})
     return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"drive": off})})

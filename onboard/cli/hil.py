@@ -5,32 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli import controller
-from onboard.cli.common import (
-    FAILED,
-    OK,
-    Commands,
-    add_flying,
-    add_json,
-    complain,
-    console,
-    next_log,
-    page_address,
-    progress,
-    show,
-    show_foreseen,
-    shown,
-    warn,
-    with_hand_over,
-    write_json,
-)
+from onboard.cli import common, controller
 
 if TYPE_CHECKING:
     from onboard import config
     from onboard.flight.hil import Flown
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     hil = commands.add_parser("hil", help="fly a scenario against simulated devices")
     hil.add_argument("scenario", help="a packaged mission or test bed: rocksat, capture, ...; or your vehicle.toml")
@@ -42,7 +24,7 @@ def add(commands: Commands) -> None:
     )
     hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
-    add_json(hil)
+    common.add_json(hil)
     hil.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
     hil.add_argument(
         "--fault",
@@ -53,7 +35,7 @@ def add(commands: Commands) -> None:
     )
     hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
     hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
-    add_flying(hil)
+    common.add_flying(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
 
@@ -74,7 +56,7 @@ def _hil(arguments: argparse.Namespace) -> int:
 
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
-    if page_address(arguments) is not None and not arguments.realtime:
+    if common.page_address(arguments) is not None and not arguments.realtime:
         raise ValueError("--page shows a flight on the real clock: add --realtime, or heft watch LOG --page afterwards")
     if arguments.telemetry is not None and not arguments.realtime:
         raise ValueError("--telemetry sends a flight on the real clock: add --realtime")
@@ -87,8 +69,8 @@ def _hil(arguments: argparse.Namespace) -> int:
     flown_as = arguments.scenario if asks is None else _rehearsed(vehicle.path, arguments)
     scenario = scenario_of(flown_as, arguments.over, arguments.campaign)
     scenario = scenario if asks is None else with_segments(scenario, asks, arguments.most)
-    warn(held_otherwise(vehicle, scenario))
-    vehicle = with_hand_over(vehicle, arguments.hand_over)
+    common.warn(held_otherwise(vehicle, scenario))
+    vehicle = common.with_hand_over(vehicle, arguments.hand_over)
     if arguments.controller:
         return controller.fly(arguments, vehicle, scenario, faults)
     world, urls = open_in_process(scenario, seed, faults)  # what cannot be is refused here, with the reason
@@ -96,19 +78,20 @@ def _hil(arguments: argparse.Namespace) -> int:
         world.close()
     if arguments.faults:
         _list_faults(world.possible_faults(), EFFECTS)
-        return OK
-    log = arguments.log or next_log(vehicle.file.recording.directory, name)
-    with progress(threads=not arguments.realtime) as bar:  # the fork server is forked from a process without threads
+        return common.OK
+    log = arguments.log or common.next_log(vehicle.file.recording.directory, name)
+    # the fork server is forked from a process without threads
+    with common.progress(threads=not arguments.realtime) as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
         expected = _foresee(vehicle, world) if asks is None else []
         if arguments.realtime:
             serve = _serving(flown_as, asks, arguments)
             try:
-                with shown(arguments, log, vehicle):
+                with common.shown(arguments, log, vehicle):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
             except FlightError as error:
-                complain(error)
-                return FAILED
+                common.complain(error)
+                return common.FAILED
         else:
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
@@ -166,25 +149,25 @@ def _shown(
     from onboard.ground.log.tables import truth
     from onboard.recording.space import refusal
 
-    result, log, shown = mission_table.result(flown, vehicle) | {"expected": expected}, flown.log, console()
-    show(mission_table.render(result))
-    shown.print(f"log: {log}", soft_wrap=True)
-    shown.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
+    result, log, screen = mission_table.result(flown, vehicle) | {"expected": expected}, flown.log, common.console()
+    common.show(mission_table.render(result))
+    screen.print(f"log: {log}", soft_wrap=True)
+    screen.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
     try:
         truth.write(log, own_mission.with_quantities(vehicle, flown.truth))
-        write_json(arguments.json, result)
+        common.write_json(arguments.json, result)
     except OSError as error:
-        complain(refusal(error))
-        return FAILED
+        common.complain(refusal(error))
+        return common.FAILED
     for lost in flown.lost:
-        complain(f"of the log: {lost}")
-    return OK if result["identified"] and result["accounted"] and not flown.lost else FAILED
+        common.complain(f"of the log: {lost}")
+    return common.OK if result["identified"] and result["accounted"] and not flown.lost else common.FAILED
 
 
 def _foresee(vehicle: "config.Vehicle", world: Any) -> list[dict[str, Any]]:
     """Say what the motion of a vehicle determines, before it is flown; as JSON values too."""
     planned = world.planned(1.0 / vehicle.file.estimation.row_rate_hz)
-    return [] if planned is None else show_foreseen(vehicle, planned, "this motion")
+    return [] if planned is None else common.show_foreseen(vehicle, planned, "this motion")
 
 
 def _list_faults(possible: Mapping[str, Iterable[str]], effects: Mapping[Any, str]) -> None:
@@ -206,6 +189,6 @@ def _list_faults(possible: Mapping[str, Iterable[str]], effects: Mapping[Any, st
         devices.add_row(name, ", ".join(its))
     for kind in sorted({kind for its in possible.values() for kind in its}):
         kinds.add_row(kind, effects[kind])
-    show(devices)
-    console().print()
-    show(kinds)
+    common.show(devices)
+    common.console().print()
+    common.show(kinds)

@@ -6,18 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import (
-    DAMAGED,
-    FAILED,
-    OK,
-    Commands,
-    add_json,
-    load_vehicle,
-    progress,
-    show,
-    warn,
-    write_json,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +16,7 @@ if TYPE_CHECKING:
     from onboard.recording.reader import LogReader
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     identify = commands.add_parser("identify", help="identify from logs with the onboard estimator")
     identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
@@ -57,7 +46,7 @@ def add(commands: Commands) -> None:
         help="write vehicle.toml and URDF with the arm's links as found in one log, and how well, for other recordings",
     )
     identify.add_argument("--budget", action="store_true", help="show what the interval of each answer is made of")
-    add_json(identify)
+    common.add_json(identify)
     identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
     identify.set_defaults(command=_identify)
 
@@ -67,7 +56,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     from onboard.recording.reader import LogReader
 
     if arguments.vehicle:
-        return _identify_with(load_vehicle(arguments.vehicle, arguments.urdf_in), arguments)
+        return _identify_with(common.load_vehicle(arguments.vehicle, arguments.urdf_in), arguments)
     if arguments.urdf_in:
         raise ValueError("--urdf-in is the URDF of the --vehicle; logs that carry their vehicle carry its URDF too")
     if not arguments.logs:
@@ -94,27 +83,27 @@ def _identify_with(
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
     _check_outputs(vehicle, arguments)
-    with progress() as bar:
+    with common.progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))
     if arguments.predict:
         made = tuple((log, predict(found.vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)
-    show(identify_view.render(found))
+    common.show(identify_view.render(found))
     if arguments.budget:
-        show(identify_view.budgets(found))
-    write_json(arguments.json, found.as_json())
+        common.show(identify_view.budgets(found))
+    common.write_json(arguments.json, found.as_json())
     if arguments.report:
         from onboard.ground.report import identified
 
         identified.write(found, arguments.report)
         print(arguments.report)
-    warn(found.damage)
+    common.warn(found.damage)
     if found.usable:
         _write_vehicles(vehicle, found.logs[0], arguments)
     if not found.usable:
-        return FAILED
-    return DAMAGED if found.damage else OK
+        return common.FAILED
+    return common.DAMAGED if found.damage else common.OK
 
 
 def _check_outputs(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> None:
@@ -147,6 +136,6 @@ def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int
     if arguments.logs:
         raise ValueError("--parameters depend on the vehicle only; leave the logs out")
     found = parameters.parameters(vehicle)
-    show(parameters.render(found))
-    write_json(arguments.json, found.as_json())
-    return OK
+    common.show(parameters.render(found))
+    common.write_json(arguments.json, found.as_json())
+    return common.OK

@@ -3,21 +3,10 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import (
-    FAILED,
-    OK,
-    Commands,
-    add_json,
-    busy,
-    complain,
-    load_vehicle,
-    progress,
-    show,
-    write_json,
-)
+from onboard.cli import common
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     resync = commands.add_parser("resync", help="find how the clocks of several recorders' logs lie, from the motion")
     resync.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="logs of one flight; one with an IMU")
@@ -28,7 +17,7 @@ def add(commands: Commands) -> None:
     resync.add_argument("--rate-limit", type=float, default=0.02, help="largest error of a clock's rate (0.02)")
     resync.add_argument("--shocks", action="store_true", help="compare taps of a mallet instead; good to milliseconds")
     resync.add_argument("-o", "--output", type=Path, metavar="FILE", help="merge the logs into FILE as well")
-    add_json(resync)
+    common.add_json(resync)
     resync.set_defaults(command=_resync)
 
 
@@ -40,17 +29,17 @@ def _resync(arguments: argparse.Namespace) -> int:
     from onboard.recording.reader import LogReader
     from onboard.timebase.resync import ResyncError
 
-    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
+    vehicle = common.load_vehicle(arguments.vehicle) if arguments.vehicle else None
     groups = flights(arguments.logs)
     try:
         logs = [LogReader(one) for one in named(arguments.logs)]
-        with busy("resync") as told:
+        with common.busy("resync") as told:
             placed = resync(logs, vehicle, arguments.peak_hz, arguments.rate_limit, arguments.shocks, told)
     except ResyncError as error:
-        complain(error)
-        return FAILED
-    show(render(placed))
-    write_json(arguments.json, [one.as_json() for one in placed])
+        common.complain(error)
+        return common.FAILED
+    common.show(render(placed))
+    common.write_json(arguments.json, [one.as_json() for one in placed])
     if arguments.output:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
         whole = [one if isinstance(one, Path) else None for one in named(arguments.logs)]
@@ -58,7 +47,7 @@ def _resync(arguments: argparse.Namespace) -> int:
             RecorderLog(group, *clocks.get(group[0], (0, 1.0)), whole=one)
             for group, one in zip(groups, whole, strict=True)
         ]
-        with progress() as bar:
+        with common.progress() as bar:
             merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output, progress=bar)
         print(arguments.output)
-    return OK
+    return common.OK

@@ -12,20 +12,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import (
-    DAMAGED,
-    FAILED,
-    OK,
-    Commands,
-    add_page,
-    busy,
-    complain,
-    console,
-    load_vehicle,
-    page_address,
-    show_page,
-    warn,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
@@ -37,7 +24,7 @@ _FRAME_S = 0.25
 _COMMANDS_S = 30.0  # that reports on commands are waited for
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     telemetry = commands.add_parser(
         "telemetry",
@@ -63,7 +50,7 @@ def add(commands: Commands) -> None:
         "only what its [telemetry] commands arms",
     )
     telemetry.add_argument("--source", type=int, default=0, metavar="N", help="with --command: who asks (default 0)")
-    add_page(telemetry, "with --decode what comes down")
+    common.add_page(telemetry, "with --decode what comes down")
     telemetry.set_defaults(command=_telemetry)
 
 
@@ -81,7 +68,7 @@ def _telemetry(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--source {arguments.source}: give 0 to 65535")
     if arguments.send is not None:
         return _send(arguments.of, arguments.send)
-    if (shown := page_address(arguments)) is not None and (not arguments.decode or arguments.asked):
+    if (shown := common.page_address(arguments)) is not None and (not arguments.decode or arguments.asked):
         raise ValueError("--page shows what comes down: add --decode, without --command")
     with _vehicle(arguments.of) as vehicle:
         if shown is not None:
@@ -106,12 +93,12 @@ def _page(vehicle: "config.Vehicle | None", arguments: argparse.Namespace, shown
     payload = "" if vehicle is None else vehicle.file.vehicle.payload_link or ""
     if link.kind != "file":
         source = Received(link, apids, payload, time.monotonic)
-        show_page(arguments, shown, source)
+        common.show_page(arguments, shown, source)
         source.close()
-        return OK
+        return common.OK
     file = PacketFile(Path(link.path), apids)
-    show_page(arguments, shown, Recorded(file))
-    return OK if file.is_whole else DAMAGED
+    common.show_page(arguments, shown, Recorded(file))
+    return common.OK if file.is_whole else common.DAMAGED
 
 
 @contextmanager
@@ -121,7 +108,7 @@ def _vehicle(of: str | None) -> "Iterator[config.Vehicle | None]":
     from onboard.recording.reader import LogReader
 
     if of is None or not of.endswith(".mcap"):
-        yield None if of is None else load_vehicle(of)
+        yield None if of is None else common.load_vehicle(of)
         return
     with tempfile.TemporaryDirectory() as directory:
         yield vehicle_of(LogReader(Path(of)), Path(directory))
@@ -140,7 +127,7 @@ def _database(vehicle: "config.Vehicle | None", directory: Path) -> int:
     if vehicle is not None:
         from onboard.flight.estimate.estimator import Estimator
 
-        with busy("the estimator is built, for the names of its answers"):
+        with common.busy("the estimator is built, for the names of its answers"):
             name, quantities = vehicle.file.vehicle.name, Estimator(vehicle).online.quantity_names
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / "heft.xml"
@@ -148,7 +135,7 @@ def _database(vehicle: "config.Vehicle | None", directory: Path) -> int:
     taken = settings.command_apid if settings.commands else 0
     path.write_text(database(name, settings.apids, quantities, taken), encoding="utf-8")
     print(path)
-    return OK
+    return common.OK
 
 
 def _link(text: str) -> "Address":
@@ -195,7 +182,7 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
         except OSError as error:
             if not board.packets or isinstance(error, BrokenPipeError):
                 raise
-            complain(f"{arguments.decode}: {error}")  # what came is shown
+            common.complain(f"{arguments.decode}: {error}")  # what came is shown
     silent_s = 0.0 if address.kind == "file" else time.monotonic() - heard
     take(stream.finish())
     if not board.packets:
@@ -205,12 +192,12 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
         for line in board.losses():
             sys.stderr.write(f"heft: {line}\n")
     elif not arguments.asked:
-        console().print(board.render(silent_s))
+        common.console().print(board.render(silent_s))
     if arguments.asked and not (commander.over and all(commander.done)):
         told = f"{sum(commander.done)} of {len(arguments.asked)} commands are reported to be done"
-        complain(told if commander.over else f"{told} within {duration_s:g} s")
-        return FAILED
-    return OK if board.is_whole or arguments.asked else DAMAGED
+        common.complain(told if commander.over else f"{told} within {duration_s:g} s")
+        return common.FAILED
+    return common.OK if board.is_whole or arguments.asked else common.DAMAGED
 
 
 def _commander(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> "tuple[Commander, deque[bytes]]":
@@ -230,7 +217,7 @@ def _screen(board: Any, *, quiet: bool) -> Iterator[Any]:
     """Shows the board while packets come, on a terminal."""
     from rich.live import Live
 
-    shown = console()
+    shown = common.console()
     if quiet or not shown.is_terminal:
         yield lambda silent_s: None
         return
@@ -259,7 +246,7 @@ def _send(of: str | None, link: str) -> int:
         assert vehicle is not None
         log, opened = LogReader(Path(of)), sink(address)
         first_ns, started, count = 0, time.monotonic(), 0
-        with closing(opened), busy("packets are sent") as told:
+        with closing(opened), common.busy("packets are sent") as told:
             for at_ns, packet in packets_of(log, vehicle.file.telemetry):
                 first_ns = first_ns or at_ns
                 if address.kind != "file":
@@ -272,5 +259,5 @@ def _send(of: str | None, link: str) -> int:
             while not opened.ready():
                 time.sleep(0.01)
     print(f"{count} packets")
-    warn(log.damage)
-    return DAMAGED if log.damage else OK
+    common.warn(log.damage)
+    return common.DAMAGED if log.damage else common.OK

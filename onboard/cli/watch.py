@@ -7,17 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import (
-    DAMAGED,
-    OK,
-    Commands,
-    add_page,
-    busy,
-    console,
-    page_address,
-    show_page,
-    warn,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard.flight.store.manifest import Manifest
@@ -29,7 +19,7 @@ if TYPE_CHECKING:
 _FRAME_S = 0.2
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     watch = commands.add_parser(
         "watch", help="rates, gaps, clocks, gates, the estimate: a running flight, or a log played"
@@ -45,7 +35,7 @@ def add(commands: Commands) -> None:
     watch.add_argument(
         "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as possible)"
     )
-    add_page(watch, "it")
+    common.add_page(watch, "it")
     watch.add_argument(
         "--page-meshes",
         type=Path,
@@ -66,11 +56,11 @@ def _watch(arguments: argparse.Namespace) -> int:
         from onboard.cli.telemetry import watch
 
         return watch(arguments)
-    if (address := page_address(arguments)) is not None:
+    if (address := common.page_address(arguments)) is not None:
         log, source = (None, _followed()) if arguments.live else _recorded(arguments.log)
-        show_page(arguments, address, source, arguments.page_meshes)
-        warn([] if log is None else log.damage)
-        return OK if log is None or not log.damage else DAMAGED
+        common.show_page(arguments, address, source, arguments.page_meshes)
+        common.warn([] if log is None else log.damage)
+        return common.OK if log is None or not log.damage else common.DAMAGED
     return _live() if arguments.live else _play(arguments.log, arguments.speed)
 
 
@@ -83,7 +73,7 @@ def _recorded(path: Path) -> "tuple[LogReader, Recorded]":
     from onboard.recording.reader import LogReader
 
     log = LogReader(path)
-    with busy(f"{path.name} is read") as told:
+    with common.busy(f"{path.name} is read") as told:
         return log, Recorded(log, lambda done: told(f"{path.name} is read, {100 * done // max(1, log.size)} %"))
 
 
@@ -98,7 +88,7 @@ def _screen(board: "Board") -> Iterator[Any]:
     """Show the board on the terminal, and leave its last state; without a terminal only the latter."""
     from rich.live import Live
 
-    shown = console()
+    shown = common.console()
     if not shown.is_terminal:
         yield lambda: None
         shown.print(board.render())
@@ -129,8 +119,8 @@ def _play(path: Path, speed: float) -> int:
                 shown = time.monotonic()
                 show()
         show()
-    warn(log.damage)
-    return DAMAGED if log.damage else OK
+    common.warn(log.damage)
+    return common.DAMAGED if log.damage else common.OK
 
 
 def _live() -> int:
@@ -146,7 +136,7 @@ def _live() -> int:
             if not flight.directory.exists():
                 break
             time.sleep(_FRAME_S)
-    return OK
+    return common.OK
 
 
 def _running() -> "Manifest":

@@ -6,20 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import (
-    FAILED,
-    OK,
-    Commands,
-    add_json,
-    busy,
-    complain,
-    console,
-    load_vehicle,
-    next_log,
-    show,
-    with_urls,
-    write_json,
-)
+from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
@@ -30,7 +17,7 @@ if TYPE_CHECKING:
     from onboard.ground.calibrate.weigh.weigh import Answer
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Make the command known."""
     weigh = commands.add_parser(
         "weigh",
@@ -72,7 +59,7 @@ def add(commands: Commands) -> None:
     weigh.add_argument("--vehicle", metavar="FILE", help="vehicle.toml: its load cells get the zeros (offset_N)")
     weigh.add_argument("--dry-run", action="store_true", help="show what would change in the file, and leave it")
     weigh.add_argument("--plot", type=Path, metavar="FILE", help="the figure (.png, .svg, .pdf)")
-    add_json(weigh)
+    common.add_json(weigh)
     weigh.set_defaults(command=_weigh)
 
 
@@ -104,7 +91,7 @@ def _weigh(arguments: argparse.Namespace) -> int:
     _require_one_source(arguments)
     extra: dict[str, Any] = {}
     if arguments.device is None:
-        with busy("the table is read") as tell:
+        with common.busy("the table is read") as tell:
             meaning = _meaning(arguments)
             answer = weigh(meaning, _known(arguments), tell)
             tell("further poses")
@@ -116,15 +103,17 @@ def _weigh(arguments: argparse.Namespace) -> int:
         try:
             session, log = _by_device(arguments)
         except CalibrationError as error:
-            complain(error)
-            return FAILED
+            common.complain(error)
+            return common.FAILED
         if session.answer is None:
-            complain(f"{len(session.R)} poses were taken, four are needed: nothing is weighed (the log is {log})")
-            return FAILED
+            common.complain(
+                f"{len(session.R)} poses were taken, four are needed: nothing is weighed (the log is {log})"
+            )
+            return common.FAILED
         answer, more = session.answer, further(session.answer)
         judged = judge_live(answer, session.sensor.frame)
         title, extra = f"weighed: {session.sensor.frame}; log: {log}", dict(session.summary()) | {"log": str(log)}
-    show(view.render(answer, judged, more, title))
+    common.show(view.render(answer, judged, more, title))
     if arguments.plot is not None:
         view.draw(answer, arguments.plot)
         print(arguments.plot)
@@ -134,8 +123,8 @@ def _weigh(arguments: argparse.Namespace) -> int:
         written["vehicle"] = _tare(arguments, answer, refused)
     else:
         print("zeros, for the tables of the sensor's axes:\n" + tare.lines(answer))
-    write_json(arguments.json, view.as_json(answer, judged, more) | written)
-    return FAILED if refused else OK
+    common.write_json(arguments.json, view.as_json(answer, judged, more) | written)
+    return common.FAILED if refused else common.OK
 
 
 def _require_one_source(a: argparse.Namespace) -> None:
@@ -165,13 +154,13 @@ def _by_device(a: argparse.Namespace) -> "tuple[Session, Path]":
     from onboard.ground.calibrate.weigh.live import Session
     from onboard.ground.calibrate.weigh.wrist_sensor import wrist_sensor
 
-    vehicle = with_urls(load_vehicle(a.device), a.url)
+    vehicle = common.with_urls(common.load_vehicle(a.device), a.url)
     if a.vehicle is not None and not a.dry_run:
-        vehicle_file.require_writable(load_vehicle(a.vehicle))
+        vehicle_file.require_writable(common.load_vehicle(a.vehicle))
     sensor = wrist_sensor(vehicle, a.link)
     known = _known(a, 100.0 * sensor.scale_sigma or None)
     down = vehicle.file.vehicle.gravity_m_s2 or known.down or DOWN
-    say = console().print
+    say = common.console().print
     session = Session(
         *(sensor, known.place, down, known.scale, known.tilt_rad, 1e-2 * a.until_percent),
         *(
@@ -180,7 +169,7 @@ def _by_device(a: argparse.Namespace) -> "tuple[Session, Path]":
         ),
     )
     some = bench.only(vehicle, sensor.devices(vehicle))
-    log = a.record or next_log(vehicle.file.recording.directory, f"{vehicle.file.vehicle.name}-weigh")
+    log = a.record or common.next_log(vehicle.file.recording.directory, f"{vehicle.file.vehicle.name}-weigh")
     if a.hil is not None:
         _simulated(a, some, session, log)
     else:
@@ -266,7 +255,7 @@ def _tare(a: argparse.Namespace, answer: "Answer", refused: bool) -> dict[str, A
     from onboard.ground.calibrate import vehicle_file
     from onboard.ground.calibrate.weigh import tare
 
-    vehicle = load_vehicle(a.vehicle)
+    vehicle = common.load_vehicle(a.vehicle)
     found = tare.changes(vehicle, answer)
     text = vehicle_file.changed(vehicle, found)
     if a.dry_run or refused:
@@ -280,5 +269,5 @@ def _tare(a: argparse.Namespace, answer: "Answer", refused: bool) -> dict[str, A
         if refused
         else "changed"
     )
-    console().print(f"{vehicle.label}: {len(found)} keys {told}", soft_wrap=True, markup=False)
+    common.console().print(f"{vehicle.label}: {len(found)} keys {told}", soft_wrap=True, markup=False)
     return {"file": vehicle.label, "changes": [one._asdict() | {"table": ".".join(one.table)} for one in found]}

@@ -20,16 +20,7 @@ from drivers.records import Batch, Severity
 from onboard import channels
 from onboard.flight.health.status import NO_HEALTH
 from onboard.recording.format.texts import printable
-from onboard.telemetry.packets import (
-    COUNTS,
-    KINDS,
-    LONGEST,
-    MODES,
-    PUS_C,
-    UNKNOWN_MODE,
-    UNKNOWN_PHASE,
-    encode,
-)
+from onboard.telemetry import packets
 from onboard.telemetry.values import health_values, level_of, of_answer, of_event, why_of
 
 if TYPE_CHECKING:
@@ -51,7 +42,7 @@ _SHARES = {
     "failure": 0.1,
     "event": 0.25,
 }  # of the budget, at most, before answers
-_MODES = {word: number for number, word in MODES}
+_MODES = {word: number for number, word in packets.MODES}
 _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
 
@@ -147,8 +138,8 @@ class Downlink:
         self._settings, self._session, self._flight = settings, session, flight
         self._bytes_s = settings.bytes_s if bytes_s is None else min(bytes_s, settings.bytes_s)
         self._apids = settings.apids
-        self._counts = dict.fromkeys(KINDS, 0)
-        self._most = max(_BURST_S * self._bytes_s, float(LONGEST))
+        self._counts = dict.fromkeys(packets.KINDS, 0)
+        self._most = max(_BURST_S * self._bytes_s, float(packets.LONGEST))
         self._room, self._at_ns = self._most, now_ns
         self._due = dict.fromkeys(("status", "flight", "phase"), now_ns)
         self._period = {name: self._spaced(name, 1.0 / getattr(settings, f"{name}_hz")) for name in self._due}
@@ -164,14 +155,14 @@ class Downlink:
         self._answers: dict[str, _Answer] = {}
         self._events: list[deque[np.void]] = [deque() for _ in Severity]  # by severity, oldest first
         self._event_ns, self._phase_ns = now_ns - self._event_period_ns, now_ns - self._change_ns
-        self._mode, self._phase = UNKNOWN_MODE, UNKNOWN_PHASE
+        self._mode, self._phase = packets.UNKNOWN_MODE, packets.UNKNOWN_PHASE
         self._changed_ns, self._changed = now_ns, 0  # changes of mode or phase that were not sent
         self._unsent = dict.fromkeys(Unsent._fields, 0)
         self.unread = self.sent = 0
 
     def _spaced(self, kind: str, period_s: float) -> int:
         """``period_s`` [s] in ns, or more where packets that often would take more than their share."""
-        return round(1e9 * max(period_s, KINDS[kind].length / (_SHARES[kind] * self._bytes_s)))
+        return round(1e9 * max(period_s, packets.KINDS[kind].length / (_SHARES[kind] * self._bytes_s)))
 
     @property
     def unsent(self) -> Unsent:
@@ -222,7 +213,7 @@ class Downlink:
         code, text = bytes(row["code"]), printable(row["text"])
         mode, phase = self._mode, self._phase
         if code == b"mode":
-            mode = _MODES.get(text.partition(":")[0], UNKNOWN_MODE)
+            mode = _MODES.get(text.partition(":")[0], packets.UNKNOWN_MODE)
         elif code == b"phase" and (match := _PHASE.match(text)):
             phase = int(match[1])
         if (mode, phase) != (self._mode, self._phase):
@@ -244,7 +235,7 @@ class Downlink:
             why: ``code`` and ``why`` of a failure.
         """
         packet_id, control = int.from_bytes(request[:2], "big"), int.from_bytes(request[2:], "big")
-        values = {"pus": PUS_C, "service": 1, "subtype": subtype, "destination": source, "packet_id": packet_id}
+        values = {"pus": packets.PUS_C, "service": 1, "subtype": subtype, "destination": source, "packet_id": packet_id}
         values |= {"counter": self._messages[subtype] % (1 << 16), "sequence_control": control}
         self._messages[subtype] += 1
         self._reports.append(("report" if subtype % 2 else "failure", values | why))
@@ -262,7 +253,9 @@ class Downlink:
         """Packets that are due at ``now_ns`` and fit the budget; those not taken are not sent."""
         self._room = min(self._most, self._room + (now_ns - self._at_ns) * 1e-9 * self._bytes_s)
         self._at_ns = now_ns
-        while (wanted := next(self._wanted(now_ns), None)) is not None and KINDS[wanted[0]].length <= self._room:
+        while (wanted := next(self._wanted(now_ns), None)) is not None and packets.KINDS[
+            wanted[0]
+        ].length <= self._room:
             kind, what = wanted
             packet = self._make(kind, what, now_ns)
             self._room -= len(packet)
@@ -275,7 +268,7 @@ class Downlink:
 
     def last(self, now_ns: int) -> Iterator[bytes]:
         """The last packet, which says how it ended: the status."""
-        self._due["status"], self._room = now_ns, float(KINDS["status"].length)
+        self._due["status"], self._room = now_ns, float(packets.KINDS["status"].length)
         self._at_ns = now_ns
         return self.packets(now_ns)
 
@@ -332,14 +325,14 @@ class Downlink:
             at_ns = int(what.row["host_ns"])
             values = {"quantity": printable(what.row["name"]), "level": what.level, "why": what.why}
         number = self._counts[kind]
-        self._counts[kind] = (number + 1) % COUNTS
+        self._counts[kind] = (number + 1) % packets.COUNTS
         self.sent += 1
         wall_ns = at_ns - self._flight.monotonic_ns + self._flight.wall_clock_ns
-        return encode(KINDS[kind], self._apids[kind], number, self._session, wall_ns, values)
+        return packets.encode(packets.KINDS[kind], self._apids[kind], number, self._session, wall_ns, values)
 
     @property
     def _known_phase(self) -> bool:
-        return self._mode != UNKNOWN_MODE or self._phase != UNKNOWN_PHASE
+        return self._mode != packets.UNKNOWN_MODE or self._phase != packets.UNKNOWN_PHASE
 
     @staticmethod
     def _late(due_ns: int, period_ns: int, now_ns: int) -> int:

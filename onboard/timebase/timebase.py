@@ -17,18 +17,9 @@ from numpy.typing import NDArray
 from drivers.records import Rows
 from drivers.sync_pulse.code import SHORTEST_INTERVAL
 from onboard.channels import CLOCK
+from onboard.timebase import marking
 from onboard.timebase.arrival import ArrivalClock
 from onboard.timebase.clock import ClockSolution, ClockState, DeviceClock
-from onboard.timebase.marking import (
-    Bracket,
-    EdgeBounds,
-    FlaggingSource,
-    FreeSource,
-    LatchingSource,
-    NewestEdges,
-    SyncSource,
-    TickSource,
-)
 from onboard.timebase.pulse_train import PulseTrain
 
 
@@ -134,9 +125,9 @@ class Timebase:
         self._line = line
         self._train = PulseTrain(line.period_ns) if line is not None and line.coded else None
         interval_ns = line.shortest_interval_ns if line is not None else WIDEST_WINDOW_NS
-        self._edges = NewestEdges(min(WIDEST_WINDOW_NS, 0.4 * interval_ns))
+        self._edges = marking.NewestEdges(min(WIDEST_WINDOW_NS, 0.4 * interval_ns))
         self._sources = {name: source for name, spec in channels.items() if (source := _source(spec, line)) is not None}
-        self._brackets = {n: Bracket(*s) for n, s in channels.items() if isinstance(s, PolledChannel)}
+        self._brackets = {n: marking.Bracket(*s) for n, s in channels.items() if isinstance(s, PolledChannel)}
         self._states: dict[str, ClockState] = {}
         self._recorded_ns: dict[str, int] = {}
 
@@ -202,7 +193,7 @@ class Timebase:
     def waited(self, channel: str, rows: Rows) -> NDArray[np.bool_]:
         """Which samples (n,) were taken later than their ticks say: the device's line was busy telling of an edge."""
         source = self._sources.get(channel)
-        if isinstance(source, LatchingSource):
+        if isinstance(source, marking.LatchingSource):
             return source.waited(rows["tick"].astype(np.int64))
         return np.zeros(len(rows), np.bool_)
 
@@ -221,21 +212,21 @@ class Timebase:
 
     def _pulses(self, line: SyncLine, rows: Rows) -> None:
         for edge_ns in rows["edge_ns"].tolist():
-            edge = EdgeBounds(edge_ns - line.late_ns, edge_ns)
+            edge = marking.EdgeBounds(edge_ns - line.late_ns, edge_ns)
             self._edges.append(edge)
             place = self._train.edge(edge_ns) if self._train is not None else None
             if place is not None:
                 for source in self._sources.values():
-                    if isinstance(source, SyncSource):
+                    if isinstance(source, marking.SyncSource):
                         source.edge(edge, place)
 
-    def _move(self, name: str, source: TickSource, batches: dict[str, Rows]) -> bool:
+    def _move(self, name: str, source: marking.TickSource, batches: dict[str, Rows]) -> bool:
         rows = batches.get(name, _NO_ROWS)
         match source, self._specs[name]:
-            case LatchingSource(), MarkedChannel(_, channel, _):
+            case marking.LatchingSource(), MarkedChannel(_, channel, _):
                 marks = batches.get(channel, _NO_ROWS)
                 return len(rows) + len(marks) > 0 and source.update(rows, marks, self._edges)
-            case FlaggingSource(), _:
+            case marking.FlaggingSource(), _:
                 return len(rows) > 0 and source.update(rows, self._edges)
             case _:
                 return len(rows) > 0 and source.take(rows)
@@ -245,7 +236,7 @@ class Timebase:
         name = spec.sync if isinstance(spec, FollowerChannel) else channel
         source = self._sources[name]
         clock = None if source.clock.contradicted else source.best
-        return clock, source.delay_ns if isinstance(source, SyncSource) and name != channel else 0.0
+        return clock, source.delay_ns if isinstance(source, marking.SyncSource) and name != channel else 0.0
 
     def _records(self, now_ns: int, names: list[str]) -> Rows:
         rows = np.zeros(len(names), CLOCK)
@@ -276,15 +267,19 @@ class Timebase:
         return rows
 
 
-def _source(spec: ChannelClock, line: SyncLine | None) -> TickSource | None:
+def _source(spec: ChannelClock, line: SyncLine | None) -> marking.TickSource | None:
     match spec:
         case SampledChannel(period_ns):
-            return FlaggingSource(period_ns) if line else FreeSource(period_ns, 0.0, period_ns)
+            return marking.FlaggingSource(period_ns) if line else marking.FreeSource(period_ns, 0.0, period_ns)
         case MarkedChannel(period_ns, _, latches_counts):
-            return LatchingSource(period_ns, latches_counts) if line else FreeSource(period_ns, 0.0, UNTOLD_DELAY_NS)
+            return (
+                marking.LatchingSource(period_ns, latches_counts)
+                if line
+                else marking.FreeSource(period_ns, 0.0, UNTOLD_DELAY_NS)
+            )
         case FreeChannel():
-            return FreeSource(*spec)
+            return marking.FreeSource(*spec)
         case ProducerChannel(period_ns, delay_ns):
-            return SyncSource(period_ns, delay_ns, line is not None and line.coded)
+            return marking.SyncSource(period_ns, delay_ns, line is not None and line.coded)
         case _:
             return None

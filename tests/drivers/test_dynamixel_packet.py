@@ -6,16 +6,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from drivers.dynamixel import (
-    Block,
-    Reply,
-    answer_bytes,
-    crc16,
-    decode_identity,
-    decode_present,
-    read_request,
-    sync_read_request,
-)
+from drivers import dynamixel
 from drivers.dynamixel.packet import sync_write_request, write_request
 from drivers.dynamixel.registers import decode_driven
 from drivers.errors import ConfigurationError, FrameError
@@ -51,14 +42,14 @@ def fed(reply, data, sizes):
 
 
 def test_crc_check_value():
-    assert crc16(b"123456789") == 0xFEE8
-    assert crc16(b"6789", crc16(b"12345")) == 0xFEE8
+    assert dynamixel.crc16(b"123456789") == 0xFEE8
+    assert dynamixel.crc16(b"6789", dynamixel.crc16(b"12345")) == 0xFEE8
 
 
 def test_requests_of_the_manual():
-    assert read_request(1, 132, 4) == READ
-    assert sync_read_request([1, 2], 132, 4) == SYNC
-    assert sync_read_request([3, 7, 4], 132, 4, fast=True) == FAST
+    assert dynamixel.read_request(1, 132, 4) == READ
+    assert dynamixel.sync_read_request([1, 2], 132, 4) == SYNC
+    assert dynamixel.sync_read_request([3, 7, 4], 132, 4, fast=True) == FAST
 
 
 def test_writes_of_the_manual():
@@ -72,11 +63,11 @@ def test_writes_of_the_manual():
 @pytest.mark.parametrize("sizes", FED)
 @pytest.mark.parametrize("error", [0, 0x80, 7, 0x84])
 def test_the_answer_to_a_write_has_no_data(sizes, error):
-    reply = Reply([1], 0)
+    reply = dynamixel.Reply([1], 0)
     assert fed(reply, status(1, error, b""), sizes)
-    assert reply.blocks == [Block(1, error, b"")]
+    assert reply.blocks == [dynamixel.Block(1, error, b"")]
     assert status(1, 0, b"") == WRITE_ANSWER
-    late = Reply([1], 0)
+    late = dynamixel.Reply([1], 0)
     with pytest.raises(FrameError, match="it is late"):
         late.receive(READ_ANSWER)
 
@@ -93,19 +84,21 @@ def test_what_a_driven_servo_says():
 @pytest.mark.parametrize("sizes", FED)
 def test_answers_of_the_manual(sizes):
     for identifiers, fast, answer in (([1], False, READ_ANSWER), ([1, 2], False, SYNC_ANSWER)):
-        reply = Reply(identifiers, 4, fast=fast)
+        reply = dynamixel.Reply(identifiers, 4, fast=fast)
         assert fed(reply, answer, sizes)
-        assert reply.blocks == [Block(one, 0, data) for one, data in zip(identifiers, POSITIONS, strict=False)]
-    reply = Reply([3, 7, 4], 4, fast=True)
-    assert reply.missing == len(FAST_ANSWER) == answer_bytes(3, 4, fast=True)
+        assert reply.blocks == [
+            dynamixel.Block(one, 0, data) for one, data in zip(identifiers, POSITIONS, strict=False)
+        ]
+    reply = dynamixel.Reply([3, 7, 4], 4, fast=True)
+    assert reply.missing == len(FAST_ANSWER) == dynamixel.answer_bytes(3, 4, fast=True)
     assert fed(reply, FAST_ANSWER, sizes)
-    assert reply.blocks == [Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)]
+    assert reply.blocks == [dynamixel.Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)]
 
 
 @pytest.mark.parametrize("sizes", FED)
 def test_an_adapter_that_hears_itself(sizes):
     for fast, request, answer in ((False, SYNC, SYNC_ANSWER), (True, FAST, FAST_ANSWER)):
-        reply = Reply([3, 7, 4] if fast else [1, 2], 4, fast=fast)
+        reply = dynamixel.Reply([3, 7, 4] if fast else [1, 2], 4, fast=fast)
         said = request + answer
         assert [reply.receive(said[at : at + 1]) for at in range(len(said))] == [False] * (len(said) - 1) + [True]
 
@@ -114,13 +107,16 @@ def test_an_adapter_that_hears_itself(sizes):
 def test_stuffing_is_taken_out_wherever_it_is_cut(first, second, at):
     second = second.ljust(len(first), b"\xfd")[: len(first)]
     said = status(5, 0x80, b"\xff\xff\xfd" + first) + status(6, 0, second + b"\xff\xff\xfd")
-    reply = Reply([5, 6], len(first) + 3)
+    reply = dynamixel.Reply([5, 6], len(first) + 3)
     assert [reply.receive(said[:at]), reply.receive(said[at:])] == [False, True]
-    assert reply.blocks == [Block(5, 0x80, b"\xff\xff\xfd" + first), Block(6, 0, second + b"\xff\xff\xfd")]
+    assert reply.blocks == [
+        dynamixel.Block(5, 0x80, b"\xff\xff\xfd" + first),
+        dynamixel.Block(6, 0, second + b"\xff\xff\xfd"),
+    ]
 
 
 def test_a_request_with_a_header_inside_is_stuffed():
-    request = read_request(1, 0xFFFF, 0xFD)  # FF FF FD 00
+    request = dynamixel.read_request(1, 0xFFFF, 0xFD)  # FF FF FD 00
     assert request[7:-2] == bytes.fromhex("02 FF FF FD FD 00")
     assert request[5] == len(request) - 7
     assert request[-2:] == crc(request[:-2])
@@ -128,24 +124,24 @@ def test_a_request_with_a_header_inside_is_stuffed():
 
 def test_a_fast_answer_has_no_stuffing():
     data = bytes.fromhex("FF FF FD FD FF FF FD 00")
-    reply = Reply([9, 1], 8, fast=True)
+    reply = dynamixel.Reply([9, 1], 8, fast=True)
     assert reply.receive(fast_status([(9, 0, data), (1, 0x80, data)], 2))
-    assert reply.blocks == [Block(9, 0, data), Block(1, 0x80, data)]
+    assert reply.blocks == [dynamixel.Block(9, 0, data), dynamixel.Block(1, 0x80, data)]
 
 
 def test_blocks_before_a_silent_servo_are_there():
-    reply = Reply([3, 7, 4], 4, fast=True)
+    reply = dynamixel.Reply([3, 7, 4], 4, fast=True)
     assert not reply.receive(FAST_ANSWER[:24])
     assert [block.identifier for block in reply.blocks] == [3, 7]
-    reply = Reply([1, 5, 2], 4)
+    reply = dynamixel.Reply([1, 5, 2], 4)
     assert reply.receive(SYNC_ANSWER)  # the second of three is silent, and the last one answers
     assert [block.identifier for block in reply.blocks] == [1, 2]
 
 
 def test_an_error_without_data_is_an_answer():
-    reply = Reply([1], 4)
+    reply = dynamixel.Reply([1], 4)
     assert reply.receive(status(1, 7, b""))
-    assert reply.blocks == [Block(1, 7, b"")]
+    assert reply.blocks == [dynamixel.Block(1, 7, b"")]
 
 
 @pytest.mark.parametrize(
@@ -169,14 +165,14 @@ def test_an_error_without_data_is_an_answer():
 )
 def test_what_is_not_the_answer_is_refused(identifiers, fast, said, match):
     with pytest.raises(FrameError, match=match):
-        Reply(identifiers, 4, fast=fast).receive(said)
+        dynamixel.Reply(identifiers, 4, fast=fast).receive(said)
 
 
 @pytest.mark.parametrize("bit", range(8 * len(FAST_ANSWER)))
 def test_no_inverted_bit_passes(bit):
     spoilt = bytearray(FAST_ANSWER)
     spoilt[bit // 8] ^= 1 << bit % 8
-    reply = Reply([3, 7, 4], 4, fast=True)
+    reply = dynamixel.Reply([3, 7, 4], 4, fast=True)
     try:
         done = reply.receive(bytes(spoilt))
     except FrameError:
@@ -184,13 +180,13 @@ def test_no_inverted_bit_passes(bit):
     assert not done
     assert (
         reply.blocks
-        == [Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)][: len(reply.blocks)]
+        == [dynamixel.Block(one, 0, data) for one, data in zip((3, 7, 4), POSITIONS, strict=True)][: len(reply.blocks)]
     )
 
 
 @given(st.lists(st.binary(max_size=40), max_size=8), st.booleans(), st.booleans())
 def test_any_bytes_give_blocks_or_a_frame_error(said, fast, begun):
-    reply = Reply([3, 7, 4], 4, fast=fast)
+    reply = dynamixel.Reply([3, 7, 4], 4, fast=fast)
     try:
         for data in [FAST_ANSWER[:9] if fast else SYNC[:9], *said] if begun else said:
             reply.receive(data)
@@ -203,16 +199,16 @@ def test_any_bytes_give_blocks_or_a_frame_error(said, fast, begun):
 def test_what_is_out_of_the_protocol_is_refused():
     for bad in ([], [1, 1], [253], [-1]):
         with pytest.raises(ConfigurationError):
-            sync_read_request(bad, 132, 4)
+            dynamixel.sync_read_request(bad, 132, 4)
     for address, count in ((-1, 1), (0x10000, 1), (0, 0), (0, 1001)):
         with pytest.raises(ConfigurationError):
-            read_request(1, address, count)
+            dynamixel.read_request(1, address, count)
 
 
 def test_registers():
-    assert decode_identity(bytes.fromhex("FC 03 00 00 00 00 2D 01 03 FA")) == (1020, 45, 500)
-    assert decode_present(bytes.fromhex("FE FF 03 00 00 00 FF FF FF FF")) == (-2, 3, -1)
+    assert dynamixel.decode_identity(bytes.fromhex("FC 03 00 00 00 00 2D 01 03 FA")) == (1020, 45, 500)
+    assert dynamixel.decode_present(bytes.fromhex("FE FF 03 00 00 00 FF FF FF FF")) == (-2, 3, -1)
     with pytest.raises(FrameError):
-        decode_identity(bytes(9))
+        dynamixel.decode_identity(bytes(9))
     with pytest.raises(FrameError):
-        decode_present(bytes(9))
+        dynamixel.decode_present(bytes(9))

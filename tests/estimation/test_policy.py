@@ -4,56 +4,48 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onboard.estimation.policy import (
-    DOUBLINGS,
-    DOUBT,
-    HALF,
-    INTERVAL,
-    ODDS,
-    READING,
-    REFUSE,
-    TESTS,
-    chance_text,
-    contradicted_text,
-    of_each,
-    sigmas,
-    times_text,
-)
+from onboard.estimation import policy
 
 
 def test_as_many_flights_are_doubted_as_are_wrong_and_a_hundredth_of_them_refused() -> None:
-    assert DOUBT == ODDS == 1e-2
-    assert REFUSE == 1e-2 * ODDS
+    assert policy.DOUBT == policy.ODDS == 1e-2
+    assert policy.REFUSE == 1e-2 * policy.ODDS
 
 
 def test_intervals_hold_19_of_20() -> None:
-    assert INTERVAL == 0.95
-    assert norm.cdf(HALF) - norm.cdf(-HALF) == pytest.approx(0.95)
+    assert policy.INTERVAL == 0.95
+    assert norm.cdf(policy.HALF) - norm.cdf(-policy.HALF) == pytest.approx(0.95)
 
 
 def test_six_tests_of_many_looks_each_spend_the_budget(rng: np.random.Generator) -> None:
     """Of healthy flights with six tests of twenty looks, one in a hundred is beyond a limit that is never beyond it."""
-    assert TESTS == 6
-    beyond = np.abs(rng.standard_normal((20_000, 6, 20))) > sigmas(of_each(DOUBT, 20))
+    assert policy.TESTS == 6
+    beyond = np.abs(rng.standard_normal((20_000, 6, 20))) > policy.sigmas(policy.of_each(policy.DOUBT, 20))
     assert 0.008 < beyond.any(axis=(1, 2)).mean() < 0.012
-    assert 1.0 - (1.0 - of_each(REFUSE, 20)) ** 120 == pytest.approx(REFUSE)
-    assert of_each(DOUBT, 0) == of_each(DOUBT)  # nothing to look at
+    assert 1.0 - (1.0 - policy.of_each(policy.REFUSE, 20)) ** 120 == pytest.approx(policy.REFUSE)
+    assert policy.of_each(policy.DOUBT, 0) == policy.of_each(policy.DOUBT)  # nothing to look at
 
 
 def test_rows_of_an_hour_double_twelve_times_from_those_of_a_second() -> None:
-    assert np.log2(3600.0) == pytest.approx(DOUBLINGS, abs=0.5)
+    assert np.log2(3600.0) == pytest.approx(policy.DOUBLINGS, abs=0.5)
 
 
 def test_a_reading_is_one_of_a_million_of_each_test() -> None:
-    assert pytest.approx(0.01 / 6e6, rel=0.01) == READING
+    assert pytest.approx(0.01 / 6e6, rel=0.01) == policy.READING
 
 
 def test_more_than_one_reading_in_twenty_is_too_many_to_contradict_the_others() -> None:
-    assert not contradicted_text(0.05)
-    assert contradicted_text(0.06, "ticks", "it swings") == "6% of the ticks contradict the others; it swings"
+    assert not policy.contradicted_text(0.05)
+    assert policy.contradicted_text(0.06, "ticks", "it swings") == "6% of the ticks contradict the others; it swings"
 
 
 def test_chances_and_evidence_have_words_where_numbers_end() -> None:
     told = ["chance 3e-05", "chance 1e-299", "chance below 1e-300"]
-    assert [chance_text(chance) for chance in (3.2e-5, 1e-299, 0.0)] == told
-    assert [times_text(nats) for nats in (0.0, 2.0, 6.9, 11.6, 5000.0)] == ["1", "7.39", "992", "1e+5", "1e+2171"]
+    assert [policy.chance_text(chance) for chance in (3.2e-5, 1e-299, 0.0)] == told
+    assert [policy.times_text(nats) for nats in (0.0, 2.0, 6.9, 11.6, 5000.0)] == [
+        "1",
+        "7.39",
+        "992",
+        "1e+5",
+        "1e+2171",
+    ]

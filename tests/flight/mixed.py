@@ -30,15 +30,7 @@ from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.devices.ur_controller import UrController, rate
-from hil_sim.scenario.bus_tables import (
-    CanBusTable,
-    I2cBusTable,
-    PairBusTable,
-    PulseLineTable,
-    SerialBusTable,
-    TcpBusTable,
-    UdpBusTable,
-)
+from hil_sim.scenario import bus_tables
 from onboard import config
 from onboard.flight.acquire.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
@@ -121,21 +113,21 @@ class MixedWorld:
     def __init__(self, directory: Path, *, sync_box: bool = True, fsync: bool = True) -> None:
         self.now_ns = START_NS
         tables = {
-            "can_0": CanBusTable(kind="can"),  # the sync box is on it, and moves before those that it marks
-            "i2c_1": I2cBusTable(kind="i2c"),
-            "cell_lines": PairBusTable(kind="pair"),
-            "sync_line": PulseLineTable(kind="pulse", channel="pulse"),
-            "tty_imu": SerialBusTable(kind="serial"),
-            "tty_joint": SerialBusTable(kind="serial", baud_rate=230_400),
-            "tty_cell": SerialBusTable(kind="serial"),
-            "tty_grip": SerialBusTable(kind="serial"),
-            "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
-            "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
-            "tty_servos": SerialBusTable(kind="serial", baud_rate=1_000_000),
-            "tty_wrist": SerialBusTable(kind="serial", baud_rate=460_800),
-            "odrives": CanBusTable(kind="can", bit_rate=250_000),
-            "robot": TcpBusTable(kind="tcp"),
-            "box": UdpBusTable(kind="udp"),
+            "can_0": bus_tables.CanBusTable(kind="can"),  # the sync box is on it, and moves before those that it marks
+            "i2c_1": bus_tables.I2cBusTable(kind="i2c"),
+            "cell_lines": bus_tables.PairBusTable(kind="pair"),
+            "sync_line": bus_tables.PulseLineTable(kind="pulse", channel="pulse"),
+            "tty_imu": bus_tables.SerialBusTable(kind="serial"),
+            "tty_joint": bus_tables.SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_cell": bus_tables.SerialBusTable(kind="serial"),
+            "tty_grip": bus_tables.SerialBusTable(kind="serial"),
+            "tty_node": bus_tables.SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_tracker": bus_tables.SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_servos": bus_tables.SerialBusTable(kind="serial", baud_rate=1_000_000),
+            "tty_wrist": bus_tables.SerialBusTable(kind="serial", baud_rate=460_800),
+            "odrives": bus_tables.CanBusTable(kind="can", bit_rate=250_000),
+            "robot": bus_tables.TcpBusTable(kind="tcp"),
+            "box": bus_tables.UdpBusTable(kind="udp"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"

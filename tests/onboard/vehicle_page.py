@@ -8,30 +8,12 @@ from pathlib import Path
 
 from pydantic import AliasChoices
 
+from onboard.config import estimation
 from onboard.config.bases.free_body import Carrier, FreeBody, Load
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Balance, Pivot
 from onboard.config.bases.planar import Body, Planar, Puck
 from onboard.config.drive import Drive
-from onboard.config.estimation import (
-    Carried,
-    DisturbanceKeys,
-    Estimation,
-    ExiddmKeys,
-    Gates,
-    ImuPriorKeys,
-    JointKeys,
-    Link,
-    LinkTolerance,
-    Masses,
-    MemoryKeys,
-    MotorKeys,
-    Phases,
-    Prior,
-    Resumed,
-    UsefulKeys,
-    Zero,
-)
 from onboard.config.keys.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
 from onboard.config.telemetry import Telemetry
@@ -44,23 +26,23 @@ TABLES: dict[str, type[Section]] = {
     "[vehicle]": VehicleSection,
     "[bus.NAME]": BusSection,
     "[link.NAME]": LinkSection,
-    "[estimation]": Estimation,
-    "[estimation.phases]": Phases,
-    "[estimation.phases.resumed]": Resumed,
-    "[estimation.zero]": Zero,
-    "[estimation.gates]": Gates,
-    "[estimation.memory]": MemoryKeys,
-    "[estimation.prior]": Prior,
-    "[estimation.prior.link.NAME]": Link,
-    "[estimation.prior.joint.NAME]": JointKeys,
-    "[estimation.masses]": Masses,
-    "[estimation.motor.NAME]": MotorKeys,
-    "[estimation.masses.drawing.NAME]": LinkTolerance,
-    "[estimation.exiddm]": ExiddmKeys,
-    "[estimation.disturbance]": DisturbanceKeys,
-    "[estimation.useful]": UsefulKeys,
-    "[estimation.imu_prior]": ImuPriorKeys,
-    "[estimation.carried]": Carried,
+    "[estimation]": estimation.Estimation,
+    "[estimation.phases]": estimation.Phases,
+    "[estimation.phases.resumed]": estimation.Resumed,
+    "[estimation.zero]": estimation.Zero,
+    "[estimation.gates]": estimation.Gates,
+    "[estimation.memory]": estimation.MemoryKeys,
+    "[estimation.prior]": estimation.Prior,
+    "[estimation.prior.link.NAME]": estimation.Link,
+    "[estimation.prior.joint.NAME]": estimation.JointKeys,
+    "[estimation.masses]": estimation.Masses,
+    "[estimation.motor.NAME]": estimation.MotorKeys,
+    "[estimation.masses.drawing.NAME]": estimation.LinkTolerance,
+    "[estimation.exiddm]": estimation.ExiddmKeys,
+    "[estimation.disturbance]": estimation.DisturbanceKeys,
+    "[estimation.useful]": estimation.UsefulKeys,
+    "[estimation.imu_prior]": estimation.ImuPriorKeys,
+    "[estimation.carried]": estimation.Carried,
     "[free_body]": FreeBody,
     "[free_body.carrier]": Carrier,
     "[[free_body.load]]": Load,

@@ -9,28 +9,17 @@ from onboard.recording.format.errors import LogFormatError
 from onboard.recording.format.scan import Damage
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
-from tests.recording.logs import (
-    LABEL,
-    LEAST,
-    READING,
-    SMALL,
-    chunk_places,
-    label_rows,
-    overwrite,
-    reading_rows,
-    same_fields,
-    write_small,
-)
+from tests.recording import logs
 
 
 def read(path, data):
     """Rows by channel, and the log, of a file with ``data`` as its content."""
-    overwrite(path, data)
+    logs.overwrite(path, data)
     log = LogReader(path)
     rows = {"reading": [], "label": []}
     for batch in log.batches():
         rows[batch.channel].append(batch.rows)
-    dtypes = {"reading": READING, "label": LABEL}
+    dtypes = {"reading": logs.READING, "label": logs.LABEL}
     return {name: np.concatenate([np.empty(0, dtypes[name]), *parts]) for name, parts in rows.items()}, log
 
 
@@ -49,13 +38,13 @@ def rows_by_chunk(path, data, places):
 
 def all_good(rows):
     """Every row that came back is one that was written."""
-    assert same_fields(rows["reading"], reading_rows(0, SMALL)[rows["reading"]["sequence"].astype(int)])
-    assert same_fields(rows["label"], label_rows(0, SMALL)[rows["label"]["sequence"].astype(int)])
+    assert logs.same_fields(rows["reading"], logs.reading_rows(0, logs.SMALL)[rows["reading"]["sequence"].astype(int)])
+    assert logs.same_fields(rows["label"], logs.label_rows(0, logs.SMALL)[rows["label"]["sequence"].astype(int)])
 
 
 def test_cut_at_every_byte_it_is_read_to_the_last_whole_chunk(tmp_path):
-    data = write_small(tmp_path / "least.mcap", LEAST).read_bytes()
-    places = chunk_places(data)
+    data = logs.write_small(tmp_path / "least.mcap", logs.LEAST).read_bytes()
+    places = logs.chunk_places(data)
     assert len(places) > 3
     held = rows_by_chunk(tmp_path / "alone.mcap", data, places)
     path = tmp_path / "cut.mcap"
@@ -73,9 +62,9 @@ def test_cut_at_every_byte_it_is_read_to_the_last_whole_chunk(tmp_path):
 
 def test_a_flipped_bit_in_a_chunk_costs_that_chunk_and_no_name(tmp_path, small, rng):
     data = small.read_bytes()
-    places = chunk_places(data)
+    places = logs.chunk_places(data)
     held = rows_by_chunk(tmp_path / "alone.mcap", data, places)
-    assert sum(len(chunk["reading"]) for chunk in held) == SMALL
+    assert sum(len(chunk["reading"]) for chunk in held) == logs.SMALL
     path = tmp_path / "flipped.mcap"
     for number, (start, end) in enumerate(places):
         # every byte of what frames the records, and some of the records
@@ -98,8 +87,8 @@ def test_a_flipped_bit_in_a_chunk_costs_that_chunk_and_no_name(tmp_path, small, 
 
 
 def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, rng):
-    data = write_small(tmp_path / "least.mcap", LEAST).read_bytes()
-    places = chunk_places(data)
+    data = logs.write_small(tmp_path / "least.mcap", logs.LEAST).read_bytes()
+    places = logs.chunk_places(data)
     held = rows_by_chunk(tmp_path / "alone.mcap", data, places)
     largest = max(len(chunk["reading"]) for chunk in held)
     path = tmp_path / "flipped.mcap"
@@ -109,12 +98,12 @@ def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, r
         rows, log = read(path, bytes(flipped))
         all_good(rows)
         assert log.exit_code == 3, at
-        assert len(rows["reading"]) >= LEAST - largest, at
+        assert len(rows["reading"]) >= logs.LEAST - largest, at
 
 
 def test_bytes_put_in_or_taken_out_cost_one_chunk(tmp_path, small, rng):
     data = small.read_bytes()
-    places = chunk_places(data)
+    places = logs.chunk_places(data)
     path = tmp_path / "shifted.mcap"
     assert len(places) > 3
     largest = max(len(chunk["reading"]) for chunk in rows_by_chunk(path, data, places))
@@ -123,14 +112,14 @@ def test_bytes_put_in_or_taken_out_cost_one_chunk(tmp_path, small, rng):
         for shifted in (data[:at] + rng.bytes(37) + data[at:], data[:at] + data[min(at + 21, end) :]):
             rows, log = read(path, shifted)
             all_good(rows)
-            assert len(rows["reading"]) >= SMALL - largest
+            assert len(rows["reading"]) >= logs.SMALL - largest
             assert log.exit_code == 3
 
 
 def test_a_hole_of_zeros_costs_what_it_covers(tmp_path, small):
     """What a disk leaves that lost the middle of the file."""
     data = bytearray(small.read_bytes())
-    places = chunk_places(bytes(data))
+    places = logs.chunk_places(bytes(data))
     held = rows_by_chunk(tmp_path / "alone.mcap", bytes(data), places)
     first, last = places[3][0] + 50, places[6][0] + 50
     data[first:last] = bytes(last - first)
@@ -143,21 +132,21 @@ def test_a_hole_of_zeros_costs_what_it_covers(tmp_path, small):
 
 def test_nothing_but_noise_between_two_chunks(tmp_path, small, rng):
     data = small.read_bytes()
-    places = chunk_places(data)
+    places = logs.chunk_places(data)
     noise = bytes(rng.choice(np.array([0, 6, 9, 12, 15], np.uint8), 200_000))  # full of what looks like a record
     rows, log = read(tmp_path / "noise.mcap", data[: places[4][0]] + noise + data[places[4][0] :])
     all_good(rows)
-    assert len(rows["reading"]) == SMALL
+    assert len(rows["reading"]) == logs.SMALL
     assert log.damage[0] == Damage(places[4][0], places[4][0] + len(noise), log.damage[0].reason)
 
 
 def test_what_only_looks_like_metadata_is_not_taken_for_it(tmp_path, small):
     """A small number followed by zeros, as rows are full of, has the lengths of metadata without name and content."""
     data = small.read_bytes()
-    start = chunk_places(data)[4][0]
+    start = logs.chunk_places(data)[4][0]
     junk = b"\xff" * 40 + b"\x0c\x08" + bytes(15) + b"\xff" * 40
     rows, log = read(tmp_path / "junk.mcap", data[:start] + junk + data[start:])
-    assert len(rows["reading"]) == SMALL
+    assert len(rows["reading"]) == logs.SMALL
     assert set(log.metadata) == {"host", "end"}
     assert (log.damage[0].start, log.damage[0].end) == (start, start + len(junk))
 
@@ -166,9 +155,9 @@ def test_an_attached_log_is_not_taken_for_part_of_the_log(tmp_path, small):
     inner = small.read_bytes()
     path = tmp_path / "outer.mcap"
     with LogWriter.create(path) as writer:
-        writer.register("reading", READING)
+        writer.register("reading", logs.READING)
         writer.attach("inner.mcap", "application/mcap", inner)
-        writer.write("reading", reading_rows(1000, 10))
+        writer.write("reading", logs.reading_rows(1000, 10))
     data = bytearray(path.read_bytes())
     assert LogReader(path).read("reading")["sequence"].tolist() == list(range(1000, 1010))
     data[data.index(inner) + 200] ^= 4
@@ -181,14 +170,14 @@ def test_an_attached_log_is_not_taken_for_part_of_the_log(tmp_path, small):
 
 def test_junk_behind_the_end_is_noticed(tmp_path, small):
     rows, log = read(tmp_path / "junk.mcap", small.read_bytes() + b"junk")
-    assert len(rows["reading"]) == SMALL
+    assert len(rows["reading"]) == logs.SMALL
     assert log.exit_code == 3
 
 
 def test_a_log_without_magic_is_read_if_a_chunk_proves_it(tmp_path, small):
     data = small.read_bytes()
     rows, log = read(tmp_path / "headless.mcap", bytes(8) + data[8:])
-    assert len(rows["reading"]) == SMALL
+    assert len(rows["reading"]) == logs.SMALL
     assert "magic" in log.damage[0].reason
     with pytest.raises(LogFormatError):
         read(tmp_path / "nothing.mcap", bytes(8) + data[8:40])
@@ -196,7 +185,7 @@ def test_a_log_without_magic_is_read_if_a_chunk_proves_it(tmp_path, small):
 
 @pytest.fixture(scope="module")
 def module_log(tmp_path_factory):
-    return write_small(tmp_path_factory.mktemp("fuzz") / "small.mcap")
+    return logs.write_small(tmp_path_factory.mktemp("fuzz") / "small.mcap")
 
 
 edits = st.lists(

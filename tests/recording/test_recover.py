@@ -10,16 +10,7 @@ from drivers import records
 from onboard.recording.reader import LogReader
 from onboard.recording.recover import GAP_CHANNEL, LOST, recover
 from onboard.recording.writer import LogWriter
-from tests.recording.logs import (
-    LABEL,
-    READING,
-    SMALL,
-    chunk_places,
-    label_rows,
-    overwrite,
-    reading_rows,
-    same_fields,
-)
+from tests.recording import logs
 
 
 def numbers(gaps, channel):
@@ -31,12 +22,12 @@ def test_a_whole_log_is_recovered_without_loss(tmp_path):
     with LogWriter.create(path) as writer:
         writer.add_metadata("host", {"machine": "test"})
         writer.attach("vehicle.toml", "application/toml", b'name = "x"\n')
-        writer.register("reading", READING, units={"value": "N"})
-        writer.register("label", LABEL)
+        writer.register("reading", logs.READING, units={"value": "N"})
+        writer.register("label", logs.LABEL)
         writer.register("silent", records.IMU)
         for first in range(0, 3000, 30):
-            writer.write("reading", reading_rows(first, 30))
-            writer.write("label", label_rows(first // 10, 3))
+            writer.write("reading", logs.reading_rows(first, 30))
+            writer.write("label", logs.label_rows(first // 10, 3))
     done = recover(path, tmp_path / "out.mcap")
     assert (done.exit_code, done.gaps, done.damage) == (0, (), ())
     assert done.rows == {"reading": 3000, "label": 300, "silent": 0}
@@ -46,12 +37,12 @@ def test_a_whole_log_is_recovered_without_loss(tmp_path):
     assert after.metadata.keys() == {"host", "recovered"}
     assert after.units["reading"] == {"value": "N"}
     for name in before.channels:
-        assert same_fields(after.read(name), before.read(name))
+        assert logs.same_fields(after.read(name), before.read(name))
 
 
 def test_a_bit_in_every_chunk_in_turn_costs_that_chunk_and_is_told_to_the_row(tmp_path, small, rng):
     data = small.read_bytes()
-    places = chunk_places(data)
+    places = logs.chunk_places(data)
     assert len(places) > 5
     lost_in_all = []
     for start, end in places:
@@ -66,14 +57,14 @@ def test_a_bit_in_every_chunk_in_turn_costs_that_chunk_and_is_told_to_the_row(tm
         assert done.exit_code == 3
         assert len(done.damage) >= 1
         kept = log.read("reading")["sequence"].tolist()
-        missing = sorted(set(range(SMALL)) - set(kept))
+        missing = sorted(set(range(logs.SMALL)) - set(kept))
         # after the last row of a channel that the log still has, nobody can know of more
         assert numbers(done.gaps, "reading") == [n for n in missing if n < max(kept)]
         assert {gap.cause for gap in done.gaps} <= {LOST}
         told = [(g["channel"].decode(), int(g["first_missing"]), int(g["last_missing"])) for g in log.read(GAP_CHANNEL)]
         assert told == [(gap.channel, gap.first, gap.last) for gap in done.gaps]
         lost_in_all += missing
-    assert sorted(lost_in_all) == list(range(SMALL))  # each row is in one chunk, and lost with it alone
+    assert sorted(lost_in_all) == list(range(logs.SMALL))  # each row is in one chunk, and lost with it alone
 
 
 def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monkeypatch):
@@ -81,7 +72,7 @@ def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monk
     data = small.read_bytes()
     codes = set()
     for size in range(0, len(data), 13):
-        overwrite(small, data[:size])
+        logs.overwrite(small, data[:size])
         output = tmp_path / "out.mcap"
         readable = size >= 8 and any(len(LogReader(small).read(n)) for n in LogReader(small).channels)
         done = recover(small, output)
@@ -97,9 +88,9 @@ def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monk
 def test_gaps_that_the_flight_told_are_no_loss_of_the_log(tmp_path):
     path = tmp_path / "a.mcap"
     with LogWriter.create(path) as writer:
-        writer.register("reading", READING)
+        writer.register("reading", logs.READING)
         writer.register("gap", records.GAP)
-        writer.write("reading", np.concatenate([reading_rows(0, 10), reading_rows(14, 6)]))
+        writer.write("reading", np.concatenate([logs.reading_rows(0, 10), logs.reading_rows(14, 6)]))
         writer.write("gap", records.gap(14_000, "reading", 10, 13, 5000, "bus").rows)
     done = recover(path, tmp_path / "b.mcap")
     assert done.exit_code == 0
@@ -111,9 +102,9 @@ def test_gaps_that_the_flight_told_are_no_loss_of_the_log(tmp_path):
 def test_a_gap_told_in_part_is_told_for_the_rest(tmp_path):
     path = tmp_path / "a.mcap"
     with LogWriter.create(path) as writer:
-        writer.register("reading", READING)
+        writer.register("reading", logs.READING)
         writer.register("gap", records.GAP)
-        writer.write("reading", np.concatenate([reading_rows(5, 5), reading_rows(30, 6)]))
+        writer.write("reading", np.concatenate([logs.reading_rows(5, 5), logs.reading_rows(30, 6)]))
         for first, last in ((12, 13), (20, 22), (28, 29)):
             writer.write("gap", records.gap(14_000, "reading", first, last, 5000, "bus").rows)
     done = recover(path, tmp_path / "b.mcap")

@@ -8,16 +8,8 @@ import numpy as np
 from drivers import records
 from drivers.marks import MARK
 from drivers.sync_pulse import code
+from onboard.timebase import timebase
 from onboard.timebase.clock import ClockState
-from onboard.timebase.timebase import (
-    ChannelClock,
-    FreeChannel,
-    MarkedChannel,
-    ProducerChannel,
-    SampledChannel,
-    SyncLine,
-    Timebase,
-)
 
 SYNC_NS = 5_000_000
 STEP_NS = 50_000_000
@@ -92,14 +84,14 @@ class Fleet:
         dither = code.dither_ns()[numbers % code.CODE_LENGTH]
         self.edges = self.start_ns + 20_000_000 + (sync - sync[0]) * sync_ns + dither
         self.streams["sync"].origin_ns = self.start_ns + 20_000_000 - 4 * sync_ns
-        self.channels: dict[str, ChannelClock] = {
-            "imu": SampledChannel(1e6),
-            "node": MarkedChannel(1e3, "node_mark"),
-            "qsb": MarkedChannel(1.925e6, "qsb_mark", latches_counts=True),
-            "sync": ProducerChannel(sync_ns, 110_000.0),
-            "free": FreeChannel(2170.1, 3e6, 1e6),
+        self.channels: dict[str, timebase.ChannelClock] = {
+            "imu": timebase.SampledChannel(1e6),
+            "node": timebase.MarkedChannel(1e3, "node_mark"),
+            "qsb": timebase.MarkedChannel(1.925e6, "qsb_mark", latches_counts=True),
+            "sync": timebase.ProducerChannel(sync_ns, 110_000.0),
+            "free": timebase.FreeChannel(2170.1, 3e6, 1e6),
         }
-        self.timebase = Timebase(self.channels, SyncLine("pulse", sync_ns))
+        self.timebase = timebase.Timebase(self.channels, timebase.SyncLine("pulse", sync_ns))
         self.states: dict[str, ClockState] = {}  # as recorded
         self.newest: dict[str, tuple[int, float]] = {}  # tick told, and when it was
         self._marked = dict.fromkeys(self.streams, -1)

@@ -5,30 +5,12 @@ The keys of devices are described by their modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
+from onboard.config import estimation
 from onboard.config.bases.free_body import Carrier, FreeBody, Load
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Balance, Pivot
 from onboard.config.bases.planar import Body, Planar, Puck
 from onboard.config.drive import Drive
-from onboard.config.estimation import (
-    Carried,
-    DisturbanceKeys,
-    Estimation,
-    ExiddmKeys,
-    Gates,
-    ImuPriorKeys,
-    JointKeys,
-    Link,
-    LinkTolerance,
-    Masses,
-    MemoryKeys,
-    MotorKeys,
-    Phases,
-    Prior,
-    Resumed,
-    UsefulKeys,
-    Zero,
-)
 from onboard.config.keys.bases import BALANCE, BODY, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
 from onboard.config.keys.drive_meanings import DRIVE, MISSION
 from onboard.config.keys.flight_meanings import REALTIME, TELEMETRY
@@ -92,7 +74,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "reserve_mib": _M("Kept back for events and gaps when the disk is full."),
         "resume_s": _M("A start goes on with a flight that lost its power no longer ago; 0: never."),
     },
-    Estimation: {
+    estimation.Estimation: {
         "method": _M(
             '"rows": least squares on rows of the dynamics; "instrumental": the same for a free base, unbiased by '
             'noise; "exiddm": predicts the base IMU of a free vehicle, finds payload, capture and ejection.',
@@ -151,7 +133,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "Table: sigmas of the base IMU's errors, for method exiddm; of rows, a moving base's two biases."
         ),
     },
-    Phases: {
+    estimation.Phases: {
         "channel": _M("SCALAR channel whose value is the phase."),
         "identify": _M("Codes of the phases that are for identification."),
         "payload_taken": _M("The payload is held from this phase on; from the start where not given."),
@@ -160,14 +142,14 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "resumed": _M("Table: how far the mission had come when the power was lost; heft fly writes it."),
         "settle_ms": _M("Rows this close to a change of phase are not used.", "the arm rings for longer"),
     },
-    Resumed: {
+    estimation.Resumed: {
         "log": _M("Log of the part before."),
         "phase": _M("Phase that the mission was in."),
         "begun": _M("Whether there had been a phase for identification."),
         "taken": _M("Whether the payload had been taken."),
         "gone": _M("Whether it had been released."),
     },
-    Gates: {
+    estimation.Gates: {
         "joint_limits_deg": _M(
             "Rows of any joint outside are refused as contact.", "stops or soft pads lie within reach"
         ),
@@ -179,11 +161,11 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "huber_sigma": _M("Rows further than this weigh less, by Huber.", "outliers are many and mild"),
     },
-    MemoryKeys: {
+    estimation.MemoryKeys: {
         "forgetting_s": _M("A row's weight falls by 1/e in this time.", "the payload changes slowly (fuel, sloshing)"),
         "window_s": _M("Rows count for this long.", "the same, with a sharp end"),
     },
-    Zero: {
+    estimation.Zero: {
         "phases": _M("Codes of the phases of coasting at rest."),
         "ticks": _M("So many row periods of it at least.", "coasting is shorter, or the accelerometer noisier"),
         "drift_sigma_m_s2_k": _M(
@@ -191,12 +173,12 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "another accelerometer; 0: it is not followed",
         ),
     },
-    Link: {
+    estimation.Link: {
         "mass_relative": _M("How well the link was weighed: relative, 1 sigma."),
         "centre_m": _M("How well it was balanced, 1 sigma."),
         "inertia_relative": _M("How well it was swung: relative to half the tensor's trace, 1 sigma."),
     },
-    Prior: {
+    estimation.Prior: {
         "relative": _M("Relative sigma of all parameters of links not weighed; 0: exact.", "a link was measured"),
         "absolute": _M(
             "Absolute sigma of the other columns, SI, by name; by ExIDDM: of friction and offset of joint torques.",
@@ -207,20 +189,20 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             'How well places and encoders of joints are known, for method "exiddm"; the defaults for joints not in it.'
         ),
     },
-    JointKeys: {key: _M(*said) for key, said in JOINT.items()},
-    MotorKeys: {
+    estimation.JointKeys: {key: _M(*said) for key, said in JOINT.items()},
+    estimation.MotorKeys: {
         "ratios": _M("Motor rate per joint rate, by joint; 1 where both are equal at the joint."),
         "presliding_rad": _M(
             "Presliding length of its Coulomb friction after a reversal (Dahl); 0: none.",
             "friction lags behind reversals",
         ),
     },
-    Masses: {
+    estimation.Masses: {
         "joint": _M("Joint about which the inertia is."),
         "arm_link": _M("Link of the arm; its radius of gyration is taken from the URDF, as the payload's is."),
         "drawing": _M("By link, how far it may be from its drawing.", "Weighed or balanced parts: state what is left."),
     },
-    LinkTolerance: {
+    estimation.LinkTolerance: {
         "mass_relative": _M(
             "Standard deviation of the mass, relative; the arm's checks the scales of cells and encoders."
         ),
@@ -228,14 +210,14 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "inertia_relative": _M("Standard deviation of the inertia about the centre of mass, relative, at its mass."),
         "length_m": _M("Standard deviation of each coordinate of its frame's place beyond the joint."),
     },
-    Carried: {
+    estimation.Carried: {
         "log": _M("Log that it is from."),
         "names": _M("Parameters."),
         "mean": _M("Their values, SI."),
         "covariance": _M("Their covariance."),
         "sensitivity": _M("Of each to what is considered and no part of the covariance."),
     },
-    ExiddmKeys: {
+    estimation.ExiddmKeys: {
         "held_at_start": _M("Whether a payload is held when the flight begins.", "it is caught in flight: false"),
         "false_alarms_per_hour": _M("Of captures and ejections that are none.", "later alarms matter less, or more"),
         "payload_mass_sigma_kg": _M(
@@ -244,7 +226,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "payload_first_moment_sigma_kg_m": _M("The same of its first moment.", "as above"),
         "payload_inertia_sigma_kg_m2": _M("The same of its inertia.", "as above"),
     },
-    DisturbanceKeys: {
+    estimation.DisturbanceKeys: {
         "force_N": _M(
             "Each component of a force at the base's origin, 1 sigma at first; silent: 0.4 mN a kilogram of vehicle.",
             "what drags, leaks and pulls is known",
@@ -254,7 +236,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "time_s": _M("Correlation time of both.", "it changes faster"),
     },
-    UsefulKeys: {
+    estimation.UsefulKeys: {
         "mass": _M("Half of a 95 % interval of a mass, over the mass.", "a controller asks for more, or needs less"),
         "moment": _M("Of a moment of inertia, over it.", "as above"),
         "product": _M("Of a product of inertia, over the body's largest moment.", "as above"),
@@ -263,7 +245,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "as above",
         ),
     },
-    ImuPriorKeys: {
+    estimation.ImuPriorKeys: {
         "gyro_bias_rad_s": _M(
             "Bias of the gyro at the start, 1 sigma by axis. Silent of a free body: 8.7e-3.",
             "from a data sheet or a calibration",

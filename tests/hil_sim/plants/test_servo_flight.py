@@ -10,21 +10,7 @@ import pytest
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import NotYetComputedError
 from hil_sim.scenario.tables import ScenarioError
-from tests.hil_sim.plants.rocket import (
-    AS_DRAWN,
-    AT_REST,
-    EJECT,
-    HOLD,
-    NO_AIR,
-    NO_VIBRATION,
-    STILL,
-    SWEEP,
-    History,
-    history,
-    plant,
-    push,
-    scenario,
-)
+from tests.hil_sim.plants import rocket
 
 ARM_kg, TIP_kg = 0.23313, 0.06627
 ARM_COM_m = np.array([39.75, 1.41, 5.00]) * 1e-3
@@ -41,11 +27,11 @@ R_plate_imu = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # 
 STEP_S = 5e-4
 
 
-def flown(seed: int = 7, **overrides) -> History:
-    return history(plant(seed, **overrides))
+def flown(seed: int = 7, **overrides) -> rocket.History:
+    return rocket.history(rocket.plant(seed, **overrides))
 
 
-def joint_acceleration(seen: History) -> np.ndarray:
+def joint_acceleration(seen: rocket.History) -> np.ndarray:
     """(n - 2,) at rows 1..n-2."""
     return np.diff(seen.angle_rad, 2) / STEP_S**2
 
@@ -54,7 +40,7 @@ def parallel_axis(mass_kg, com_m, inertia_kg_m2):
     return inertia_kg_m2 + mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
 
 
-def hand_moment(seen: History, with_tip: bool) -> np.ndarray:
+def hand_moment(seen: rocket.History, with_tip: bool) -> np.ndarray:
     """Moment about the joint axis the flange must exert, rows 1..n-2 (n - 2,): Newton-Euler about the joint."""
     I_O = parallel_axis(ARM_kg, ARM_COM_m, ARM_I_kg_m2)
     mc = ARM_kg * ARM_COM_m
@@ -84,7 +70,7 @@ def hand_moment(seen: History, with_tip: bool) -> np.ndarray:
 
 @pytest.mark.parametrize(("with_tip", "zz"), [(True, ZZ_BOTH_kg_m2), (False, ZZ_ARM_kg_m2)])
 def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz) -> None:
-    world = plant(sequence=[HOLD] if with_tip else [EJECT, HOLD])
+    world = rocket.plant(sequence=[rocket.HOLD] if with_tip else [rocket.EJECT, rocket.HOLD])
     world.advance(1e9)
     model, data = world.flight.model, world.flight.data
     column = np.zeros(model.nv)
@@ -94,25 +80,28 @@ def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz
 
 
 def test_a_payload_in_the_shape_of_its_link_is_made_within_what_is_stated_of_that() -> None:
-    told = scenario().as_built["tip_mass"]
+    told = rocket.scenario().as_built["tip_mass"]
     assert (told.density_relative, told.centre_mm, told.inertia_relative, told.place_mm) == (0.015, 1.0, 0.1, 0.25)
-    plants = [VehiclePlant(scenario(sequence=[HOLD]), np.random.default_rng(seed)) for seed in range(20)]
+    plants = [VehiclePlant(rocket.scenario(sequence=[rocket.HOLD]), np.random.default_rng(seed)) for seed in range(20)]
     masses = np.array([one.payload.mass_kg for one in plants])
     assert 0.005 < np.std(masses / TIP_kg) < 0.03
     off = np.array([one.payload.centre_of_mass_m - [0.0, -0.01391, 0.0] for one in plants])
     assert 0.5e-3 < off.std() < 1.5e-3
     moments = np.array([one.payload.inertia_kg_m2[2, 2] / one.payload.mass_kg * TIP_kg for one in plants])
     assert 0.05 < np.std(moments / TIP_I_kg_m2[2, 2]) < 0.3
-    again = VehiclePlant(scenario(sequence=[HOLD]), np.random.default_rng(3))
+    again = VehiclePlant(rocket.scenario(sequence=[rocket.HOLD]), np.random.default_rng(3))
     assert again.payload.mass_kg == masses[3]
     with pytest.raises(ScenarioError, match="give it place_mm alone"):
-        VehiclePlant(scenario(payload={"size_mm": [10.0, 10.0, 10.0]}), np.random.default_rng(3))
+        VehiclePlant(rocket.scenario(payload={"size_mm": [10.0, 10.0, 10.0]}), np.random.default_rng(3))
 
 
 def test_a_denser_part_keeps_its_radius_of_gyration() -> None:
-    exact = AS_DRAWN["as_built"]
+    exact = rocket.AS_DRAWN["as_built"]
     dense = {"as_built": exact | {name: exact[name] | {"density_relative": 0.015} for name in exact}}
-    plants = [VehiclePlant(scenario(**dense, sequence=[HOLD]), np.random.default_rng(seed)) for seed in range(20)]
+    plants = [
+        VehiclePlant(rocket.scenario(**dense, sequence=[rocket.HOLD]), np.random.default_rng(seed))
+        for seed in range(20)
+    ]
     for parts, mass_kg, moment in (
         ([one.bodies["arm"] for one in plants], ARM_kg, ARM_I_kg_m2[2, 2]),
         ([one.payload for one in plants], TIP_kg, TIP_I_kg_m2[2, 2]),
@@ -127,7 +116,7 @@ def test_a_denser_part_keeps_its_radius_of_gyration() -> None:
 
 
 def test_load_cell_reads_inertia_times_acceleration_when_the_base_is_still() -> None:
-    seen = flown(**STILL, sequence=[HOLD, SWEEP])
+    seen = flown(**rocket.STILL, sequence=[rocket.HOLD, rocket.SWEEP])
     ddq = joint_acceleration(seen)
     assert np.abs(ddq).max() > 6.0
     np.testing.assert_allclose(seen.moment_n_m[1:-1], ZZ_BOTH_kg_m2 * ddq, atol=2e-8)
@@ -136,8 +125,8 @@ def test_load_cell_reads_inertia_times_acceleration_when_the_base_is_still() -> 
 @pytest.mark.parametrize("with_tip", [True, False])
 def test_arm_feels_the_base_motion(with_tip) -> None:
     """Coning, vibration and a sweep at once; the moment is Newton-Euler's within 2 uN m of some 10 mN m."""
-    sequence = [HOLD, SWEEP] if with_tip else [EJECT, SWEEP]
-    seen = flown(**NO_AIR, ejection={"velocity_m_s": [0.0, 0.0, 0.0]}, sequence=sequence)
+    sequence = [rocket.HOLD, rocket.SWEEP] if with_tip else [rocket.EJECT, rocket.SWEEP]
+    seen = flown(**rocket.NO_AIR, ejection={"velocity_m_s": [0.0, 0.0, 0.0]}, sequence=sequence)
     moment, expected = seen.moment_n_m[1:-1], hand_moment(seen, with_tip)
     base_part = expected - (ZZ_BOTH_kg_m2 if with_tip else ZZ_ARM_kg_m2) * joint_acceleration(seen)
     assert base_part.std() > 3e-4  # the base's share is not small
@@ -147,7 +136,7 @@ def test_arm_feels_the_base_motion(with_tip) -> None:
 
 
 def test_imu_feels_the_prescribed_motion() -> None:
-    seen = flown(sequence=[HOLD, SWEEP])
+    seen = flown(sequence=[rocket.HOLD, rocket.SWEEP])
     alpha, w_half = seen.angular_accel_rad_s2, seen.angular_rate_half_rad_s
     w = w_half + 0.5 * STEP_S * alpha
     at_imu = seen.origin_accel_m_s2 + np.cross(alpha, IMU_m) + np.cross(w, np.cross(w, IMU_m))
@@ -158,9 +147,9 @@ def test_imu_feels_the_prescribed_motion() -> None:
 
 def test_imu_on_a_pure_spin_reads_centripetal_and_the_spin_on_its_y_axis() -> None:
     seen = flown(
-        **NO_AIR | NO_VIBRATION,
-        coning=AT_REST["coning"] | {"spin_rad_s": 0.5, "centre_of_mass_to_base_m": [0.0, 0.0, 1.4]},
-        sequence=[HOLD],
+        **rocket.NO_AIR | rocket.NO_VIBRATION,
+        coning=rocket.AT_REST["coning"] | {"spin_rad_s": 0.5, "centre_of_mass_to_base_m": [0.0, 0.0, 1.4]},
+        sequence=[rocket.HOLD],
     )
     # -w^2 r of (80, -40) mm: -0.02 along x_0, +0.01 along y_0 = -z_imu; nothing along z_0 = y_imu.
     np.testing.assert_allclose(seen.specific_force_imu_m_s2[-1], [-0.02, 0.0, -0.01], atol=1e-7)
@@ -169,7 +158,7 @@ def test_imu_on_a_pure_spin_reads_centripetal_and_the_spin_on_its_y_axis() -> No
 
 def test_friction_and_rotor_stay_on_the_motor_side_of_the_cell() -> None:
     """Servo torque minus what the drive eats is what the cell reads: (tau - friction - Ia ddq) within the ripple."""
-    seen = flown(**STILL, sequence=[HOLD, SWEEP])
+    seen = flown(**rocket.STILL, sequence=[rocket.HOLD, rocket.SWEEP])
     rate = seen.joint_rate_half_rad_s[1:-1]
     moving = np.abs(rate) > 0.05
     assert moving.sum() > 1000
@@ -181,8 +170,8 @@ def test_friction_and_rotor_stay_on_the_motor_side_of_the_cell() -> None:
 
 
 def test_strokes_touch_nothing_and_follow_the_command() -> None:
-    world = plant()
-    seen = history(world)
+    world = rocket.plant()
+    seen = rocket.history(world)
     strokes = [span for span in world.program.spans if span.action == "strokes"]
     assert len(strokes) == 4
     for span in strokes:
@@ -199,7 +188,7 @@ def test_strokes_touch_nothing_and_follow_the_command() -> None:
 
 @pytest.mark.parametrize(("command_deg", "stop_deg", "stiffness_n_m"), [(17.5, 13.2, 25e3), (-17.5, -15.0, 400e3)])
 def test_pushes_press_on_the_stops_by_the_torque_limit(command_deg, stop_deg, stiffness_n_m) -> None:
-    seen = flown(**STILL, sequence=[HOLD, push(command_deg), HOLD])
+    seen = flown(**rocket.STILL, sequence=[rocket.HOLD, rocket.push(command_deg), rocket.HOLD])
     side = np.sign(command_deg)
     holding = slice(round(2.9 / STEP_S), round(3.0 / STEP_S))
     moment = side * seen.moment_n_m[holding]
@@ -214,12 +203,12 @@ def test_pushes_press_on_the_stops_by_the_torque_limit(command_deg, stop_deg, st
 
 
 def test_soft_stop_is_met_before_the_hard_one() -> None:
-    seen = flown(**STILL, sequence=[HOLD, push(17.5)])
+    seen = flown(**rocket.STILL, sequence=[rocket.HOLD, rocket.push(17.5)])
     assert 13.8 < np.rad2deg(seen.angle_rad.max()) < 15.0
 
 
 def test_ejection_takes_the_tip_mass_and_kicks_the_arm() -> None:
-    seen = flown(**STILL, sequence=[SWEEP, EJECT, SWEEP])
+    seen = flown(**rocket.STILL, sequence=[rocket.SWEEP, rocket.EJECT, rocket.SWEEP])
     ddq, moment = joint_acceleration(seen), seen.moment_n_m[1:-1]
     start = round((0.6 * 2 + 3 * 0.65) / STEP_S)
     before, after = slice(0, start - 1), slice(start + 12, None)
@@ -235,8 +224,8 @@ def test_ejection_takes_the_tip_mass_and_kicks_the_arm() -> None:
 
 
 def test_ejection_need_not_fall_on_a_chunk() -> None:
-    odd = dict(HOLD, duration_s=0.5115)
-    seen = flown(**STILL, sequence=[odd, EJECT, SWEEP])
+    odd = dict(rocket.HOLD, duration_s=0.5115)
+    seen = flown(**rocket.STILL, sequence=[odd, rocket.EJECT, rocket.SWEEP])
     start = round(0.5115 / STEP_S)
     assert start % 40 != 0
     ddq, moment = joint_acceleration(seen), seen.moment_n_m[1:-1]
@@ -248,7 +237,7 @@ def test_ejection_need_not_fall_on_a_chunk() -> None:
 def test_air_pushes_beyond_the_cell_at_the_centre_of_pressure() -> None:
     """The cell reads Newton-Euler minus the drag's moment, 85 mm out, proportional to dynamic pressure."""
     air = {"reference_s": 2.0, "pressure_Pa": 2.0 / 0.011}
-    seen = flown(air=air, sequence=[HOLD, SWEEP])
+    seen = flown(air=air, sequence=[rocket.HOLD, rocket.SWEEP])
     rows = slice(1, len(seen.angle_rad) - 1)
     q = seen.angle_rad[rows] + np.deg2rad(-55.4)
     force = 0.0024 * seen.pressure_pa[rows, None] * seen.wind[rows]
@@ -265,7 +254,10 @@ def test_air_pushes_beyond_the_cell_at_the_centre_of_pressure() -> None:
 
 
 def test_history_does_not_hang_on_how_it_was_advanced() -> None:
-    whole, halting = plant(3, sequence=[HOLD, SWEEP, EJECT]), plant(3, sequence=[HOLD, SWEEP, EJECT])
+    whole, halting = (
+        rocket.plant(3, sequence=[rocket.HOLD, rocket.SWEEP, rocket.EJECT]),
+        rocket.plant(3, sequence=[rocket.HOLD, rocket.SWEEP, rocket.EJECT]),
+    )
     whole.advance(1e9)
     for time_s in np.arange(0.0, 10.0, 0.00713):
         halting.advance(time_s)
@@ -275,7 +267,7 @@ def test_history_does_not_hang_on_how_it_was_advanced() -> None:
 
 
 def test_plant_knows_what_it_has_not_computed() -> None:
-    world = plant(3, sequence=[HOLD])
+    world = rocket.plant(3, sequence=[rocket.HOLD])
     with pytest.raises(NotYetComputedError, match="advance the mission first"):
         world.require(0.0)
     world.advance(0.5)

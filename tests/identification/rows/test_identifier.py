@@ -15,33 +15,24 @@ from onboard.identification.quantities import inertia_about_joint, mass_quantiti
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.rows import RowModel
-from tests.identification.rows.rocksat_flight import (
-    EJECTION_S,
-    TRUTH_KG,
-    by_name,
-    feed,
-    flight,
-    identifier,
-    part,
-    setup,
-)
+from tests.identification.rows import rocksat_flight
 
 
 def test_masses_over_many_flights(rng):
     """Bars, with room: p95 errors, coverage of masses and of every base parameter."""
-    _, model, base, _ = setup()
+    _, model, base, _ = rocksat_flight.setup()
     chi = model.chi.copy()
     chi[-1] = 0.03
     truth = base.value(chi)
     errors, covered, parameters = [], [], []
     for _ in range(40):
-        signals, held, _ = flight(rng)
-        who = identifier()
-        feed(who, signals, held, step=64)
+        signals, held, _ = rocksat_flight.flight(rng)
+        who = rocksat_flight.identifier()
+        rocksat_flight.feed(who, signals, held, step=64)
         estimate = who.estimate()
-        masses = by_name(estimate)
-        errors.append([masses[name].mean / kg - 1 for name, kg in TRUTH_KG.items()])
-        covered.append([masses[name].low <= kg <= masses[name].high for name, kg in TRUTH_KG.items()])
+        masses = rocksat_flight.by_name(estimate)
+        errors.append([masses[name].mean / kg - 1 for name, kg in rocksat_flight.TRUTH_KG.items()])
+        covered.append([masses[name].low <= kg <= masses[name].high for name, kg in rocksat_flight.TRUTH_KG.items()])
         parameters.append((estimate.low <= truth) & (truth <= estimate.high))
     p95 = np.percentile(np.abs(errors), 95, axis=0)
     assert (p95 < [0.015, 0.010, 0.015]).all(), p95
@@ -51,11 +42,11 @@ def test_masses_over_many_flights(rng):
 
 
 def test_before_the_ejection_only_the_inertia_of_both_is_told(rng):
-    signals, held, _ = flight(rng)
-    who = identifier()
-    feed(who, part(signals, held), held[held])
-    masses = by_name(who.estimate())
-    for name in TRUTH_KG:
+    signals, held, _ = rocksat_flight.flight(rng)
+    who = rocksat_flight.identifier()
+    rocksat_flight.feed(who, rocksat_flight.part(signals, held), held[held])
+    masses = rocksat_flight.by_name(who.estimate())
+    for name in rocksat_flight.TRUTH_KG:
         assert not masses[name].supported
         assert np.isnan([masses[name].mean, masses[name].sigma, masses[name].low, masses[name].high]).all()
         assert "not determined" in masses[name].note
@@ -64,7 +55,7 @@ def test_before_the_ejection_only_the_inertia_of_both_is_told(rng):
 
 
 def test_before_any_row_nothing_is_told():
-    estimate = identifier().estimate()
+    estimate = rocksat_flight.identifier().estimate()
     assert not estimate.supported.any()
     assert estimate.supported.size > 0
     assert len(estimate.quantities) > 0
@@ -74,38 +65,38 @@ def test_before_any_row_nothing_is_told():
 
 def test_a_row_weighs_what_its_motion_is_known_to(rng):
     """A reading without any error of its own: the row's sigma is what the motion's noise makes of the masses."""
-    signals, held, _ = flight(rng)
+    signals, held, _ = rocksat_flight.flight(rng)
     exact = signals._replace(sigma=np.zeros_like(signals.sigma))
-    who = identifier(considered=())
-    found = feed(who, exact, held)
+    who = rocksat_flight.identifier(considered=())
+    found = rocksat_flight.feed(who, exact, held)
     assert np.count_nonzero(found == 0) > 0.9 * held.size
-    assert by_name(who.estimate())["ZZ_joint_1_R_held"].mean == pytest.approx(3.0794e-3, rel=0.015)
+    assert rocksat_flight.by_name(who.estimate())["ZZ_joint_1_R_held"].mean == pytest.approx(3.0794e-3, rel=0.015)
     # with a perfect accelerometer, what is left is angular acceleration: 3.08e-3 kg m^2 over 40 mm, held
     noise = signals.noise._replace(specific_force=np.zeros_like(signals.noise.specific_force))
     exact = exact._replace(noise=noise)
     expected = 3.08e-3 / 0.04 * np.hypot(noise.ddq[100, 0], noise.acceleration[100, 0]) * noise.inflation
-    one = identifier(considered=())
+    one = rocksat_flight.identifier(considered=())
     one.rls.prior(one.base.value(one.model.chi), np.full(len(one.base.names), 1e-9))  # sure of the drawing
-    one.update(part(exact, slice(100, 101)), held[100:101], np.zeros(1, np.int64))
+    one.update(rocksat_flight.part(exact, slice(100, 101)), held[100:101], np.zeros(1, np.int64))
     row = one.recursion.blocks.normal[0]
     index = one.base.names.index("ZZ_arm")
     regressor = (signals.ddq[100, 0] + signals.motion.acceleration_rad_s2[100, 2]) / 0.04
     doubt = np.hypot(noise.ddq[100, 0], noise.acceleration[100, 0]) / 0.04
     assert row[index, index] == pytest.approx((regressor**2 - doubt**2) / expected**2, rel=0.3)  # and lever arms
     with pytest.raises(RowError, match="sigma"):
-        feed(identifier(considered=()), exact._replace(noise=None), held)
+        rocksat_flight.feed(rocksat_flight.identifier(considered=()), exact._replace(noise=None), held)
 
 
 def test_a_row_s_innovation_is_what_it_is_off_what_the_rows_before_it_let_expect(rng):
-    signals, held, _ = flight(rng)
+    signals, held, _ = rocksat_flight.flight(rng)
     before, at = 1000, slice(1000, 1001)
 
     def innovation(off_sigma, reason=0):
-        who = identifier()
-        feed(who, part(signals, slice(before)), held[:before], step=50)
+        who = rocksat_flight.identifier()
+        rocksat_flight.feed(who, rocksat_flight.part(signals, slice(before)), held[:before], step=50)
         assert np.isfinite(who.innovation).all()
         moved = signals._replace(measured=signals.measured + off_sigma * signals.sigma)
-        found = who.update(part(moved, at), held[at], np.full(1, reason, np.int64))
+        found = who.update(rocksat_flight.part(moved, at), held[at], np.full(1, reason, np.int64))
         assert who.innovation.shape == (1, 1)
         return float(who.innovation[0, 0]), int(found[0, 0])
 
@@ -118,19 +109,19 @@ def test_a_row_s_innovation_is_what_it_is_off_what_the_rows_before_it_let_expect
 
 
 def test_batches_of_any_size_agree(rng):
-    signals, held, _ = flight(rng)
-    one, two = identifier(), identifier()
-    feed(one, signals, held, step=5)
-    feed(two, signals, held, step=17)
+    signals, held, _ = rocksat_flight.flight(rng)
+    one, two = rocksat_flight.identifier(), rocksat_flight.identifier()
+    rocksat_flight.feed(one, signals, held, step=5)
+    rocksat_flight.feed(two, signals, held, step=17)
     assert len(one.estimate().quantities) > 0
     for a, b in zip(one.estimate().quantities, two.estimate().quantities, strict=True):
         assert a.mean == pytest.approx(b.mean, rel=1e-3)
 
 
 def test_an_answer_takes_two_jackknifes_one_for_its_findings(rng, monkeypatch):
-    signals, held, _ = flight(rng)
-    who, taken, real = identifier(), [], Identifier.block_jackknife
-    feed(who, signals, held)
+    signals, held, _ = rocksat_flight.flight(rng)
+    who, taken, real = rocksat_flight.identifier(), [], Identifier.block_jackknife
+    rocksat_flight.feed(who, signals, held)
     monkeypatch.setattr(Identifier, "block_jackknife", lambda self, *how: taken.append(how) or real(self, *how))
     who.findings()
     who.estimate()
@@ -139,33 +130,37 @@ def test_an_answer_takes_two_jackknifes_one_for_its_findings(rng, monkeypatch):
 
 def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng):
     """4 s after the ejection a window of 3 s holds rows without the payload only: it cannot tell the payload."""
-    signals, held, _ = flight(rng)
-    short, whole = identifier(memory=Memory(window_s=3.0)), identifier()
+    signals, held, _ = rocksat_flight.flight(rng)
+    short, whole = rocksat_flight.identifier(memory=Memory(window_s=3.0)), rocksat_flight.identifier()
     for one in (short, whole):
-        feed(one, part(signals, signals.time_s < EJECTION_S + 4.0), held[signals.time_s < EJECTION_S + 4.0])
+        rocksat_flight.feed(
+            one,
+            rocksat_flight.part(signals, signals.time_s < rocksat_flight.EJECTION_S + 4.0),
+            held[signals.time_s < rocksat_flight.EJECTION_S + 4.0],
+        )
     assert 0.8 * 300 < short.rls.rows <= 350  # rows at 100 Hz, some of them between sweeps
-    assert by_name(whole.estimate())["m_tip_mass"].supported
-    told = by_name(short.estimate())
+    assert rocksat_flight.by_name(whole.estimate())["m_tip_mass"].supported
+    told = rocksat_flight.by_name(short.estimate())
     assert told["m_arm"].supported
     assert not told["m_tip_mass"].supported
 
 
 def test_outliers_that_the_gate_lets_pass_weigh_less_with_huber(rng):
-    signals, held, _ = flight(rng)
+    signals, held, _ = rocksat_flight.flight(rng)
     hit = rng.random(held.size) < 0.05
     spoilt = signals._replace(measured=signals.measured + 15.0 * np.where(hit, 1.0, 0.0)[:, None] * signals.sigma)
     errors = []
     for huber in (None, 1.5):
-        one, clean = identifier(huber_sigma=huber), identifier()
-        feed(one, spoilt, held)
-        feed(clean, signals, held)
+        one, clean = rocksat_flight.identifier(huber_sigma=huber), rocksat_flight.identifier()
+        rocksat_flight.feed(one, spoilt, held)
+        rocksat_flight.feed(clean, signals, held)
         bias = one.base.names.index("bias_load_cell")
         errors.append(abs(one.estimate().mean[bias] - clean.estimate().mean[bias]))
     assert errors[1] < 0.6 * errors[0]
 
 
 def test_reasons_and_counts(rng):
-    signals, held, _ = flight(rng)
+    signals, held, _ = rocksat_flight.flight(rng)
     excluded = np.zeros(held.size, np.int64)
     excluded[:100] = GateReason.PHASE
     excluded[50:60] |= GateReason.DRAG
@@ -173,8 +168,8 @@ def test_reasons_and_counts(rng):
     measured[300], measured[400] = np.nan, measured[400] + 20.0
     q[310], noise[320] = np.nan, np.nan
     spoiled = signals._replace(measured=measured, q=q, noise=signals.noise._replace(rate=noise))
-    who = identifier()
-    found = feed(who, spoiled, held, excluded)
+    who = rocksat_flight.identifier()
+    found = rocksat_flight.feed(who, spoiled, held, excluded)
     assert found.shape == (held.size, 1)
     assert found[0, 0] == GateReason.PHASE
     assert found[55, 0] == GateReason.PHASE | GateReason.DRAG
@@ -186,11 +181,11 @@ def test_reasons_and_counts(rng):
     assert estimate.refused[GateReason.GAP] == 3
     assert estimate.refused[GateReason.RESIDUAL] >= 1
     assert estimate.rows_used == np.count_nonzero(found == 0)
-    assert by_name(estimate)["m_arm"].mean == pytest.approx(0.23313, rel=0.03)
+    assert rocksat_flight.by_name(estimate)["m_arm"].mean == pytest.approx(0.23313, rel=0.03)
 
 
 def test_functionals_are_the_inertia_about_the_joint():
-    vehicle, _, _, _ = setup()
+    vehicle, _, _, _ = rocksat_flight.setup()
     plate, arm, tip = inertia_about_joint(vehicle, "joint_1") @ vehicle.chi
     assert plate == 0.0
     # table 4.6, g mm^2: ZZ about the centre of mass and Steiner
@@ -199,9 +194,9 @@ def test_functionals_are_the_inertia_about_the_joint():
 
 
 def test_impossible_set_ups_are_named():
-    vehicle, model, base, _ = setup()
+    vehicle, model, base, _ = rocksat_flight.setup()
     with pytest.raises(UnknownFrameError, match="names row 'cell'"):
-        identifier(considered=(Considered("scale", "cell", "scale", 0.1),))
+        rocksat_flight.identifier(considered=(Considered("scale", "cell", "scale", 0.1),))
     with pytest.raises(UnknownFrameError, match="forearm"):
         mass_quantities(model, base, "joint_1", "forearm")
     drawn = packaged("rocksat").with_name("rocksat.urdf").read_text()
@@ -214,8 +209,8 @@ def test_impossible_set_ups_are_named():
 
 
 def test_signals_of_a_wrong_shape_are_named(rng):
-    signals, held, _ = flight(rng)
-    who = identifier()
+    signals, held, _ = rocksat_flight.flight(rng)
+    who = rocksat_flight.identifier()
     none = np.zeros(held.size, np.int64)
     with pytest.raises(SignalError, match="one each"):
         who.update(signals._replace(measured=np.repeat(signals.measured, 2, axis=1)), held, none)
@@ -225,9 +220,9 @@ def test_signals_of_a_wrong_shape_are_named(rng):
 
 @pytest.mark.parametrize(("every", "against"), [(15, True), (25, False)])
 def test_more_than_one_row_in_twenty_that_contradicts_the_others_refuses_all(rng, every, against):
-    signals, held, _ = flight(rng)
+    signals, held, _ = rocksat_flight.flight(rng)
     measured = signals.measured.copy()
     measured[100::every] += 20.0
-    who = identifier()
-    feed(who, signals._replace(measured=measured), held)
+    who = rocksat_flight.identifier()
+    rocksat_flight.feed(who, signals._replace(measured=measured), held)
     assert any("of the rows contradict the others" in said for said in who.findings().against) == against

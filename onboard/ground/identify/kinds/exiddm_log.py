@@ -24,18 +24,8 @@ from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.likelihood_log import (
-    LONGEST_S,
-    SHORTEST_S,
-    CheckedFit,
-    Kept,
-    TickRun,
-    half_too_short,
-    identified_of,
-    no_answer,
-    runs_of,
-)
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.change import Change, CONTACT_s
@@ -128,10 +118,10 @@ class _Flight:
         self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
     ) -> Identified:
         """Estimates and verdict of the flight."""
-        kept = Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
+        kept = likelihood_log.Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
         seen = int(np.isfinite(self._ticks.measured).sum())
         if self._online.exiddm.predictor.bends.size:
-            return no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
+            return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
         failure = ""
         best: Tested | None = None
         for known in self._starts(log):
@@ -150,15 +140,19 @@ class _Flight:
                 break
         if best is None:
             idle = {} if failure else {"while nothing was held": seen}
-            return no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
+            return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
         try:
             fit = freely(best.flight, best.found, best.kinds)
         except EstimationError as error:
-            return no_answer(kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}")
+            return likelihood_log.no_answer(
+                kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}"
+            )
         if fit.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
         made = best._replace(found=fit)
-        said = identified_of(kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names))
+        said = likelihood_log.identified_of(
+            kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names)
+        )
         return said.with_before(self._before(made))
 
     def _before(self, made: Tested) -> BeforeCapture | None:
@@ -234,31 +228,31 @@ class _Flight:
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
-        runs = runs_of(self._ticks, changes, self._held, self._period_s)
+        runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
         lengths: dict[int, int] = {}
         for run in runs:
             lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
         held = {payload: ticks for payload, ticks in lengths.items() if payload > 0}
-        if not held or max(held.values()) * self._period_s < SHORTEST_S:
+        if not held or max(held.values()) * self._period_s < likelihood_log.SHORTEST_S:
             return []
         longest = max(held, key=lambda payload: held[payload])
         runs = self._without_pauses(runs, longest)
         chosen = [*self._some(runs, longest), *self._some(runs, 0)]
         return [Segment(self._ticks.part(run.ticks), run.payload > 0) for run in sorted(chosen, key=_begin)]
 
-    def _without_pauses(self, runs: Sequence[TickRun], payload: int) -> list[TickRun]:
+    def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
         """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
         longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
         begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
-        stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > LONGEST_S)])
+        stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > likelihood_log.LONGEST_S)])
         return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
 
-    def _some(self, runs: Sequence[TickRun], payload: int) -> list[TickRun]:
-        left, found = round(LONGEST_S / self._period_s), []
+    def _some(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
+        left, found = round(likelihood_log.LONGEST_S / self._period_s), []
         for run in runs:
             ticks = slice(run.ticks.start, min(run.ticks.stop, run.ticks.start + left))
             if run.payload == payload and ticks.stop > ticks.start:
-                found.append(TickRun(ticks, payload))
+                found.append(likelihood_log.TickRun(ticks, payload))
                 left -= ticks.stop - ticks.start
         return found
 
@@ -308,7 +302,7 @@ class _Flight:
         return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
 
 
-def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> CheckedFit:
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likelihood_log.CheckedFit:
     """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
 
     Args:
@@ -321,8 +315,8 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Checke
     try:
         held_out = halves(flight, found)
     except EstimationError as error:
-        unchecked = half_too_short(error)
-    return CheckedFit(
+        unchecked = likelihood_log.half_too_short(error)
+    return likelihood_log.CheckedFit(
         found.payload,
         found.chi,
         found.chi_covariance,
@@ -339,9 +333,9 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Checke
     )
 
 
-def _begin(run: TickRun) -> int:
+def _begin(run: likelihood_log.TickRun) -> int:
     return int(run.ticks.start)
 
 
-def _end(run: TickRun) -> int:
+def _end(run: likelihood_log.TickRun) -> int:
     return int(run.ticks.stop) - 1

@@ -26,13 +26,7 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
-from onboard.identification.table.air_bearing import (
-    AirBearingPrior,
-    DragPrior,
-    TableExiddm,
-    air_bearing_exiddm,
-    drag_of,
-)
+from onboard.identification.table import air_bearing
 from onboard.identification.table.run import TableRun
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
@@ -90,9 +84,11 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
-    def build(some: Ticks, first: bool) -> TableExiddm:
+    def build(some: Ticks, first: bool) -> air_bearing.TableExiddm:
         prior, run = at_start if first and let_go else underway(at_start), some.flight(period_s, samples)
-        return air_bearing_exiddm(model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior)
+        return air_bearing.air_bearing_exiddm(
+            model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior
+        )
 
     def judge(found: PayloadFit, wider: float) -> BaseResult:
         return _drags(found, at_start.pucks, wider)
@@ -100,7 +96,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
 
 
-def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
+def table_prior(vehicle: config.Vehicle) -> air_bearing.AirBearingPrior:
     """What is known of a run besides payload and links where it begins as the base is let go.
 
     Raises:
@@ -109,9 +105,9 @@ def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
     asked = vehicle.file.planar
     if asked is None:
         raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
-    pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
+    pucks = {puck.frame: air_bearing.DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
     known = asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, asked.sag_sigma
-    return AirBearingPrior(*known, imu_prior_of(vehicle))
+    return air_bearing.AirBearingPrior(*known, imu_prior_of(vehicle))
 
 
 def ticks_together(vehicle: config.Vehicle) -> int:
@@ -121,14 +117,14 @@ def ticks_together(vehicle: config.Vehicle) -> int:
     return max(1, round(apart_s * settings.row_rate_hz))
 
 
-def underway(at_start: AirBearingPrior) -> AirBearingPrior:
+def underway(at_start: air_bearing.AirBearingPrior) -> air_bearing.AirBearingPrior:
     """The same where it begins later: the velocity is hardly known."""
     return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
 
 
-def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> BaseResult:
+def _drags(found: PayloadFit, pucks: Mapping[str, air_bearing.DragPrior], wider: float) -> BaseResult:
     """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
-    drag = drag_of(found, pucks)
+    drag = air_bearing.drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])
     sigma = wider**0.5 * drag.sigma
     half = HALF * sigma

@@ -10,26 +10,16 @@ import pytest
 
 from onboard.cli import BAD_INPUT, FAILED, OK, main
 from onboard.ground.calibrate.weigh import units
-from tests.ground.calibrate.weigh.wrist_bench import (
-    GRAVITY,
-    HEADER,
-    NAMED,
-    holds,
-    quaternion,
-    record,
-    turn,
-    weighed,
-    write,
-)
+from tests.ground.calibrate.weigh import wrist_bench
 
 PAGE = (Path(__file__).parents[4] / "docs" / "weigh.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
-WRENCH = HEADER[4:]
+WRENCH = wrist_bench.HEADER[4:]
 
 
 def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    write(tmp_path / "poses.csv", one.rows, NAMED)
+    wrist_bench.write(tmp_path / "poses.csv", one.rows, wrist_bench.NAMED)
     assert main(["init", "lab", "--from", "workshop"]) == OK
     assert len(COMMANDS) == 4
     for command in COMMANDS:
@@ -41,7 +31,7 @@ def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
     answer = json.loads((tmp_path / "weighed.json").read_text(encoding="utf-8"))
     assert answer["verdict"]["level"] == "good"
     assert "is left over" not in answer["verdict"]["text"]
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
     text = (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8")
     written = dict(
         zip(re.findall(r"\[device\.wrist_(\w+)\]", text), re.findall(r"offset_N = (\S+)", text), strict=True)
@@ -67,9 +57,9 @@ def test_conventions_are_found(one, tmp_path):
         (np.hstack([inverse, one.wrench]), ("base-in-sensor", "sensor", "weight")),
         (np.hstack([q, -one.wrench]), ("sensor-in-base", "sensor", "reaction")),
     ):
-        code, answer = weighed(tmp_path, rows)
+        code, answer = wrist_bench.weighed(tmp_path, rows)
         assert (code, tuple(answer["convention"][key] for key in ("sense", "axes", "sign"))) == (OK, expected)
-        assert all(holds(answer, one.true).values())
+        assert all(wrist_bench.holds(answer, one.true).values())
         assert 1 < len(answer["others"]) <= 24
         (second,) = (note for note in answer["notes"] if note.startswith("the next likeliest of"))
         assert re.search(r"[\d.e+]+ times less likely: (Euler|.*orientation is)", second)
@@ -77,40 +67,40 @@ def test_conventions_are_found(one, tmp_path):
 
 @pytest.mark.usefixtures("axes_as_they_are")
 def test_a_tilted_base_and_an_arm_on_a_wall(tmp_path):
-    tilted = record(12, tilt_deg=8.0)
-    code, answer = weighed(tmp_path, tilted.rows)
+    tilted = wrist_bench.record(12, tilt_deg=8.0)
+    code, answer = wrist_bench.weighed(tmp_path, tilted.rows)
     assert code == OK
-    assert all(holds(answer, tilted.true).values())
-    wall = record(13)
-    side = turn([0.0, np.pi / 2.0, 0.0])  # the wall's base: downwards is its -x
-    rows = np.hstack([np.array([quaternion(side @ R) for R in wall.R]), wall.wrench])
+    assert all(wrist_bench.holds(answer, tilted.true).values())
+    wall = wrist_bench.record(13)
+    side = wrist_bench.turn([0.0, np.pi / 2.0, 0.0])  # the wall's base: downwards is its -x
+    rows = np.hstack([np.array([wrist_bench.quaternion(side @ R) for R in wall.R]), wall.wrench])
     for said in (("--gravity=-1,0,0",), ()):
-        code, answer = weighed(tmp_path, rows, *said)
+        code, answer = wrist_bench.weighed(tmp_path, rows, *said)
         assert code == OK
-        assert all(holds(answer, wall.true).values())
+        assert all(wrist_bench.holds(answer, wall.true).values())
         assert any("downwards in the base's axes is -1,0,0" in note for note in answer["notes"])
 
 
 def test_a_base_that_leans_further_than_is_stated(tmp_path):
     """25 deg are five stated sigmas: a note where nobody said how it stands, a doubt of what was said."""
-    leaning = record(15)
-    about = turn([0.0, np.deg2rad(25.0), 0.0])
-    rows = np.hstack([np.array([quaternion(about @ R) for R in leaning.R]), leaning.wrench])
+    leaning = wrist_bench.record(15)
+    about = wrist_bench.turn([0.0, np.deg2rad(25.0), 0.0])
+    rows = np.hstack([np.array([wrist_bench.quaternion(about @ R) for R in leaning.R]), leaning.wrench])
     for said, level, where in (
         ((), "good", lambda answer: " ".join(answer["notes"])),
         (("--gravity=0,0,-1",), "weak", lambda answer: answer["verdict"]["text"]),
         (("--gravity=0,0,-1", "--tilt-deg=25"), "good", lambda _: "the base leans by 25 deg against"),
     ):
-        code, answer = weighed(tmp_path, rows, *said, header=NAMED)
+        code, answer = wrist_bench.weighed(tmp_path, rows, *said, header=wrist_bench.NAMED)
         assert (code, answer["verdict"]["level"]) == (OK, level)
         assert re.search("the base leans by 2[3-7] deg against", where(answer))
-        assert all(holds(answer, leaning.true).values())
+        assert all(wrist_bench.holds(answer, leaning.true).values())
 
 
 @pytest.mark.parametrize(("factor", "level"), [(2000.0, "good"), (3000.0, "do not use")])
 def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, factor, level):
     rows = np.hstack([one.rows[:, :4], one.wrench * factor / one.true.mass_kg])
-    answer = weighed(tmp_path, rows, header=NAMED)[1]
+    answer = wrist_bench.weighed(tmp_path, rows, header=wrist_bench.NAMED)[1]
     assert answer["verdict"]["level"] == level
     assert ("--force-unit" in answer["verdict"]["text"]) == (level == "do not use")
 
@@ -118,14 +108,14 @@ def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, fact
 @pytest.mark.usefixtures("axes_as_they_are")
 def test_a_payload_that_is_gripped_between_poses(tmp_path):
     """A tenth more from some pose on is named with its row; zeros taken off again, or contacts, are no body."""
-    one = record(8)
-    weight = one.true.mass_kg * (one.true.mounting @ one.R.transpose(0, 2, 1) @ [0.0, 0.0, -GRAVITY])
+    one = wrist_bench.record(8)
+    weight = one.true.mass_kg * (one.true.mounting @ one.R.transpose(0, 2, 1) @ [0.0, 0.0, -wrist_bench.GRAVITY])
     more = 0.1 * np.hstack([weight, np.cross(one.true.centre_m, weight)])
     knocked = np.zeros_like(more)
     knocked[[3, 11, 19], :3] = np.random.default_rng(1).normal(size=(3, 3)) * 5.0
     held = np.arange(len(more))[:, None] >= 11
     for added, body in ((more * held, True), (-one.wrench[11] * held, False), (knocked, False), (0.0, False)):
-        answer = weighed(tmp_path, np.hstack([one.rows[:, :4], one.wrench + added]))[1]
+        answer = wrist_bench.weighed(tmp_path, np.hstack([one.rows[:, :4], one.wrench + added]))[1]
         said = re.search(
             r"from row 12 on another body is held, of ([\d.]+) kg after ([\d.]+) kg", answer["verdict"]["text"]
         )
@@ -165,7 +155,7 @@ def spoilt(wrench, what):
     ],
 )
 def test_wrong_axes_and_units_are_refused_by_name(one, tmp_path, what, said):
-    code, answer = weighed(tmp_path, np.hstack([one.rows[:, :4], spoilt(one.wrench, what)]))
+    code, answer = wrist_bench.weighed(tmp_path, np.hstack([one.rows[:, :4], spoilt(one.wrench, what)]))
     assert (code, answer["verdict"]["level"]) == (FAILED, "do not use")
     assert answer["verdict"]["text"].count(said) == 1
     assert answer["verdict"]["text"].count("it would be in") == (what == "N mm")
@@ -175,16 +165,16 @@ def test_wrong_axes_and_units_are_refused_by_name(one, tmp_path, what, said):
 def test_what_nobody_named_a_unit_of_is_weak(one, tmp_path):
     """Poses tell no unit of force: a mass in kgf taken for N is a tenth of it. Names of ROS are defined in N."""
     q, wrench = one.rows[:, :4], one.wrench
-    ros = [*HEADER[:4], *(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")]
+    ros = [*wrist_bench.HEADER[:4], *(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")]
     for header, factor, weak in (
-        (HEADER, 1.0, {"m", "c_x", "c_y", "c_z"}),
-        (HEADER, [1.0 / 9.80665] * 3 + [1.0] * 3, {"m", "c_x", "c_y", "c_z"}),
-        ((*NAMED[:7], *HEADER[7:]), 1.0, {"c_x", "c_y", "c_z"}),
-        ((*HEADER[:7], *NAMED[7:]), 1.0, {"m", "c_x", "c_y", "c_z"}),
-        (NAMED, 1.0, set()),
+        (wrist_bench.HEADER, 1.0, {"m", "c_x", "c_y", "c_z"}),
+        (wrist_bench.HEADER, [1.0 / 9.80665] * 3 + [1.0] * 3, {"m", "c_x", "c_y", "c_z"}),
+        ((*wrist_bench.NAMED[:7], *wrist_bench.HEADER[7:]), 1.0, {"c_x", "c_y", "c_z"}),
+        ((*wrist_bench.HEADER[:7], *wrist_bench.NAMED[7:]), 1.0, {"m", "c_x", "c_y", "c_z"}),
+        (wrist_bench.NAMED, 1.0, set()),
         (ros, 1.0, set()),
     ):
-        code, answer = weighed(tmp_path, np.hstack([q, wrench * factor]), header=header)
+        code, answer = wrist_bench.weighed(tmp_path, np.hstack([q, wrench * factor]), header=header)
         found = {each["name"] for each in answer["quantities"] if "no unit is named" in each.get("why", "")}
         assert (code, found, answer["verdict"]["level"]) == (OK, weak, "weak" if weak else "good")
         assert ("in kgf and Nm" in answer["verdict"]["text"]) == (np.ndim(factor) == 1)
@@ -205,23 +195,23 @@ def test_units_that_would_make_a_held_tool():
 
 def test_the_remedies_that_are_named_help(one, tmp_path):
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "mz turned")])
-    code, answer = weighed(tmp_path, rows, "--turned", "mz")
+    code, answer = wrist_bench.weighed(tmp_path, rows, "--turned", "mz")
     assert code == OK
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "N mm")])
-    code, answer = weighed(tmp_path, rows, "--moment-unit", "Nmm")
+    code, answer = wrist_bench.weighed(tmp_path, rows, "--moment-unit", "Nmm")
     assert code == OK
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
 
 
 @pytest.mark.parametrize(("metres", "code"), [(1.5, OK), (3.0, FAILED)])
 def test_a_centre_farther_than_two_metres_is_a_wrong_unit(tmp_path, metres, code):
     rng, rows = np.random.default_rng(2), []
-    for R in record(14).R:
-        weight = 2.0 * R.T @ [0.0, 0.0, -GRAVITY]
+    for R in wrist_bench.record(14).R:
+        weight = 2.0 * R.T @ [0.0, 0.0, -wrist_bench.GRAVITY]
         load = np.concatenate([weight, np.cross([0.0, 0.0, metres], weight)])
-        rows.append([*quaternion(R), *(load + [0.02, 0.02, 0.02, 0.01, 0.01, 0.01] * rng.normal(size=6))])
-    assert weighed(tmp_path, rows)[0] == code
+        rows.append([*wrist_bench.quaternion(R), *(load + [0.02, 0.02, 0.02, 0.01, 0.01, 0.01] * rng.normal(size=6))])
+    assert wrist_bench.weighed(tmp_path, rows)[0] == code
 
 
 def test_bad_rows_and_outliers_are_left_out_and_counted(one, tmp_path):
@@ -229,33 +219,34 @@ def test_bad_rows_and_outliers_are_left_out_and_counted(one, tmp_path):
     rows[3][5], rows[7][2] = "abc", float("nan")
     rows[9] = rows[9][:6]
     rows[20][4:] = [0.0] * 6
-    code, answer = weighed(tmp_path, rows)
+    code, answer = wrist_bench.weighed(tmp_path, rows)
     assert (code, answer["verdict"]["level"]) == (OK, "weak")
     assert (answer["rows"]["bad"], answer["outliers"]) == (3, [21])
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
 
 
 def test_a_recording_at_full_rate_is_averaged_by_pose(one, tmp_path):
     rng, rows = np.random.default_rng(3), []
     for R, wrench in zip(one.R, one.wrench, strict=True):
-        rows += [[*quaternion(R), *(wrench + one.true.noise * rng.normal(size=6))] for _ in range(20)]
-        moving = turn(0.3 * np.ones(3)) @ R
-        rows.append([*quaternion(moving), *(wrench + 5.0)])
-    code, answer = weighed(tmp_path, rows)
+        rows += [[*wrist_bench.quaternion(R), *(wrench + one.true.noise * rng.normal(size=6))] for _ in range(20)]
+        moving = wrist_bench.turn(0.3 * np.ones(3)) @ R
+        rows.append([*wrist_bench.quaternion(moving), *(wrench + 5.0)])
+    code, answer = wrist_bench.weighed(tmp_path, rows)
     assert code == OK
     assert answer["rows"] == {"rows": 630, "bad": 0, "moving": 30, "poses": 30}
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
 
 
 def test_what_the_poses_do_not_tell_is_not_known(tmp_path, capsys):
     """Turns about the vertical: the weight is always along the same axis of the sensor, as a zero is."""
     rng = np.random.default_rng(6)
-    weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
+    weight = np.array([0.0, 0.0, -2.0 * wrist_bench.GRAVITY])
     load = np.concatenate([weight, np.cross([0.0, 0.01, 0.1], weight)])
     rows = [
-        [*quaternion(turn([0.0, 0.0, angle])), *(load + 0.02 * rng.normal(size=6))] for angle in np.linspace(0, 6, 20)
+        [*wrist_bench.quaternion(wrist_bench.turn([0.0, 0.0, angle])), *(load + 0.02 * rng.normal(size=6))]
+        for angle in np.linspace(0, 6, 20)
     ]
-    code, answer = weighed(tmp_path, rows)
+    code, answer = wrist_bench.weighed(tmp_path, rows)
     assert code == FAILED
     assert not answer["quantities"][0]["supported"]
     assert "not known" in capsys.readouterr().out
@@ -263,16 +254,16 @@ def test_what_the_poses_do_not_tell_is_not_known(tmp_path, capsys):
 
 
 def test_three_poses_and_five(one, tmp_path, capsys):
-    assert weighed(tmp_path, one.rows[:3])[0] == BAD_INPUT
+    assert wrist_bench.weighed(tmp_path, one.rows[:3])[0] == BAD_INPUT
     assert "four or more are needed" in capsys.readouterr().err
-    code, answer = weighed(tmp_path, one.rows[:5])
+    code, answer = wrist_bench.weighed(tmp_path, one.rows[:5])
     assert (code, answer["verdict"]["level"]) == (OK, "weak")
 
 
 def test_the_poses_that_are_advised_tell_what_is_promised(tmp_path):
     """Few poses near each other, then those advised: the sigma falls to about what was said."""
-    few = record(21, count=12, spread_deg=2.0, walk=0.0)
-    _, answer = weighed(tmp_path, few.rows)
+    few = wrist_bench.record(21, count=12, spread_deg=2.0, walk=0.0)
+    _, answer = wrist_bench.weighed(tmp_path, few.rows)
     advised = answer["further_poses"]
     assert advised
     before, promised = answer["quantities"][0]["sigma"], advised[-1]["mass_sigma_kg"]
@@ -282,15 +273,18 @@ def test_the_poses_that_are_advised_tell_what_is_promised(tmp_path):
 def test_what_cannot_be_understood_is_refused_with_the_remedy(one, tmp_path, capsys):
     for header, said in (
         (("a1", "a2", "a3", "a4", *WRENCH), "no orientation among"),
-        ((*HEADER[:4], "u", "v", "w", *WRENCH[3:]), "no columns of forces"),
-        ((*HEADER[:4], "fx [furlong]", "fy [furlong]", "fz [furlong]", *WRENCH[3:]), "is not known; give --force-unit"),
+        ((*wrist_bench.HEADER[:4], "u", "v", "w", *WRENCH[3:]), "no columns of forces"),
+        (
+            (*wrist_bench.HEADER[:4], "fx [furlong]", "fy [furlong]", "fz [furlong]", *WRENCH[3:]),
+            "is not known; give --force-unit",
+        ),
     ):
-        assert weighed(tmp_path, one.rows, header=header)[0] == BAD_INPUT
+        assert wrist_bench.weighed(tmp_path, one.rows, header=header)[0] == BAD_INPUT
         assert said in capsys.readouterr().err
-    assert weighed(tmp_path, one.rows, "--columns", "qw,qx")[0] == BAD_INPUT
+    assert wrist_bench.weighed(tmp_path, one.rows, "--columns", "qw,qx")[0] == BAD_INPUT
     assert "name each" in capsys.readouterr().err
-    assert weighed(tmp_path, one.rows, "--orientation", "xyx")[0] == BAD_INPUT
-    assert weighed(tmp_path, np.delete(one.rows, 9, axis=1), header=())[0] == BAD_INPUT
+    assert wrist_bench.weighed(tmp_path, one.rows, "--orientation", "xyx")[0] == BAD_INPUT
+    assert wrist_bench.weighed(tmp_path, np.delete(one.rows, 9, axis=1), header=())[0] == BAD_INPUT
     assert "--columns" in capsys.readouterr().err
 
 
@@ -299,7 +293,7 @@ def test_a_refused_weighing_writes_no_zeros(one, tmp_path, monkeypatch, capsys):
     assert main(["init", "lab", "--from", "workshop"]) == OK
     text = (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8")
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "mz turned")])
-    assert weighed(tmp_path, rows, "--vehicle", "lab/vehicle.toml")[0] == FAILED
+    assert wrist_bench.weighed(tmp_path, rows, "--vehicle", "lab/vehicle.toml")[0] == FAILED
     assert (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8") == text
     assert "are as they were" in capsys.readouterr().out
 
@@ -325,25 +319,25 @@ def test_recorded_poses_of_another_laboratory(datasets, tmp_path):
 def test_rows_of_poses_and_wrenches_that_do_not_belong_together_are_refused(one, tmp_path, shifted):
     """The mass of what is left was 0.2 to 0.6 of the true one, weak."""
     rows = np.hstack([np.roll(one.rows[:, :4], shifted, axis=0), one.wrench])
-    _, answer = weighed(tmp_path, rows)
+    _, answer = wrist_bench.weighed(tmp_path, rows)
     assert answer["verdict"]["level"] == "do not use"
     assert "is left over" in answer["verdict"]["text"]
 
 
 def test_noise_as_large_as_most_of_the_weight_is_wide_and_not_refused(one, tmp_path):
     """A light tool: a quarter of what the readings change by is noise."""
-    rng, weight = np.random.default_rng(3), one.true.mass_kg * GRAVITY
+    rng, weight = np.random.default_rng(3), one.true.mass_kg * wrist_bench.GRAVITY
     sigma = 0.25 * weight * np.repeat([1.0, 0.1], 3)
-    code, answer = weighed(
+    code, answer = wrist_bench.weighed(
         tmp_path, np.hstack([one.rows[:, :4], one.wrench + sigma * rng.normal(size=one.wrench.shape)])
     )
     assert (code, answer["verdict"]["level"]) == (OK, "weak")
-    assert all(holds(answer, one.true).values())
+    assert all(wrist_bench.holds(answer, one.true).values())
 
 
 def test_a_centre_behind_the_sensor_is_said(one, tmp_path, capsys):
     """Moments that are all of the other sign are those of a tool on the other side."""
     turned = np.hstack([one.rows[:, :4], one.wrench * [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]])
     for rows, said in ((one.rows, False), (turned, True)):
-        assert weighed(tmp_path, rows)[0] == OK
+        assert wrist_bench.weighed(tmp_path, rows)[0] == OK
         assert ("if the tool is not, all moments are turned" in " ".join(capsys.readouterr().out.split())) == said
