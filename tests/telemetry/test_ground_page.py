@@ -52,7 +52,7 @@ def test_the_table_of_packets_is_that_of_the_code() -> None:
     for name, rate in (hz | {"flight": settings.flight_hz}).items():
         assert f"every {1 / rate:g} s" in comes[name]
     assert settings.status_hz == 1
-    assert f"secondary one of {SECONDARY.size} bytes" in DOWNLINK
+    assert f"secondary header of {SECONDARY.size} bytes" in DOWNLINK
     assert f"`bytes_s` ({settings.bytes_s:,.0f})" in DOWNLINK
     ten = 10 * KINDS["answer"].length * settings.answers_hz
     assert f"answers take {ten:.0f} bytes" in DOWNLINK
