@@ -1,4 +1,4 @@
-/* Links of a floating vehicle as bodies that move with it (Featherstone 2008, chapter 2; onboard.dynamics.bodies).
+/* Links of a floating vehicle as bodies that move with it (Featherstone 2008, chapter 2; onboard.dynamics.kinematics).
  *
  * A rigid body's spatial inertia about the base's origin has ten numbers: mass m, first moment h, tensor J. With V its
  * twist (v, w), L = I V is (m v + w x h, J w + h x v). As the body moves, h changes by m v + w x h and J, of which

@@ -51,7 +51,7 @@ typedef struct {
 /* A body, or a sum of some: inertia about the base's origin, its rate of change, momentum and wrench. */
 enum { MASS = 0, MOMENT = 1, TENSOR = 4, D_MOMENT = 10, D_TENSOR = 13, MOMENTUM = 19, WRENCH = 25, PARTS = 31 };
 
-/* The links as they move: onboard.dynamics.bodies.Bodies. */
+/* The links as they move: onboard.dynamics.kinematics.Bodies. */
 typedef struct {
     double *parts;                              /* (n, links, PARTS) */
     double *composite, *relative_momentum;      /* (n, 6, 6), (n, 6) */
