@@ -204,6 +204,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "joint_6": "servo_6",
         "joint_7": "servo_7",
         "joint_8": "robot_8",
+        "joint_9": "wrist_9",
     }
     assert [cell.name for cell in roles.cells] == [
         "load_cell",
@@ -211,6 +212,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "grip",
         "flange",
         "hand",
+        "palm",
         "bridge",
         "wing",
         "wrist_force",
