@@ -115,7 +115,7 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
     from onboard.devices.base import BusDevice
     from onboard.devices.buses import PairDevice, SerialLineDevice
     from onboard.devices.registry import DEVICES
-    from onboard.ground.before.init import devices, seen
+    from onboard.ground.before.init import seen
 
     kind: str = arguments.test
     section = DEVICES.get(kind)
@@ -126,7 +126,7 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
         )
     found: dict[str, list[tuple[str, int]]] = {}
     if not arguments.url and not section.urls.keys() <= transports.I2C_URLS.keys() | transports.CAN_URLS.keys():
-        line = devices.URLS.get(section.new_bus, f"serial:///dev/ttyUSB0?baud={section.new_baud}")
+        line = section.new_url or f"serial:///dev/ttyUSB0?baud={section.new_baud}"
         raise ValueError(f"--test {kind}: say where it is, --url '{line}'")
     if issubclass(section, SerialLineDevice | PairDevice) and section.answering is None:
         found = {url: [(kind, 1)] for url in arguments.url if parse(url, section.urls)}
