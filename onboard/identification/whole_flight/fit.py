@@ -220,8 +220,8 @@ class WholeFlight:
         Raises:
             ConvergenceError, SingularError, RowError, SignalError: as :meth:`fit`.
         """
-        self._left, back = [found.residuals], -found.correction.shift
-        known = tuple(block.without(0.0 * back).moved(back) for block in found.blocks)
+        self._left, back, none = [found.residuals], -found.correction.shift, np.zeros(len(self.names))
+        known = tuple(block.without(none).moved(back) for block in found.blocks)
         return self._found(self._settle(found.fit.x + back, _FINE, known=known), found.glitches)
 
     def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
@@ -238,12 +238,12 @@ class WholeFlight:
 
     def _noise_added(self, x: FloatArray) -> list[FloatArray]:
         """What noise of the joints' samples adds to the gradient of each block, (p,) each, at x; empty for nothing."""
-        found, noisy, widths = [], False, [own.stop - own.start for own in self._predictor.lines]
-        for k, one in enumerate(self.segments):
-            use = np.repeat(self._use[k] & np.isin(np.arange(len(widths)), self.devices), widths, axis=1)
-            sigma = self._sigma[k]
-            noisy = noisy or is_noisy(self._predictor, one.ticks, sigma[1:-1], use[1:-1], self.state(x, k))
-            for along in self._along(x, k, np.inf) if noisy else ():
+        found, widths = [], [own.stop - own.start for own in self._predictor.lines]
+        each = [(np.repeat(use, widths, axis=1), sigma) for use, sigma in zip(self._use, self._sigma, strict=True)]
+        inner = [(one.ticks, sigma[1:-1], use[1:-1]) for one, (use, sigma) in zip(self.segments, each, strict=True)]
+        noisy = any(is_noisy(self._predictor, *known, self.state(x, k)) for k, known in enumerate(inner))
+        for k, (one, (use, sigma)) in enumerate(zip(self.segments, each, strict=True) if noisy else ()):
+            for along in self._along(x, k, np.inf):
                 here, before = along.ticks, along.ticks.start - 1
                 ticks, known = one.ticks.part(slice(before, here.stop + 1)), (sigma[here], use[here], along.state)
                 lines, _ = added_by_line(self._predictor, ticks, *known, before // BATCH_TICKS)

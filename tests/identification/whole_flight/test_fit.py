@@ -127,6 +127,13 @@ def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predi
     assert np.abs((again.fit.x - found.fit.x) / sigma).max() < 0.1  # begun with the noise, which is taken out again
 
 
+def test_noise_of_the_joints_may_be_known_of_a_part_of_the_flight(noisy, predictor, fitted):
+    free, held = segments(noisy)
+    exact = free._replace(ticks=free.ticks._replace(sample_sigma=0.0 * free.ticks.sample_sigma))
+    found = WholeFlight(predictor, WIDE, [exact, held]).fit(fitted[1].fit.x)
+    assert {block.held for block in found.blocks if block.noise.any()} == {True}
+
+
 def test_parts_agree_where_noise_of_the_joints_makes_the_payload_light(noisy, predictor, fitted):
     """Without the correction the accelerometer, whose rows hold the noise, contradicts the gyro."""
     agreed = []
