@@ -66,6 +66,7 @@ following_error_rad = 0.25     # a servo's P gain lets it lag by its speed, and 
 after_stop = "hold"            # it has no brake: without torque the arm falls
 """
     new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
+    new_floating_smoothing_ms = 600  # and through 300 ms what a free-flyer holds
     kind: Literal["dynamixel"]
     id: Annotated[int, Field(ge=0, le=252)] = DynamixelConfig.id
     counts_per_revolution: int = COUNTS
