@@ -33,6 +33,10 @@ from onboard.identification.quantities import BODY
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
+Floats = NDArray[np.float64]
+TABLE_S = 14.0
+BOX = Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
+
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     """What came of a seed's flight; ``settings``: ``class``, else ``vehicle`` (drawn otherwise) and ``healthy``."""
@@ -64,11 +68,6 @@ def _without(vehicle: config.Vehicle, device: str) -> config.Vehicle:
         return vehicle
     devices = {name: table for name, table in vehicle.tree["device"].items() if name != device}
     return config.parse_tree(vehicle.tree | {"device": devices}, vehicle.path, config.Origin(f"without {device}"))
-
-
-Floats = NDArray[np.float64]
-TABLE_S = 14.0
-BOX = Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
 
 
 class Columns:

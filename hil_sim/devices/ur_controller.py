@@ -60,6 +60,7 @@ _RUNNING, _POWER_OFF = 7, 3  # robot_mode
 _BIT_NORMAL, _BIT_PROTECTIVE, _BIT_ROBOT_STOP, _BIT_STOP, _BIT_SAFETY = 0, 2, 6, 7, 10  # safety_status_bits
 _CONTROL_HZ: Final = 500.0
 Input = Callable[[float], float]
+_RATE_WINDOW_S: Final = 2e-3
 
 
 class UrController(NetworkedTwin[tuple[str, int]]):
@@ -186,9 +187,6 @@ class UrController(NetworkedTwin[tuple[str, int]]):
 
 def _package(letter: str, rest: bytes) -> bytes:
     return struct.pack(">HB", 3 + len(rest), ord(letter)) + rest
-
-
-_RATE_WINDOW_S: Final = 2e-3
 
 
 def rate(analog: ScalarAnalog) -> Input:

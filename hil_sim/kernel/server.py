@@ -33,6 +33,8 @@ _REMOTE: Final = 0x4000_0000
 _FLAGS: Final = 0xA000_0000  # extended, error
 _QUEUE_BYTES: Final = 1 << 20
 _LIST_BYTES: Final = 1 << 14
+_BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
+_BURST_NS: Final = 3_000_000  # but none waits longer
 
 
 class SocketCan:
@@ -105,10 +107,6 @@ class SocketCan:
         """Leave the interface."""
         self._socket.close()
         os.close(self._receivers)
-
-
-_BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
-_BURST_NS: Final = 3_000_000  # but none waits longer
 
 
 class _I2cPort(Port):

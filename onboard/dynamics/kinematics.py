@@ -27,6 +27,7 @@ from onboard.native import library, structures
 
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ
 _TENSOR[[0, 1, 2, 0, 1, 2, 0, 1, 2], [0, 1, 3, 7, 8, 10, 15, 16, 17]] = 1.0
+PARTS = 31  # of a link or a sum: ten numbers of its inertia, nine of their change, momentum, wrench
 
 
 class LinkMotion(NamedTuple):
@@ -185,9 +186,6 @@ def spatial_inertias(X: FloatArray, chi: FloatArray) -> FloatArray:
     """
     out: FloatArray = X @ own_inertias(chi) @ X.swapaxes(-1, -2)
     return out
-
-
-PARTS = 31  # of a link or a sum: ten numbers of its inertia, nine of their change, momentum, wrench
 
 
 class Sums(NamedTuple):

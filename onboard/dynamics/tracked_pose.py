@@ -28,6 +28,12 @@ from onboard.dynamics.kinematics import Frames
 from onboard.dynamics.spatial import Columns
 from onboard.estimation.arrays import FloatArray, hat
 
+LINES = 7  # attitude w, x, y, z, position x, y, z
+MOTION = slice(0, 10)  # of its unknowns: attitude, place and velocity of the centre of mass
+_Q, _P, _V, _A, _TURN, _PLACE = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 19)
+_SCALE, _DELAY = 19, 20
+SIZE = 21
+
 
 def centre_of(composite: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mass, (n, 1), and centre of mass, (n, 3), of spatial inertias about the base's origin, (n, 6, 6)."""
@@ -50,13 +56,6 @@ def centre_by_chi(free: Columns, frames: Frames, mass_kg: FloatArray, centre_m: 
     arm = frames.p[:, which] - centre_m[:, None]  # (n, k, 3)
     moved = frames.R[:, which] @ free.bases[:, 1:4] + arm[..., None] * free.bases[:, :1]  # (n, k, 3, 10)
     return np.asarray(moved.swapaxes(1, 2).reshape(n, 3, -1) / mass_kg[..., None], np.float64)
-
-
-LINES = 7  # attitude w, x, y, z, position x, y, z
-MOTION = slice(0, 10)  # of its unknowns: attitude, place and velocity of the centre of mass
-_Q, _P, _V, _A, _TURN, _PLACE = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 19)
-_SCALE, _DELAY = 19, 20
-SIZE = 21
 
 
 class PoseReading(NamedTuple):

@@ -24,6 +24,9 @@ from onboard.ring import RingReader
 _MOST_ROWS = 4096  # per ring and look
 _SAMPLES = 1024  # of a device, or rows of the regression, in a look
 _READ = (EVENT, GAP, channels.CLOCK, channels.HEALTH, channels.HEALTH_STREAM, channels.REQUEST, channels.INNOVATION)
+FRAMES = 2400  # at most: of twice as many every second is kept
+_STEP_NS = 100_000_000  # between two frames of a short log
+_AHEAD_NS = 2_000_000_000  # read before a frame is made: a log has the channels of a time one after the other
 
 
 class Followed:
@@ -174,11 +177,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} is no JSON value")
-
-
-FRAMES = 2400  # at most: of twice as many every second is kept
-_STEP_NS = 100_000_000  # between two frames of a short log
-_AHEAD_NS = 2_000_000_000  # read before a frame is made: a log has the channels of a time one after the other
 
 
 class AttachedFile(Protocol):

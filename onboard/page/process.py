@@ -21,6 +21,8 @@ from onboard.page.follow import Followed, packed
 from onboard.page.web import Source, Web
 
 _HALF = NormalDist().inv_cdf(0.975)
+FRAME_S = 0.25
+_CHECK_EVERY = 4  # frames
 
 
 def read(path: Path | None) -> dict[str, dict[str, Any]]:
@@ -41,10 +43,6 @@ def read(path: Path | None) -> dict[str, dict[str, Any]]:
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"--page-plan {path}: give the plan.json that heft plan wrote for one motion") from error
     return {name: {"half": half, "unit": unit} for name, (half, unit) in found.items() if 0.0 < half < math.inf}
-
-
-FRAME_S = 0.25
-_CHECK_EVERY = 4  # frames
 
 
 class _Given(NamedTuple):

@@ -24,6 +24,7 @@ from onboard.telemetry.values import OF_HEALTH
 _LEVELS = {word: number for number, word in LEVELS}
 _SEVERITIES = {one.name.lower(): one for one in Severity}
 _REMEMBERED = 2000  # events, by which one that is sent once more is known
+_AGAIN_S = 1.0  # between two tries of a link that failed
 
 
 class AsRows:
@@ -100,9 +101,6 @@ def _rows(dtype: np.dtype[np.void], at_ns: int) -> np.ndarray:
     row = np.zeros(1, dtype)
     row["host_ns"] = at_ns
     return row
-
-
-_AGAIN_S = 1.0  # between two tries of a link that failed
 
 
 class Received:

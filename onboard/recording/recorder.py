@@ -23,6 +23,13 @@ from onboard.recording.space import SpaceGuard, refusal
 from onboard.ring import RingReader
 
 OVERRUN = "ring_overrun"
+EVENT_CHANNEL = "recorder_event"
+REFUSED, FULL, LOG_LOST = "disk_refused", "disk_full", "log_lost"
+NOT_KEPT = frozenset({LOG_LOST, OVERRUN, "rows_lost"})  # events that say that rows are not in the log
+_SOURCE = "recorder"
+_KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
+_TELL_NS = _LOOK_NS = 1_000_000_000
+_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Missing(NamedTuple):
@@ -108,15 +115,6 @@ class RingSource:
             self.unplaced += max(0, self._waiting)
             self._waiting = 0
         self._last = ChannelProgress(int(sequence[-1]), int(host_ns[-1]))
-
-
-EVENT_CHANNEL = "recorder_event"
-REFUSED, FULL, LOG_LOST = "disk_refused", "disk_full", "log_lost"
-NOT_KEPT = frozenset({LOG_LOST, OVERRUN, "rows_lost"})  # events that say that rows are not in the log
-_SOURCE = "recorder"
-_KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
-_TELL_NS = _LOOK_NS = 1_000_000_000
-_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 
 
 class StepReport(NamedTuple):

@@ -22,6 +22,11 @@ from onboard.timebase.arrival import ArrivalClock
 from onboard.timebase.clock import ClockSolution, ClockState, DeviceClock
 from onboard.timebase.pulse_train import PulseTrain
 
+RECORD_EVERY_NS = 1_000_000_000  # of a clock that nothing new is known of
+WIDEST_WINDOW_NS = 60e6
+UNTOLD_DELAY_NS = 1e6  # of a serial line: a frame's time on it
+_NO_ROWS: Rows = np.zeros(0, CLOCK)
+
 
 class SampledChannel(NamedTuple):
     """A channel with a sample clock of its own that flags sync pulses (an IMU)."""
@@ -104,12 +109,6 @@ class SyncLine(NamedTuple):
     def shortest_interval_ns(self) -> float:
         """Between two pulses."""
         return self.period_ns * (SHORTEST_INTERVAL - 1 if self.coded else 1)
-
-
-RECORD_EVERY_NS = 1_000_000_000  # of a clock that nothing new is known of
-WIDEST_WINDOW_NS = 60e6
-UNTOLD_DELAY_NS = 1e6  # of a serial line: a frame's time on it
-_NO_ROWS: Rows = np.zeros(0, CLOCK)
 
 
 class Timebase:

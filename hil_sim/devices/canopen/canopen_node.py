@@ -22,6 +22,23 @@ from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
 from hil_sim.devices.powered import PoweredTwin
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
+_BOOT_NS = 50_000_000
+_BOOT_STAGGER_NS = 1_100_000
+_RESET_NS = 5_000_000
+_SDO_NS = 500_000
+_SYNC = 0x080
+_TOGGLE = 0x80
+_LIFE_GUARD_ERROR, _SYNC_LENGTH_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x8240, 0x10
+_FIRST_COMMUNICATION, _LAST_COMMUNICATION = 0x1000, 0x1FFF
+# NMT states, as the heartbeat reports them.
+BOOTING = 0x00
+STOPPED = 0x04
+OPERATIONAL = 0x05
+PRE_OPERATIONAL = 0x7F
+OFF = -1
+_DEAF = (OFF, BOOTING)
+_FAULTS = (FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.GARBAGE, FaultKind.SLOW)
+
 
 def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[bytes | None, tuple[int, int] | None]:
     """Do what eight bytes of an SDO request ask.
@@ -45,25 +62,6 @@ def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[by
         raise DictionaryError(Abort.COMMAND)
     except DictionaryError as abort:
         return b"\x80" + head + abort.code.to_bytes(4, "little"), None
-
-
-_BOOT_NS = 50_000_000
-_BOOT_STAGGER_NS = 1_100_000
-_RESET_NS = 5_000_000
-_SDO_NS = 500_000
-_SYNC = 0x080
-_TOGGLE = 0x80
-_LIFE_GUARD_ERROR, _SYNC_LENGTH_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x8240, 0x10
-_FIRST_COMMUNICATION, _LAST_COMMUNICATION = 0x1000, 0x1FFF
-
-# NMT states, as the heartbeat reports them.
-BOOTING = 0x00
-STOPPED = 0x04
-OPERATIONAL = 0x05
-PRE_OPERATIONAL = 0x7F
-OFF = -1
-_DEAF = (OFF, BOOTING)
-_FAULTS = (FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.GARBAGE, FaultKind.SLOW)
 
 
 class CanopenNode(PoweredTwin):

@@ -24,6 +24,16 @@ from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
 from hil_sim.faults import DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, PowerCycle
 from hil_sim.sensing.analog import ChipClock, ImuAnalog, KnownAhead
 
+Times = NDArray[np.float64]
+Words = NDArray[np.int16]
+_MOST = 1024
+_SECOND_NS = 1_000_000_000
+_FAULTS: Final = (
+    *POWER_KINDS,
+    *(FaultKind.STUCK, FaultKind.SATURATED, FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLOW, FaultKind.CLOCK_JUMP),
+    *(FaultKind.WHO_AM_I, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS),
+)
+
 
 class TwinFifo:
     """Bytes, and the accounts of the samples written.
@@ -145,11 +155,6 @@ class FsyncLatch:
             self._pulses = [pulse for pulse in self._pulses if pulse[1] > last_s]
 
 
-Times = NDArray[np.float64]
-Words = NDArray[np.int16]
-_MOST = 1024
-
-
 class Grid(NamedTuple):
     """When samples are made.
 
@@ -206,14 +211,6 @@ class SamplesAhead:
         known = known if known >= fewest else 0
         self._times_s = times_s[:known]
         self._words = self._convert(ticks_ns[:known], self._times_s, math.inf) if known else self._words[:0]
-
-
-_SECOND_NS = 1_000_000_000
-_FAULTS: Final = (
-    *POWER_KINDS,
-    *(FaultKind.STUCK, FaultKind.SATURATED, FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLOW, FaultKind.CLOCK_JUMP),
-    *(FaultKind.WHO_AM_I, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS),
-)
 
 
 class InertialTwin(I2cTwin):

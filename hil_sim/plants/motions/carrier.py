@@ -19,6 +19,8 @@ from hil_sim.plants.motions.motion import Gusts, Shaking, coning, dynamic_pressu
 from hil_sim.scenario.vehicle_tables import BaseSway, Scenario
 
 _BLOCK = 96  # attitudes that are made side by side
+CHUNK = 3840  # rows, whole blocks of the filters (64) and of attitudes (96)
+_NOTHING = np.zeros(0), np.zeros((0, 3))
 
 
 class BasePath(NamedTuple):
@@ -126,10 +128,6 @@ def _times(a: FloatArray, b: FloatArray) -> FloatArray:
     out[0], out[1] = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
     out[2], out[3] = w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p
     return out
-
-
-CHUNK = 3840  # rows, whole blocks of the filters (64) and of attitudes (96)
-_NOTHING = np.zeros(0), np.zeros((0, 3))
 
 
 class Carried(NamedTuple):

@@ -49,6 +49,9 @@ from onboard.estimation.recursive.blocks import TimeBlocks
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
 _FEWEST = 3  # blocks in a period: neighbours are alike for other reasons, and two phases have no scatter
+_MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
+NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 def phases(numbers: FloatArray, scores: FloatArray) -> IndexArray:
@@ -93,11 +96,6 @@ def added_up(group: IndexArray, parts: FloatArray) -> FloatArray:
     made = np.zeros((int(group.max(initial=-1)) + 1, *parts.shape[1:]))
     np.add.at(made, group, parts)
     return made
-
-
-_MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
-NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 class Interval(NamedTuple):

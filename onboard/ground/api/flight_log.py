@@ -26,6 +26,8 @@ from onboard.recording.format.scan import Damage
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+_INDEX = frozenset({"time_s", "utc"})  # of the tables, whose index the time is
+_BOOKKEEPING = frozenset({"sequence", "host_ns", "tick", "vehicle_ns"})
 
 
 class ChannelTable(NamedTuple):
@@ -136,9 +138,6 @@ def _readable(values: Values) -> Values:
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-
-_INDEX = frozenset({"time_s", "utc"})  # of the tables, whose index the time is
-_BOOKKEEPING = frozenset({"sequence", "host_ns", "tick", "vehicle_ns"})
 
 
 class LogChannel:

@@ -35,6 +35,7 @@ from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, 
 
 BASES = (BaseKind.FIXED, BaseKind.FREE, BaseKind.PLANAR)
 Gravity = tuple[float, float, float]
+FOLLOWED_M = 1e-3  # what the inverse kinematics keeps where the arm can (docs/mechanics.md, 2.94)
 
 
 class Counted(NamedTuple):
@@ -80,9 +81,6 @@ def _numerical(model: VehicleModel) -> int:
         rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
     motion = SampledMotion.of(model.spec.base, model.spec.gravity_m_s2)
     return len(base_parameters(rows, np.random.default_rng(NAMING_SEED), motion, released=False).names)
-
-
-FOLLOWED_M = 1e-3  # what the inverse kinematics keeps where the arm can (docs/mechanics.md, 2.94)
 
 
 class LineMotion(NamedTuple):

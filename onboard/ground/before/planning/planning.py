@@ -29,6 +29,9 @@ _SHARPNESS = 50.0  # of the soft maximum, per unit of excess
 _STEP = 1e-4  # of the way to a joint's limit, for derivatives
 _DRAWN = 0.5  # of the way to a joint's limit: standard deviation of a start's coefficients
 _HALVINGS = 10
+PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
+FEWEST_PIECES = 6
+_TOLD = 0.98  # share of the sigma at rest; a motion that leaves more does not determine the quantity
 
 
 class Search(NamedTuple):
@@ -205,11 +208,6 @@ class PlanningProblem:
         basis, period_s = self._coarse if coarse else self._fine
         moved = self._over.splines.move(basis, self.coefficients(x))
         return self._over.limits.excess(moved, self._over.bound.base(moved, period_s), period_s)
-
-
-PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
-FEWEST_PIECES = 6
-_TOLD = 0.98  # share of the sigma at rest; a motion that leaves more does not determine the quantity
 
 
 class Wanted(NamedTuple):

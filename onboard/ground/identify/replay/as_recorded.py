@@ -4,12 +4,11 @@ A vehicle file by ``heft init`` states the usual, and recorders differ: how far 
 are rounded, whether they are written more than once, in which recording of several the payload is held. That is in the
 log, and an estimate by another number is wrong or refused. What is found is said with the answer.
 
-How wide the smoothing of a recorded arm's rows is, where its vehicle file does not say: by its own motion.
-
-What a narrow kernel passes besides the bodies' motion (noise of differentiated angles, gears, friction as it reverses,
-flexible joints) is taken for inertia; what a wide one smooths away tells nothing. Rows of every width have the same
-parameters, so each half of the recording by each width predicts the rows of the other half by each width: the width
-whose parameters predict best, in all of these bands together, is taken.
+Where the vehicle file does not say how widely the rows of a recorded arm are smoothed, the recording decides. What a
+narrow kernel passes besides the bodies' motion (noise of differentiated angles, gears, friction as it reverses, flexible
+joints) is taken for inertia; what a wide one smooths away tells nothing. Rows of every width have the same parameters,
+so each half of the recording by each width predicts the rows of the other half by each width: the width whose
+parameters predict best, in all of these bands together, is taken.
 """
 
 from collections.abc import Mapping
@@ -38,6 +37,16 @@ WIDTHS_ms = (100.0, 200.0, 400.0, 800.0)
 FEWEST_SAMPLES = 8  # under a kernel: a spline of order 8 has as many pieces
 _ROWS, _ROWS_TRIED = 10.0, 5.0  # in a width: as 100 Hz makes in 100 ms; enough to compare widths, for half the time
 _ALIKE = 1.02  # times the least error: as good; the narrowest of those tells most
+IN_TURN = "recording"
+"""Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
+a column that says by 0 and 1 whether the payload is held."""
+_OTHER_PERIOD = 0.1  # relative: file and log differ
+_OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
+_FEWEST_STEPS = 32  # between readings, to tell how they are rounded
+_WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
+_OF_A_DIGIT, _MOST_OF_A_QUANTUM = 1.5, 0.25  # that two roundings change a step by; beyond which they hide the quantum
+_NEAREST = 10.0  # quanta, of the steps that tell
+_FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
 
 
 class WidthChoice(NamedTuple):
@@ -117,18 +126,6 @@ def _error(who: Identifier, others: list[Identifier]) -> float:
 
 def _left(normal: FloatArray, mean: FloatArray, other: Identifier) -> float:
     return predicted(normal, mean, reference_of(other.model, other.base, normal)).relative_error
-
-
-IN_TURN = "recording"
-"""Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
-a column that says by 0 and 1 whether the payload is held."""
-_OTHER_PERIOD = 0.1  # relative: file and log differ
-_OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
-_FEWEST_STEPS = 32  # between readings, to tell how they are rounded
-_WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
-_OF_A_DIGIT, _MOST_OF_A_QUANTUM = 1.5, 0.25  # that two roundings change a step by; beyond which they hide the quantum
-_NEAREST = 10.0  # quanta, of the steps that tell
-_FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
 
 
 class RecordedVehicle(NamedTuple):

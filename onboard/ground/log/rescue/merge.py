@@ -29,6 +29,8 @@ from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
 NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a channel, as records hold it
+PAUSE_S = 2.0  # between the recordings: longer than any smoothing
+SAID_ns = 100_000_000  # how often the channel says it: a payload is taken at a phase's second reading
 
 
 class RecorderLog(NamedTuple):
@@ -183,10 +185,6 @@ def _strangers(parts: Sequence[RecorderLog], spans: Sequence[tuple[int, int] | N
                 f"{part.name} and {parts[0].name} have no time in common, so their clocks differ: find the shift with "
                 "heft resync, and merge with --align"
             )
-
-
-PAUSE_S = 2.0  # between the recordings: longer than any smoothing
-SAID_ns = 100_000_000  # how often the channel says it: a payload is taken at a phase's second reading
 
 
 def in_turn(parts: Sequence[RecorderLog], phase: str, output: Path, *, progress: Progress | None = None) -> Merged:

@@ -43,6 +43,12 @@ from onboard.timebase.resync import Alignment, RecorderStream, ResyncError, alig
 from onboard.timebase.timebase import FreeChannel, Timebase
 
 _BLOCK_NS = 100_000_000
+# An IMU without calibration: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
+# its zeros over the warm-up of a flight.
+UNCALIBRATED = ImuPrior(0.17, 1e-3, 0.015, 0.01, 0.4, 1e-2, 0.015, 0.01, 0.0)
+# Of a payload that could be anything an arm holds: kg, kg m, kg m^2, about none at all.
+SHOCK_S, SHOCK_HZ = 0.005, 15.0  # a tap rings some milliseconds
+ANY_PAYLOAD = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 
 
 def sampled(log: LogReader, channel: str) -> tuple[Rows, FloatArray]:
@@ -78,14 +84,6 @@ def _by_tick(channel: str, rows: Rows) -> NDArray[np.int64]:
         if times is not None:
             found[first:end], first = times, end
     return found
-
-
-# An IMU without calibration: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
-# its zeros over the warm-up of a flight.
-UNCALIBRATED = ImuPrior(0.17, 1e-3, 0.015, 0.01, 0.4, 1e-2, 0.015, 0.01, 0.0)
-# Of a payload that could be anything an arm holds: kg, kg m, kg m^2, about none at all.
-SHOCK_S, SHOCK_HZ = 0.005, 15.0  # a tap rings some milliseconds
-ANY_PAYLOAD = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 
 
 class _Joint(NamedTuple):

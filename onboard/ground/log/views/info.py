@@ -24,6 +24,10 @@ from onboard.recording.reader import LogReader
 Ranges = NDArray[np.int64]  # (n, 2): first and last number of each, both included
 
 NO_RANGES: Ranges = np.empty((0, 2), np.int64)
+_EVENTS_KEPT = 6
+_MODES_KEPT = 50
+_OWN_VERSION = ("heft", "revision")  # the others are in --json
+_DAMAGE_SHOWN = 5
 
 
 def union(ranges: Ranges) -> Ranges:
@@ -81,12 +85,6 @@ class Continuity:
         """Mean rate of arrival, Hz; None for fewer than two instants."""
         duration_ns = self.last_ns - self.first_ns
         return (self.rows - 1) * 1e9 / duration_ns if duration_ns > 0 else None
-
-
-_EVENTS_KEPT = 6
-_MODES_KEPT = 50
-_OWN_VERSION = ("heft", "revision")  # the others are in --json
-_DAMAGE_SHOWN = 5
 
 
 @dataclass(frozen=True)
