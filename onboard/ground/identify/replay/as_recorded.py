@@ -5,7 +5,7 @@ are rounded, whether they are written more than once, in which recording of seve
 log, and an estimate by another number is wrong or refused. What is found is said with the answer.
 
 Where the vehicle file does not say how widely the rows of a recorded arm are smoothed, the recording decides. What a
-narrow kernel passes besides the bodies' motion (noise of differentiated angles, gears, friction as it reverses, flexible
+narrow kernel passes besides the bodies' motion (noise of differentiated angles, gears, friction that reverses, flexible
 joints) is taken for inertia; what a wide one smooths away tells nothing. Rows of every width have the same parameters,
 so each half of the recording by each width predicts the rows of the other half by each width: the width whose
 parameters predict best, in all of these bands together, is taken.
