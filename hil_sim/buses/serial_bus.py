@@ -33,6 +33,9 @@ class HostLink(Protocol):
     discarded: int
     """Times that it threw away what had come, as far as one can tell from here."""
 
+    is_live: bool
+    """Whether what is taken was sent a moment ago; else when the line was last looked at."""
+
     @property
     def line(self) -> LineFormat | None:
         """Speed and format of the open port; None when no process has it open."""
@@ -217,6 +220,8 @@ class SerialBus:
     def _advance(self, now_ns: int) -> None:
         if not self._now_ns:
             self._now_ns = now_ns
+        if self._link.is_live:
+            self._go_to(now_ns)
         sent = self._link.take()
         host = self._link.line if self._plugged else None  # asked afterwards: the port may just have been opened
         if self._faults:
@@ -231,13 +236,16 @@ class SerialBus:
         if hears and (self._made_before is None or discards):
             self._made_before = self._made()
             self._discarded = discards
+        self._go_to(now_ns)
+        if hears and self._plugged and self._made_before is not None:
+            there_ns = self._held.ends_ns[0] - 1 if self._held.data else now_ns
+            self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
+
+    def _go_to(self, now_ns: int) -> None:
         while (stop_ns := self._next_plugging(now_ns)) is not None:
             self._go_on(stop_ns)
             self._set_plugged(self._faults.active(FaultKind.UNPLUG, stop_ns) is None)
         self._go_on(now_ns)
-        if hears and self._plugged and self._made_before is not None:
-            there_ns = self._held.ends_ns[0] - 1 if self._held.data else now_ns
-            self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
         each: list[Arrived] = []

@@ -38,6 +38,8 @@ class VirtualSerial:
         look: Called before anything is done with it: what is on the line is to be as it is now.
     """
 
+    is_live = False
+
     def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
         self.path = path
         self.look: Callable[[], None] = lambda: None
@@ -280,6 +282,8 @@ class PtySerial:
     Args:
         link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's name.
     """
+
+    is_live = True
 
     def __init__(self, link: Path | None = None) -> None:
         self.asks: Callable[[bytes], bool] = bool

@@ -70,6 +70,22 @@ def test_closing_a_terminal_sends_what_is_still_in_it():
     link.close()
 
 
+def test_what_is_written_to_a_terminal_is_heard_after_it_was_written():
+    """The line was looked at 5 ms before; a device that answered from there would show what was before the question."""
+    link, echo, heard_ns = PtySerial(), Echo(), []
+    echo._on_byte = lambda byte, now_ns: heard_ns.append(now_ns)
+    bus = SerialBus(link)
+    bus.add(echo)
+    with serial.Serial(link.path, 115_200) as port:
+        bus.advance(START_NS)
+        port.write(b"?")
+        for ms in (5, 6):
+            bus.advance(START_NS + ms * MS)
+        bit_ns = 1e9 / 115_200
+        assert heard_ns == [pytest.approx(START_NS + 5 * MS + 10 * bit_ns, abs=bit_ns)]
+    link.close()
+
+
 @pytest.mark.realtime
 def test_pulled_out_and_put_back(pty):
     link, bus = pty
