@@ -81,7 +81,7 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
     weights /= weights.sum()
     counts = [k for k in np.argsort(-weights).tolist() if weights[k] > LEAST_WEIGHT]
     each = [_known_of(step), *(_known_of(one.step) for one in solved)]
-    against, doubts, held = list[str](), list[str](), step.joints
+    against, doubts, corrections = list[str](), list[str](), step.joints
     if counts[0]:
         doubts.append(f"not as stated: {' or '.join(solved[k - 1].error.suspect.name for k in counts if k)}")
         best = solved[counts[0] - 1]
@@ -90,11 +90,11 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
         if abs(best.size) >= FARTHEST_SIZE:
             against.append(f"{best.error.suspect.name} is farther from what is stated than any error that is estimated")
         others, _ = _weighed(best.exiddm, best.fit, best.step, best.error)
-        each[counts[0]], held = others.mixed(others.known).known, best.step.joints
+        each[counts[0]], corrections = others.mixed(others.known).known, best.step.joints
         doubts += [f"{said} as well" for part in others.judged for said in part]
     means, covariances = (np.array([each[k][part] for k in counts]) for part in (0, 1))
     mixture = Mixture(weights[counts] / weights[counts].sum(), means, covariances)
-    return Answered(_mixed(exiddm, step, mixture), stated, held, Findings(tuple(against), tuple(doubts)))
+    return Answered(_mixed(exiddm, step, mixture), stated, corrections, Findings(tuple(against), tuple(doubts)))
 
 
 def _known_of(step: joints.Step) -> Known:

@@ -40,15 +40,17 @@ def noise_added(
 def is_noisy(predictor: ImuPredictor, ticks: Ticks, sigma: FloatArray, use: BoolArray, state: FloatArray) -> bool:
     """Whether noise of the joints is more than next to nothing in some line; arguments as of :func:`noise_added`."""
     noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1]
-    return bool(np.where(use, noise / sigma, 0.0).max(initial=0.0) ** 2 >= _NOISELESS)
+    share = np.divide(noise, sigma, out=np.zeros(sigma.shape), where=use)
+    return bool(share.max(initial=0.0) ** 2 >= _NOISELESS)
 
 
 def added_by_line(
     predictor: ImuPredictor, ticks: Ticks, sigma: FloatArray, use: BoolArray, state: FloatArray, turn: int
 ) -> tuple[FloatArray, FloatArray]:
     """The same of each line, (m, p), of ticks that are predicted at once; and the state at the last tick but one."""
-    weight = np.zeros(sigma.shape)
-    weight[:, predictor.of_forces] = np.where(use, 1.0 / sigma**2, 0.0)[:, predictor.of_forces]
+    counts = np.zeros_like(use)
+    counts[:, predictor.of_forces] = use[:, predictor.of_forces]
+    weight = np.divide(1.0, sigma**2, out=np.zeros(sigma.shape), where=counts)
     error = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
     error[0] = 0.0  # the momentum is that of the first tick
     wrong = predictor.predict(

@@ -33,7 +33,7 @@ class Holding(BoundedWork):
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.held: bool | None = None
         self.noise_added = self._noise_before = np.zeros(len(predictor.names))
-        self._corrected: tuple[FloatArray, FloatArray, FloatArray] | None = None  # state, noise, and what they give
+        self._corrected: tuple[FloatArray, ...] | None = None  # state, covariance, noise, and what they give
 
     @property
     def holds(self) -> bool:
@@ -52,9 +52,10 @@ class Holding(BoundedWork):
         if not self.noise_added.any():
             return state
         of = self._corrected
-        if of is None or of[0] is not state or of[1] is not self.noise_added:
-            of = self._corrected = state, self.noise_added, state + self.covariance @ self.noise_added
-        return of[2]
+        now = state, self.covariance, self.noise_added
+        if of is None or any(before is not one for before, one in zip(of, now, strict=False)):
+            of = self._corrected = *now, state + self.covariance @ self.noise_added
+        return of[3]
 
     def _noise_of(self, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> None:
         """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""

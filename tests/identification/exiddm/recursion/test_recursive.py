@@ -234,3 +234,5 @@ def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
     assert exiddm.corrected(state) is corrected  # what is weighed by it is weighed once
     exiddm.noise_added = 2.0 * exiddm.noise_added
     np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ exiddm.noise_added)
+    exiddm.covariance = 3.0 * exiddm.covariance  # a window's covariance is replaced beside the same state
+    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ exiddm.noise_added)
