@@ -25,7 +25,7 @@ def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Sta
         try:
             if stream.take() is not None:
                 for number, what in enumerate(COMPONENTS, 1):
-                    yield Station(number, f"RDT sensor, {what}: component = {number}")
+                    yield Station(number, f'RDT sensor, {what}: component = {number}; of OnRobot: kind = "onrobot_hex"')
                 return
         except FrameError:
             return

@@ -1,5 +1,6 @@
 """The sensor as a stream of SCALAR rows: asked once, lost and repeated records found by their numbers."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, FrameError
 from drivers.net_ft.record import ERROR, RECORD, START, STOP, RecordStream, request
 from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 LARGEST_RATE_HZ = 8000.0  # a Net F/T sends up to 7000 records a second, an Axia 7912
 FASTER = 1.1  # than ``rate_hz``, at most: records of a stream may not be numbered ahead of what can have been sent
 ARRIVES_WITHIN_S = 0.2  # and so much later a record may arrive
+SETTLES_NS = 5 * MS  # between two requests: as long as OnRobot's example waits
 _NUMBERS = 1 << 32
 
 
@@ -42,6 +44,8 @@ class NetFtConfig:
         rate_hz: Records a second: *RDT Output Rate* of the sensor's configuration page.
         poll_period_ms: How often the port is read.
         silence_ms: Time without a record after which the sensor is asked anew.
+        set_up: Requests before the one that starts it.
+        errors: Bits of its status that make its rows not valid.
 
     Raises:
         ConfigurationError: A value out of range.
@@ -50,6 +54,8 @@ class NetFtConfig:
     rate_hz: float = 1000.0
     poll_period_ms: float = 2.0
     silence_ms: float = 1000.0
+    set_up: tuple[bytes, ...] = ()
+    errors: int = ERROR
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate_hz <= LARGEST_RATE_HZ:
@@ -94,6 +100,8 @@ class NetFt(SerialDevice):
         self._last_ns: int | None = None  # arrival of the last record
         self._last_sample = 0  # internal, of the last record
         self._status = 0
+        self._requests = deque[bytes]()  # still to be sent
+        self._request_ns = 0  # when the next one may be
 
     @property
     def channels(self) -> Channels:
@@ -104,7 +112,13 @@ class NetFt(SerialDevice):
         self._stream = RecordStream()
         self._broken = False  # a datagram is whole, or it is not there
         self._number = None
-        self._link.write(now_ns, request(START))
+        self._requests, self._request_ns = deque([*self.config.set_up, request(START)]), now_ns
+
+    def _act(self, now_ns: int) -> bool:
+        if self._requests and now_ns >= self._request_ns:
+            self._link.write(now_ns, self._requests.popleft())
+            self._request_ns = now_ns + SETTLES_NS
+        return super()._act(now_ns)
 
     def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
         data = b"".join(self._frames_in(chunk, self._stream))
@@ -141,7 +155,7 @@ class NetFt(SerialDevice):
         table = table[used]
         self._last_sample = int(table["ft_sequence"][-1])
         self._tell_status(host_ns, table["status"])
-        bad = np.where(table["status"] & ERROR, np.uint8(SampleStatus.NOT_VALID), np.uint8(0))
+        bad = np.where(table["status"] & self.config.errors, np.uint8(SampleStatus.NOT_VALID), np.uint8(0))
         for one in self._channels.values():
             rows = np.zeros(len(table), SCALAR)
             rows["sequence"], rows["tick"], rows["host_ns"] = numbers, numbers, host_ns
@@ -179,7 +193,7 @@ class NetFt(SerialDevice):
         for code in [*np.unique(status).tolist(), int(status[-1])]:
             if code != self._status:
                 self._status = code
-                if code & ERROR:
+                if code & self.config.errors:
                     text = f"status {code:08x}h: see the table of status codes in its manual; its rows are not used"
                     self._report.event(host_ns, Severity.ERROR, "sensor_error", text)
                 elif code:

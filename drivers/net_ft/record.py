@@ -1,6 +1,7 @@
 """RDT requests and records, big-endian. No port, no clock.
 
-Requests: Net F/T manual, table 10.1 and section 10.2. A record is 36 bytes; in buffered mode a datagram has several.
+Requests: Net F/T manual, table 10.1 and section 10.2; of OnRobot's box: its example ``highspeed_udp.c``. A record is
+36 bytes; in buffered mode a datagram has several.
 The port puts the length of each datagram before it: see ``drivers.transports.network``.
 """
 
@@ -8,7 +9,7 @@ import struct
 
 import numpy as np
 
-from drivers.errors import FrameError
+from drivers.errors import ConfigurationError, FrameError
 
 RECORD = np.dtype(
     [
@@ -20,13 +21,29 @@ RECORD = np.dtype(
 )
 STOP, START = 0x0000, 0x0002
 ERROR = 1 << 31  # of the status: set whenever another bit of an error is
+ANY_BIT = (1 << 32) - 1  # of OnRobot's: its bits are not published, and its driver takes any for an error
+ONROBOT_HZ, ONROBOT_FILTERS = 1000, 7  # sent per second at a SPEED of 1; 0 no filter, 1 to 6: 500 Hz to 1.5 Hz
 MOST_RECORDS = 40  # in a datagram, of buffered mode
+_BIAS, _FILTER, _SPEED = 0x0042, 0x0081, 0x0082
 _HEADER, _REQUEST, _LENGTH = 0x1234, struct.Struct(">HHI"), struct.Struct(">H")
 
 
 def request(command: int, records: int = 0) -> bytes:
     """A request; ``records``: how many are sent, 0 for no end."""
     return _REQUEST.pack(_HEADER, command, records)
+
+
+def onrobot_set_up(rate_hz: float, low_pass: int) -> tuple[bytes, ...]:
+    """Requests that OnRobot's Compute Box needs before START: its rate and filter, and that nothing is taken off.
+
+    Raises:
+        ConfigurationError: It has no such rate or filter.
+    """
+    speed = round(ONROBOT_HZ / rate_hz)
+    if not speed or abs(speed * rate_hz - ONROBOT_HZ) > 1e-6 or low_pass not in range(ONROBOT_FILTERS):
+        text = f"rate_hz = {rate_hz:g}, filter = {low_pass}: the rate is 1000 / n Hz with a whole n, the filter 0 to 6"
+        raise ConfigurationError(text)
+    return request(_SPEED, speed), request(_FILTER, low_pass), request(_BIAS, 0)
 
 
 class RecordStream:

@@ -7,11 +7,16 @@ record    uint32 number in this stream, uint32 internal sample, uint32 status, 6
 
 Big-endian. A stream's numbers begin at 1; a request takes the place of the one before, and so does its sender. Internal
 samples are 7000 a second since power-up. Bit 31 of the status is an error: here, a component beyond its range.
+
+OnRobot's Compute Box, by what its example ``highspeed_udp.c`` sends and reads: further commands 0082h, milliseconds
+between two records; 0081h, its low-pass filter, 0 to 6, whose delay is the sensor's; 0042h, FFh: what it reads now is
+taken off from now on, 0: not any more. 10,000 counts a newton, 100,000 a newton metre. What its status says of a
+component beyond its range is not published: here bit 0.
 """
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -24,9 +29,9 @@ from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.sensors import LoadCellSensor
 
-_INTERNAL_HZ: Final = 7000
-_ERROR: Final = 0x8000_0000
 _START, _STOP = 2, 0
+_SPEED, _FILTER, _BIAS = 0x82, 0x81, 0x42
+_FILTERS = 7
 _MOST: Final = 2**31 - 1
 Input = Callable[[float], tuple[float, bool]]
 """Counts at a mission time, and whether that is beyond the range."""
@@ -50,6 +55,8 @@ class NetBox(NetworkedTwin[int]):
     """
 
     boot_ns = 500_000_000  # a real one takes some seconds
+    internal_hz: ClassVar[int] = 7000
+    error: ClassVar[int] = 0x8000_0000  # its status beyond its range
 
     def __init__(
         self,
@@ -82,6 +89,15 @@ class NetBox(NetworkedTwin[int]):
             self._arm()
         elif command == _STOP:
             self._stop("sample")
+        else:
+            self._told(command, records)
+
+    def _told(self, command: int, number: int) -> None:
+        """A command that this box is not known to have, but other boxes."""
+
+    def _unbiased(self, values: list[float]) -> list[float]:
+        """What it makes of what it measures."""
+        return values
 
     def _arm(self) -> None:
         at_ns = self._clock.time_ns(self._powered_chip_ns + round(self._next * self._period_ns))
@@ -90,9 +106,10 @@ class NetBox(NetworkedTwin[int]):
     def _sample(self, now_ns: int) -> None:
         time_s = self._seconds(now_ns)
         measured = [self._inputs[k](time_s) if k in self._inputs else (0.0, False) for k in range(6)]
-        counts = [max(-_MOST, min(_MOST, round(value))) for value, _ in measured]
-        status = _ERROR if any(beyond for _, beyond in measured) else 0
-        internal = int(self._next * self._period_ns * 1e-9 * _INTERNAL_HZ)
+        values = self._unbiased([value for value, _ in measured])
+        counts = [max(-_MOST, min(_MOST, round(value))) for value in values]
+        status = self.error if any(beyond for _, beyond in measured) else 0
+        internal = int(self._next * self._period_ns * 1e-9 * self.internal_hz)
         self._number += 1
         data = struct.pack(">III6i", self._number & 0xFFFF_FFFF, internal & 0xFFFF_FFFF, status, *counts)
         if self._active(FaultKind.GARBAGE, now_ns):
@@ -105,8 +122,42 @@ class NetBox(NetworkedTwin[int]):
             self._arm()
 
 
+class HexBox(NetBox):
+    """OnRobot's Compute Box with a HEX; 100 records a second until it is told another rate.
+
+    What it is told it forgets without power.
+
+    Attributes:
+        filter: As it was told.
+    """
+
+    internal_hz = 1000
+    error = 1
+
+    def _gain_power(self, now_ns: int) -> None:
+        super()._gain_power(now_ns)
+        self._period_ns, self.filter = 1e7, 0
+        self._read, self._bias = [0.0] * 6, [0.0] * 6
+
+    def _told(self, command: int, number: int) -> None:
+        """See ``NetBox``."""
+        if command == _SPEED and number and self._period_ns != 1e6 * number:
+            self._period_ns, self._counted = 1e6 * number, None
+        elif command == _FILTER and number < _FILTERS:
+            self.filter = number
+        elif command == _BIAS:
+            self._bias = list(self._read) if number == 0xFF else [0.0] * 6
+
+    def _unbiased(self, values: list[float]) -> list[float]:
+        """See ``NetBox``."""
+        self._read = values
+        return [value - bias for value, bias in zip(values, self._bias, strict=True)]
+
+
 class NetFtTable(MeasuringEmulator):
     """A component of the sensor; a bus has one twin."""
+
+    box: ClassVar[type[NetBox]] = NetBox
 
     needs = "udp"
     quantities = FORCES
@@ -120,9 +171,14 @@ class NetFtTable(MeasuringEmulator):
     latency_ms: NonNegative = 0.4
 
     @classmethod
+    def counts_of(cls, said: Mapping[str, Any]) -> float:
+        """Of a newton or newton metre, by a table of a vehicle file."""
+        return float(said.get("counts_per_N" if said["component"] < 4 else "counts_per_N_m", 1e6))
+
+    @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
         """See ``Emulator``."""
-        counts = said.get("counts_per_N" if said["component"] < 4 else "counts_per_N_m", 1e6)
+        counts = cls.counts_of(said)
         table = {
             "component": said["component"],
             "measures": name,
@@ -141,7 +197,7 @@ class NetFtTable(MeasuringEmulator):
             value = cell.value(time_s)
             return self.counts * value, abs(value) > self.range
 
-        box = NetBox(
+        box = self.box(
             {self.component - 1: measured},
             bench.clock,
             bench.start_ns,
@@ -151,3 +207,16 @@ class NetFtTable(MeasuringEmulator):
             faults=bench.faults,
         )
         return Twin(box, lambda: box.produced, (bench.name,))
+
+
+class OnrobotHexTable(NetFtTable):
+    """A component of a HEX."""
+
+    box = HexBox
+
+    kind: Literal["onrobot_hex"]  # type: ignore[assignment]
+
+    @classmethod
+    def counts_of(cls, said: Mapping[str, Any]) -> float:
+        """See ``NetFtTable``."""
+        return 1e4 if said["component"] < 4 else 1e5

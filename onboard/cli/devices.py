@@ -113,7 +113,7 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
     from drivers.transports.url import parse
     from onboard import config
     from onboard.devices.base import BusDevice
-    from onboard.devices.buses import PairDevice, SerialLineDevice
+    from onboard.devices.buses import ComponentDevice
     from onboard.devices.registry import DEVICES
     from onboard.ground.before.init import seen
 
@@ -125,11 +125,13 @@ def _on_bus(arguments: argparse.Namespace) -> "tuple[config.Vehicle, list[str]]"
             f"--test {kind}: no kind that can be tried without a vehicle file (--vehicle); there are: {known}"
         )
     found: dict[str, list[tuple[str, int]]] = {}
-    if not arguments.url and not section.urls.keys() <= transports.I2C_URLS.keys() | transports.CAN_URLS.keys():
+    is_line = not section.urls.keys() <= transports.I2C_URLS.keys() | transports.CAN_URLS.keys()
+    if is_line and not arguments.url:
         line = section.new_url or f"serial:///dev/ttyUSB0?baud={section.new_baud}"
         raise ValueError(f"--test {kind}: say where it is, --url '{line}'")
-    if issubclass(section, SerialLineDevice | PairDevice) and section.answering is None:
-        found = {url: [(kind, 1)] for url in arguments.url if parse(url, section.urls)}
+    if is_line and section.answering is None:
+        parts = range(1, 7 if issubclass(section, ComponentDevice) else 2)
+        found = {url: [(kind, part) for part in parts] for url in arguments.url if parse(url, section.urls)}
     else:
         for bus in _scanned(arguments.url):
             there = [(one.kind, one.number) for one in bus.found if one.kind in (kind, "canopen_sync")]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from drivers.errors import ConfigurationError, FrameError, UrlError
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig, RecordStream, request
 from drivers.net_ft.asking import answering
+from drivers.net_ft.record import ANY_BIT, RECORD, onrobot_set_up
 from drivers.records import SampleStatus
 from drivers.transports.network import UdpPort
 from tests.conftest import VirtualClock
@@ -274,3 +275,59 @@ def test_a_frame_error_is_no_end_of_the_stream():
     with pytest.raises(FrameError):
         stream.take()
     assert stream.take() == CONTENTS[0]
+
+
+# OnRobot's Compute Box. What its example ``highspeed_udp.c`` sends, and where it reads: offsets 0 number, 4 sample
+# counter, 8 status, from 12 on Fx to Tz, each 4 bytes, big-endian; 10,000 counts a newton, 100,000 a newton metre.
+EXAMPLE = [bytes.fromhex(f"1234{rest}") for rest in ("00820000000a", "008100000004", "004200000000", "000200000000")]
+
+
+def hex_flight(rate_hz=100.0, low_pass=4) -> Flight:
+    return Flight(rate_hz=rate_hz, set_up=onrobot_set_up(rate_hz, low_pass), errors=ANY_BIT)
+
+
+def test_onrobot_s_box_is_set_up_as_its_example_does_with_5_ms_between_two_requests():
+    flight = hex_flight()
+    flight.start()
+    sent = [len(flight.asked)]
+    for _ in range(16):
+        flight.pump(MS)
+        sent.append(len(flight.asked))
+    assert flight.asked == EXAMPLE
+    assert [sent.index(n) for n in (1, 2, 3, 4)] == [0, 5, 10, 15]
+    flight.records(3)
+    flight.stop()
+    assert flight.asked == [*EXAMPLE, STOP]
+    assert len(whole(flight.batches, "fx")) == 3
+
+
+def test_a_record_of_onrobot_s_box_is_read_where_its_example_reads_it():
+    said = bytes.fromhex("00000007 00000abc 00000000 000186a0 ffffec78 00000000 00002710 fffffffb 000f4240")
+    rows = np.frombuffer(said, RECORD)
+    assert (int(rows["rdt_sequence"][0]), int(rows["ft_sequence"][0]), int(rows["status"][0])) == (7, 0xABC, 0)
+    assert (rows["counts"][0, :3] / 1e4).tolist() == [10.0, -0.5, 0.0]
+    assert (rows["counts"][0, 3:] / 1e5).tolist() == [0.1, -5e-5, 10.0]
+
+
+def test_any_bit_of_the_status_of_onrobot_s_box_is_an_error():
+    flight = hex_flight()
+    flight.start()
+    for _ in range(4):
+        flight.pump(5 * MS)
+    flight.records(2).records(1, status=1).records(1)
+    assert of(flight.batches, "fx")["status"].tolist() == [0, 0, BAD, 0]
+    assert codes(flight.batches) == ["started", "sensor_error", "sensor_normal"]
+
+
+def test_onrobot_s_box_is_set_up_anew_after_a_fault_at_any_call():
+    for flight in fault_at_any_call(
+        hex_flight, lambda flight: flight.records(9), lambda flight: flight.records(20), fewest_calls=20
+    ):
+        assert flight.asked[-5:] == [*EXAMPLE, STOP]
+        assert len(whole(flight.batches, "fx")) > 8
+
+
+@pytest.mark.parametrize(("rate_hz", "low_pass"), [(1500.0, 0), (300.0, 0), (2500.0, 0), (100.0, 7), (100.0, -1)])
+def test_rates_and_filters_that_onrobot_s_box_has_not_are_refused(rate_hz, low_pass):
+    with pytest.raises(ConfigurationError, match="1000 / n"):
+        onrobot_set_up(rate_hz, low_pass)

@@ -17,7 +17,7 @@ from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
-from hil_sim.devices.net_box import NetBox
+from hil_sim.devices.net_box import HexBox, NetBox
 from hil_sim.devices.odrive import OdriveTwin
 from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
@@ -128,6 +128,7 @@ class MixedWorld:
             "odrives": bus_tables.CanBusTable(kind="can", bit_rate=250_000),
             "robot": bus_tables.TcpBusTable(kind="tcp"),
             "box": bus_tables.UdpBusTable(kind="udp"),
+            "hex": bus_tables.UdpBusTable(kind="udp"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -184,6 +185,8 @@ class MixedWorld:
         counts = {1: lambda time_s: (1e6 * force_n(time_s), False)}
         self.hand = NetBox(counts, RateClock(4e-5), START_NS, rate_hz=500.0)
         bus["box"].add(self.hand)
+        thumb = {2: lambda time_s: (1e4 * force_n(time_s), False)}
+        bus["hex"].add(HexBox(thumb, RateClock(-3e-5), START_NS))
         for _ in range(BOOT_MS):
             self.advance(MS)
 

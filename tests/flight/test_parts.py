@@ -216,6 +216,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "bridge",
         "wing",
         "wrist_force",
+        "thumb",
     ]
     assert roles.signals.keys() == {"imu_base", "imu_elbow", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
         cell.channel for cell in roles.cells

@@ -11,7 +11,7 @@ import pytest
 
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
-from hil_sim.devices.net_box import NetBox
+from hil_sim.devices.net_box import HexBox, NetBox
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock
@@ -57,12 +57,12 @@ def test_a_client_of_others_reads_it_once_and_as_a_stream():
 class Session:
     """A client of the virtual network; ``bus`` is advanced by milliseconds."""
 
-    def __init__(self, faults=(), inputs=INPUTS, **how) -> None:
+    def __init__(self, faults=(), inputs=INPUTS, kind=NetBox, **how) -> None:
         self.end = UdpEnd("here")
         self.bus = NetworkBus(self.end)
         self.now_ns = START_NS
         plan = FaultPlan([Fault(*fault) for fault in faults], START_NS)
-        self.twin = NetBox(inputs, RateClock(), START_NS, jitter_ns=0, faults=plan.of("wrist"), **how)
+        self.twin = kind(inputs, RateClock(), START_NS, jitter_ns=0, faults=plan.of("wrist"), **how)
         self.bus.add(self.twin)
         self.bus.inject(plan.of("cable"))
         self.client()
@@ -171,3 +171,49 @@ def test_garbage_is_no_longer_and_no_shorter(session):
 def test_a_fault_that_it_cannot_have_is_refused():
     with pytest.raises(FaultError):
         NetBox(INPUTS, RateClock(), START_NS, faults=FaultPlan([Fault("nack", "w", 0.0, 1.0)], START_NS).of("w"))
+
+
+def hex_box(session, *faults, **how):
+    return session(*faults, kind=HexBox, **how)
+
+
+def test_onrobot_s_box_has_the_rate_that_it_is_told_and_100_until_then(session):
+    one = hex_box(session)
+    assert 99 <= len(one.said(START, 1000)) <= 100
+    one.said(STOP)
+    one.said(asked(0x82, 2))
+    one.said(asked(0x81, 4))
+    records = one.said(START, 1000)
+    assert 499 <= len(records) <= 500
+    assert [after[1] - before[1] for before, after in itertools.pairwise(records)] == [2] * (
+        len(records) - 1
+    )  # of 1000 a second
+    assert one.twin.filter == 4
+    one.said(asked(0x82, 0))
+    one.said(asked(0x81, 7))
+    assert one.twin.filter == 4
+    assert 499 <= len(one.said(START, 1000)) <= 500
+    assert 1090 <= one.twin.produced <= 1110  # numbered anew by its new rate
+
+
+def test_onrobot_s_bias_takes_off_what_is_read_and_gives_it_back(session):
+    one = hex_box(session)
+    one.said(asked(0x82, 1))
+    assert one.said(START, 5)[-1][3:] == tuple(COUNTS)
+    one.said(asked(0x42, 0xFF))
+    assert one.said(ms=5)[-1][3:] == (0,) * 6
+    one.said(asked(0x42, 0))
+    assert one.said(ms=5)[-1][3:] == tuple(COUNTS)
+
+
+def test_what_onrobot_s_box_was_told_it_forgets_without_power(session):
+    one = hex_box(session, ("off", "wrist", 0.05, 0.06))
+    one.said(asked(0x82, 1))
+    one.said(asked(0x81, 4), 600)
+    assert 99 <= len(one.said(START, 1000)) <= 100
+    assert one.twin.filter == 0
+
+
+def test_beyond_its_range_onrobot_s_status_is_not_0(session):
+    one = hex_box(session, inputs={0: lambda time_s: (4e6, True)})
+    assert {record[2] for record in one.said(START, 50)} == {1}

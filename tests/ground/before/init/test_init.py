@@ -35,7 +35,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
         alone = encoder == "recorded" and cell == "none" and needs_cell
         torques = 2 if (encoder in ("cia402", "dynamixel", "odrive", "ur_joint") and wanted_torques) or alone else 0
-        cells = 6 if cell in ("bota_ft", "net_ft", "ur_wrench") else int(cell != "none")
+        cells = 6 if cell in ("bota_ft", "net_ft", "onrobot_hex", "ur_wrench") else int(cell != "none")
         given = {encoder, *({imu, cell} - {"none"})}
         mixed = "recorded" in given and len(given) > 1
         if mixed or (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
@@ -54,7 +54,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
         schema.validate(tomllib.loads(vehicle.text))
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
-    assert refused == {"free": 209, "planar": 209, "prescribed": 218, "fixed": 156}[base]
+    assert refused == {"free": 228, "planar": 228, "prescribed": 237, "fixed": 168}[base]
 
 
 def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
@@ -147,7 +147,9 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("cell", "bus"), [("bota_ft", "tty_wrist"), ("net_ft", "box"), ("ur_wrench", "robot")])
+@pytest.mark.parametrize(
+    ("cell", "bus"), [("bota_ft", "tty_wrist"), ("net_ft", "box"), ("onrobot_hex", "box"), ("ur_wrench", "robot")]
+)
 def test_a_wrist_sensor_is_six_devices_each_along_its_own_axis(cell: str, bus: str, tmp_path: Path) -> None:
     make(NewVehicle("it", "fixed", ("a", "b"), "none", "ur_joint", cell), tmp_path)
     vehicle = config.load(tmp_path / "vehicle.toml")
