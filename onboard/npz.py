@@ -49,7 +49,7 @@ def arrays_of(path: Path, most_bytes: int) -> dict[str, NDArray[np.generic]]:
             raise
         except _BROKEN as error:
             raise NpzError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
-    raise NpzError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
+    raise NpzError(f"{path} is an array without a name, not an NPZ file; save it with numpy.savez")
 
 
 def _readable(array: NDArray[np.generic], where: str) -> NDArray[np.generic]:

@@ -33,14 +33,14 @@ def add(commands: Commands) -> None:
     campaign.add_argument(
         "--scheduler", metavar="tcp://HOST:PORT", help="Dask's, in place of processes here (or tls://)"
     )
-    campaign.add_argument("--jobs", type=int, metavar="N", help="processes here (default: one a core)")
+    campaign.add_argument("--jobs", type=int, metavar="N", help="processes here (default: as many as cores)")
     campaign.add_argument("--memory", default="auto", metavar="2GB", help="of each process (default: an equal share)")
     campaign.add_argument(
         "--dashboard", default="127.0.0.1:0", metavar="HOST:PORT", help="of Dask's page (default: any free port here)"
     )
     campaign.add_argument("--retry", action="store_true", help="fly again what has failed")
     campaign.add_argument("--list", action="store_true", help="say what would be flown, and end")
-    campaign.add_argument("--again", metavar="FLIGHT", help="fly one flight in this process, keep its log, and end")
+    campaign.add_argument("--again", metavar="FLIGHT", help="fly this flight in this process, keep its log, and end")
     campaign.add_argument("--by", metavar="FACTOR", help="of report: the answers of each level of a factor too")
     add_json(campaign)
     campaign.set_defaults(command=_campaign)

@@ -184,7 +184,7 @@ def add_page(command: Any, shows: str = "the flight") -> None:
         "--page-plan",
         type=Path,
         metavar="FILE",
-        help="show on it, beside each interval, the one that this plan expects (plan.json of heft plan)",
+        help="show beside each interval what this plan expects (plan.json of heft plan)",
     )
 
 

@@ -18,7 +18,7 @@ def add(commands: common.Commands) -> None:
         help="what is on the buses of this computer, and the lines of vehicle.toml that read it",
         description="Looks at I2C chips and CANopen nodes without setting anything up, and lists serial adapters; asks "
         "who is on a serial line or at an address that --url names (servos, Modbus, a UR controller). A CAN interface "
-        "must be up: ip link set can0 up type can bitrate 500000. With --test it runs one for two minutes at rest: "
+        "must be up: ip link set can0 up type can bitrate 500000. --test runs a device for two minutes at rest: "
         "rate, gaps, noise against what is stated, clock, self test.",
     )
     devices.add_argument(
@@ -56,7 +56,7 @@ def _devices(arguments: argparse.Namespace) -> int:
     if text:
         out.print("\nlines for vehicle.toml, with the joints, frames and numbers yours:\n")
         out.print(text, markup=False, highlight=False, soft_wrap=True)
-    as_json = [{**bus._asdict(), "found": [one._asdict() for one in bus.found]} for bus in buses]
+    as_json = [{**bus._asdict(), "found": [answer._asdict() for answer in bus.found]} for bus in buses]
     common.write_json(arguments.json, {"buses": as_json, "serial": adapters, "vehicle_toml": text})
     return common.OK
 

@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
         nargs=2,
         metavar=("FORMAT", "DIR"),
         required=True,
-        help="csv, parquet, npz or mat; DIR gets a file for each channel; csv - writes one to stdout; mcap: IMUs, "
+        help="csv, parquet, npz or mat; DIR gets a file for each channel; csv -: a channel to stdout; mcap: IMUs, "
         "joint states and transforms as standard ROS 2 messages",
     )
     dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
     kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="all as recorded, no SI")
     kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
     kinds.add_argument(
-        "--aligned", type=float, metavar="HZ", help="all signals at common instants of vehicle time, in one table"
+        "--aligned", type=float, metavar="HZ", help="all signals at common instants of vehicle time, in a table"
     )
     dump.set_defaults(command=_dump, values="both")
 

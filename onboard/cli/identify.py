@@ -38,12 +38,12 @@ def add(commands: common.Commands) -> None:
         "--predict", type=Path, action="append", default=[], metavar="LOG", help="predict LOG's rows from the first log"
     )
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
-    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
+    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write a log's bodies into its URDF")
     identify.add_argument(
         "--fit-drawing",
         type=Path,
         metavar="DIR",
-        help="write vehicle.toml and URDF with the arm's links as found in one log, and how well, for other recordings",
+        help="write vehicle.toml and URDF with a log's estimate of the arm's links, with sigmas, for other recordings",
     )
     identify.add_argument("--budget", action="store_true", help="show what the interval of each answer is made of")
     common.add_json(identify)
@@ -81,7 +81,7 @@ def _identify_with(
     if arguments.parameters:
         return _parameters(vehicle, arguments)
     if not arguments.logs:
-        raise ValueError("no log to identify from; name one, or ask for --parameters")
+        raise ValueError("no log to identify from; name a log, or ask for --parameters")
     _check_outputs(vehicle, arguments)
     with common.progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
@@ -108,10 +108,10 @@ def _identify_with(
 
 def _check_outputs(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> None:
     if arguments.urdf and len(arguments.logs) > 1:
-        raise ValueError("a URDF holds the result of one log; give --urdf with one log")
+        raise ValueError("a URDF holds the result of a single log; give --urdf with a single log")
     if arguments.fit_drawing:
         if len(arguments.logs) > 1:
-            raise ValueError("a drawing is fitted to one log; give --fit-drawing with one, or heft merge them first")
+            raise ValueError("a drawing is fitted to a single log; give only that, or heft merge the logs first")
         from onboard.ground.identify import fitted_file
 
         fitted_file.require_fittable(vehicle, arguments.fit_drawing)

@@ -1,4 +1,4 @@
-"""``heft info``: summary of a log on one screen."""
+"""``heft info``: summary of a log on a screen."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import Commands, add_json, progress, show, write_json
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    info = commands.add_parser("info", help="summary of a log on one screen")
+    info = commands.add_parser("info", help="summary of a log on a screen")
     info.add_argument("log", type=Path)
     add_json(info)
     info.add_argument("--clocks", type=Path, metavar="PNG", help="plot each clock's residuals, rate and state")

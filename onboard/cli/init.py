@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
     init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar", "pivot"))
     init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
-    imu = "of --urdf, whose axes are the IMU's (default: the only one of the base's that is called so, or a new one)"
+    imu = "of --urdf, whose axes are the IMU's (default: the base's only frame that is called so, or a new frame)"
     init.add_argument("--imu-frame", metavar="LINK", help=imu)
     init.add_argument("--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: a new link)")
     init.add_argument(
@@ -152,7 +152,7 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
     """Which link stands for what is held, and which others could be meant."""
     if link in drawn.links:
         return (
-            f"link {link} has a mass in the URDF: it is taken for what is held. Name one without, of the last link",
+            f"link {link} has a mass in the URDF: it is taken for what is held. Name a massless frame of the last link",
         )
     if link in drawn.frames:
         return ()
@@ -212,7 +212,7 @@ def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
     imu = arguments.imu or ("none" if arguments.base == "fixed" else usual)
     for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
         if said not in known:
-            raise ValueError(f"{said!r} is none of {', '.join(known)}" if said != "?" else f"one of {', '.join(known)}")
+            raise ValueError(f"{said!r} is none of {', '.join(known)}" if said != "?" else f"any of {', '.join(known)}")
     joints = arguments.joints or "2"
     names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
     drawn = None

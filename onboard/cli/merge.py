@@ -49,7 +49,7 @@ def _merge(arguments: argparse.Namespace) -> int:
     ]
     if arguments.in_turn and (arguments.rename or arguments.align):
         raise ValueError(
-            "--in-turn joins recordings of the same channels, each with its own time: leave the others out"
+            "--in-turn joins recordings of the same channels, whose times are separate: leave the others out"
         )
     with progress() as bar:
         if arguments.in_turn:

@@ -9,7 +9,7 @@ from onboard.cli import common
 def add(commands: common.Commands) -> None:
     """Make the command known."""
     resync = commands.add_parser("resync", help="find how the clocks of several recorders' logs lie, from the motion")
-    resync.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="logs of one flight; one with an IMU")
+    resync.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="logs of a flight; any has an IMU")
     resync.add_argument("--vehicle", metavar="VEHICLE", help="file or name: which channel is what, and the model")
     resync.add_argument(
         "--peak-hz", type=float, default=1.0, help="frequency of the strongest motion, Hz (1); not used with a model"

@@ -38,7 +38,7 @@ def add(commands: common.Commands) -> None:
     what.add_argument("--xtce", type=Path, metavar="DIR", help="write the mission database (XTCE 1.2) into DIR")
     what.add_argument("--decode", metavar="FILE|LINK", help="read packets of a file, udp://HOST:PORT or serial:///...")
     what.add_argument("--send", metavar="LINK", help="send what the downlink of LOG would have sent")
-    telemetry.add_argument("--json-lines", action="store_true", help="with --decode: every packet as JSON, one a line")
+    telemetry.add_argument("--json-lines", action="store_true", help="with --decode: every packet as a line of JSON")
     telemetry.add_argument("--duration", type=float, metavar="S", help="with --decode of a port: end after S seconds")
     telemetry.add_argument(
         "--command",

@@ -53,7 +53,7 @@ def add(commands: common.Commands) -> None:
     weigh.add_argument(
         "--scale-percent",
         type=float,
-        help="1 sigma of an axis' scale, of the sensor's data sheet (1; --device: its own)",
+        help="1 sigma of an axis' scale, of the sensor's data sheet (1; --device: the device's)",
     )
     weigh.add_argument("--tilt-deg", type=float, default=5.0, help="1 sigma of the base's tilt (5)")
     weigh.add_argument("--vehicle", metavar="FILE", help="vehicle.toml: its load cells get the zeros (offset_N)")

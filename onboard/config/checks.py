@@ -94,7 +94,7 @@ def _check_bus(vehicle: Vehicle, bus: str, fail: Fail) -> None:
         except DriverError as error:
             fail(["bus", bus, "url"], f"its devices are on {bus_type}: {error}")
         if not one.shares_bus and len(on_bus) > 1:
-            text = f"bus {bus!r} has {', '.join(on_bus)}; {bus_type} has one device: give each a bus"
+            text = f"bus {bus!r} has {', '.join(on_bus)}; {bus_type} has a single device: give each a bus"
             fail(["bus", bus], text)
         for where, why in one.bus_problems(bus, on_bus):
             fail(where, why)
@@ -124,7 +124,7 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
             if channel in RESERVED or channel.startswith(OURS):
                 fail(where, f"channel {channel!r} is heft's; rename the device")
             if owner.setdefault(channel, name) != name:
-                fail(where, f"channel {channel!r} is that of {owner[channel]!r} too; rename one of them")
+                fail(where, f"channel {channel!r} is that of {owner[channel]!r} too; rename either")
 
 
 def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
@@ -135,7 +135,7 @@ def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     lines: dict[str, str] = {}  # first of each kind
     for name, device in devices.items():
         if device.sync_line(name) is not None and lines.setdefault(device.kind, name) != name:
-            text = f"{name!r} and {lines[device.kind]!r} are of one kind; a vehicle has one sync line"
+            text = f"{name!r} and {lines[device.kind]!r} are of the same kind; a vehicle has a single sync line"
             fail(["device", name], text)
 
 
@@ -306,13 +306,13 @@ def _check_body(vehicle: Vehicle, fail: Fail) -> None:
     if file.body is None:
         return
     if file.planar is not None:
-        fail(["planar"], "a run of a body without joints has its table in [body]; remove one of the two")
+        fail(["planar"], "a run of a body without joints has its table in [body]; remove either")
     for kind, many in (("recorded_thruster", True), ("recorded_pose", False)):
         own = [name for name, device in file.device.items() if device.kind == kind]
         if not own or (len(own) > 1 and not many):
             fail(
                 ["device"],
-                f"[body] needs {'a device' if many else 'one device'} of kind {kind!r}; there are {len(own)}",
+                f"[body] needs {'a device' if many else 'a single device'} of kind {kind!r}; there are {len(own)}",
             )
     if other := [name for name, one in file.device.items() if not one.kind.startswith("recorded_")]:
         fail(["device", other[0], "kind"], "a body without joints is identified from recordings; use recorded kinds")
@@ -327,7 +327,7 @@ def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
     if file.planar is None and file.body is None:
         fail(["vehicle", "base"], 'base = "planar" needs a section: [planar] with an arm, [body] without; add it')
     if settings.carried:
-        fail(["estimation", "carried"], "a run on a table is estimated in one batch; remove carried")
+        fail(["estimation", "carried"], "a run on a table is estimated in a single batch; remove carried")
     if settings.gates.joint_rate_min_rad_s:
         where = ["estimation", "gates", "joint_rate_min_rad_s"]
         fail(where, "joint_rate_min_rad_s does not apply to method exiddm; remove it")

@@ -62,7 +62,7 @@ def player_of(around: Surroundings, vehicle: Played, bus: str) -> PlayerConfig[A
         raise ConfigError(f"{vehicle.label}: no device has driven = true: give it to the drives that play")
     buses = sorted({device.bus for device in driven.values()})
     if len(buses) > 1:
-        raise ConfigError(f"{vehicle.label}: driven devices are on {', '.join(buses)}; drives of one bus move together")
+        raise ConfigError(f"{vehicle.label}: driven devices are on {', '.join(buses)}; drives move on a single bus")
     if buses != [bus]:
         return None
     joints = [device.joint for device in driven.values()]

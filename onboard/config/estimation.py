@@ -64,7 +64,7 @@ class MemoryKeys(Section):
     @model_validator(mode="after")
     def _one_at_most(self) -> "MemoryKeys":
         if self.forgetting_s is not None and self.window_s is not None:
-            raise ValueError("forgetting_s and window_s exclude each other; give one of the two")
+            raise ValueError("forgetting_s and window_s exclude each other; remove either")
         return self
 
 

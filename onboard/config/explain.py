@@ -100,7 +100,7 @@ def _explain(
         return f"{name!r}: {_one_of(context, error['input'])}{other}"
     wanted = _WANTED.get(kind, _WANTED.get(kind.removesuffix("_type").removesuffix("_parsing")))
     why = wanted.format(**context) if wanted else str(error["msg"]).removeprefix("Value error, ")
-    return f"{name!r}: {why} (found {_shown(error['input'])})" if where else why  # of all tables: it names its keys
+    return f"{name!r}: {why} (given: {_shown(error['input'])})" if where else why  # of all tables: it names its keys
 
 
 def _one_of(context: dict[str, Any], given: Any) -> str:

@@ -38,7 +38,7 @@ def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
         meant = f"did you mean {near[0]!r}? Others: " if near else "there are "
         others = ", ".join(one for one in known if one not in near)
         raise ConfigError(
-            f"no packaged vehicle {str(name)!r}; {meant}{others}; one of your own is a path to a vehicle.toml"
+            f"no packaged vehicle {str(name)!r}; {meant}{others}; for your vehicle give a path to its vehicle.toml"
         )
     return load(path, urdf)
 
@@ -153,4 +153,4 @@ def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str
         for number, (value, part) in enumerate(zip(given, read, strict=False)):
             yield from _coerced(value, part, [*where, str(number)])
     elif isinstance(given, bool | str) and isinstance(read, int | float) and type(given) is not type(read):
-        yield where, f"a number is wanted here (found {json.dumps(given)}); write it without quotes"
+        yield where, f"a number is wanted here (given: {json.dumps(given)}); write it without quotes"

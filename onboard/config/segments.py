@@ -118,7 +118,7 @@ def _checked(fields: dict[str, NDArray[Any]], path: Path) -> Library:
     q, ticks = np.asarray(fields["q"], np.float64), np.asarray(fields["ticks"], np.int64)
     ends = q[np.arange(k), ticks - 1]
     if np.abs(np.concatenate([q[:, 0], ends]) - q[0, 0]).max() > 1e-6:
-        raise ConfigError(f"segments {path}: one does not begin and end in the posture of the others: make it again")
+        raise ConfigError(f"segments {path}: their postures at begin and end differ: make them again")
     text = {name: tuple(fields[name].tolist()) for name in ("names", "joints", "unknowns")}
     return Library(
         text["names"],

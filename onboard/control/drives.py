@@ -62,7 +62,7 @@ def identified(space: JointSpace, q: FloatArray, torque: FloatArray, period_s: f
     for joint in range(q.shape[1]):
         rows = np.abs(dq[:, joint]) > _MOVING_RAD_S
         if rows.sum() < _FEWEST:
-            raise ValueError(f"joint {joint + 1} hardly moved: its drive's friction cannot be told; give it more room")
+            raise ValueError(f"joint {joint + 1} hardly moved: its drive's friction stays unknown; give it more room")
         columns = np.stack([ddq[rows, joint], dq[rows, joint], np.sign(dq[rows, joint])], 1)
         found[:, joint] = nnls(columns, left[rows, joint])[0]
     return Drives(*found)

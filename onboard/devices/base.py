@@ -268,7 +268,7 @@ class JointDevice(BusDevice):
     about_role = "joint angle"
     new_keys = """counts_per_revolution = 500000 # of the joint: quadrature and gear included
 zero_count = 0                 # what it reads at joint angle zero
-noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
+noise_rad = 4e-6               # a count / sqrt(12), plus what the gear adds
 """
     new_smoothing_ms: ClassVar[int] = 100  # of the rows, in a file that heft init makes: by its noise
     new_floating_smoothing_ms: ClassVar[int | None] = None  # of the joints of a base that floats; None: the same

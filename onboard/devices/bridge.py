@@ -20,7 +20,7 @@ class BridgeDevice(LoadCellDevice):
 
     records = SCALAR
     about_clock = (
-        "The number of the conversion, by its own oscillator, fitted to when its conversions were seen to be ready; "
+        "The number of the conversion, by its oscillator, fitted to when its conversions were seen to be ready; "
         "sigma: `poll_period_ms` / sqrt(12), beside that of the filter's delay. It has no input for the sync line."
     )
     new_delay: ClassVar[str] = ""  # that of its own filter

@@ -56,7 +56,7 @@ class I2cDevice(BusDevice):
             if times[address] > 1:
                 yield (
                     ["device", name],
-                    f"{name!r} shares its I2C address; give one the other address (AD0), or another bus",
+                    f"{name!r} shares its I2C address; give either the other address (AD0), or another bus",
                 )
 
     def driver(self, name: str, port: I2cPort) -> Device:
@@ -140,14 +140,12 @@ class StreamedDevice(BusDevice):
         for name, one in devices.items():
             if isinstance(one, StreamedDevice) and isinstance(leader, StreamedDevice):
                 if (one.settings(name), one.delay_ns) != (leader.settings(first), leader.delay_ns):
-                    text = (
-                        f"{name!r} and {first!r} come in one package; give both the same rate_hz, periods and latency"
-                    )
+                    text = f"{name!r} and {first!r} share packages; give both the same rate_hz, periods and latency"
                     yield ["device", name], text
                 for part in one.parts(name).values():
                     other = taken.setdefault(part, name)
                     if other != name:
-                        yield ["device", name], f"{name!r} and {other!r} are {part}; give each its own"
+                        yield ["device", name], f"{name!r} and {other!r} are {part}; give them different ones"
 
     @property
     def delay_ns(self) -> tuple[float, float]:

@@ -23,7 +23,7 @@ class RdtDevice(StreamedDevice, ComponentDevice):
     urls = UDP_URLS
     driver_configs = (NetFtConfig,)
     about_clock = (
-        "The number of the record, which counts periods of the sensor's own oscillator, fitted to the least delayed "
+        "The number of the record, which counts periods of the sensor's oscillator, fitted to the least delayed "
         "arrivals; `latency_ms` and half of `poll_period_ms` are taken off. All components have the same times."
     )
     new_bus = "box"

@@ -169,7 +169,7 @@ class RecordedPose(RecordedDevice):
     repeats: Annotated[
         bool,
         Field(
-            description="An unchanged pose is a measurement; false: the tracker held the last one, and it is left out."
+            description="An unchanged pose is a measurement; false: the tracker held the last pose, and it is left out."
         ),
     ] = False
     misalignment_sigma_rad: Annotated[

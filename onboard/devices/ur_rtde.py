@@ -70,7 +70,7 @@ class UrJointDevice(UrOutputs, MotorDevice):
         str
     ] = """number = {number}                     # of the controller: 1 base, 2 shoulder, 3 elbow, 4 to 6 wrist
 rate_hz = 125                  # an e-Series has up to 500
-noise_rad = 2e-5               # one sample: yours, of an arm at rest
+noise_rad = 2e-5               # of a sample: yours, of an arm at rest
 """
     new_torque = """gain_N_m_A = 10.0              # yours: joint torque per ampere, gear included
 torque_scale_sigma = 0.1       # yours: of that, relative

@@ -51,7 +51,7 @@ def window_contains(times_s: ArrayLike, bad: ArrayLike, at_s: ArrayLike, width_s
     """
     times, flags, at = np.asarray(times_s, np.float64), np.asarray(bad, bool), np.asarray(at_s, np.float64)
     if times.shape != flags.shape:
-        raise RowError(f"{flags.size} flags for {times.size} samples; give one a sample")
+        raise RowError(f"{flags.size} flags for {times.size} samples; give as many")
     total = np.concatenate([[0], np.cumsum(flags)])
     low = np.searchsorted(times, at - 0.5 * width_s, side="left")
     high = np.searchsorted(times, at + 0.5 * width_s, side="right")
@@ -114,7 +114,7 @@ def phase_gate(
     at, change = np.asarray(at_s, np.float64), np.asarray(change_s, np.float64)
     entered = np.asarray(phases)
     if change.shape != entered.shape or (np.diff(change) < 0.0).any():
-        raise RowError("phase changes need one increasing time each")
+        raise RowError("phase changes need an increasing time each")
     if change.size == 0:
         return reasons(np.ones(at.shape, bool), GateReason.PHASE)
     index = np.searchsorted(change, at, side="right") - 1  # (n,)
@@ -149,7 +149,7 @@ class ResidualGate:
         if threshold <= 0.0 or not 1 <= minimum <= memory:
             raise RowError("the residual gate needs a positive threshold and 1 <= minimum <= memory")
         if huber is not None and not 0.0 < huber < threshold:
-            raise RowError(f"Huber's threshold is {huber}; give one above zero and below the gate's {threshold}")
+            raise RowError(f"Huber's threshold is {huber}; it must be above zero and below the gate's {threshold}")
         self.threshold = threshold
         self.huber = huber
         self._recent = np.zeros(memory)

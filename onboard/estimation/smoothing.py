@@ -170,7 +170,7 @@ class SmoothingWindow:
                 raise RowError("sample times must increase strictly; sort them and drop duplicates first")
             raise RowError("sample times and ticks must be finite vectors; drop samples without a time first")
         if not 0.0 < width_s < np.inf:
-            raise RowError(f"the smoothing width is {width_s} s; give a positive one")
+            raise RowError(f"the smoothing width is {width_s} s; it must be positive")
         gap = width_s / 5.0 if max_gap_s is None else max_gap_s
         self.width_s = width_s
         self.kernel = kernel
@@ -215,7 +215,7 @@ class SmoothingWindow:
         """:meth:`weights` of some derivatives, (n, o, l)."""
         for derivative in orders:
             if derivative not in (0, 1, 2):
-                raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
+                raise RowError(f"derivative {derivative} is not 0, 1 or 2")
         leading = tuple(orders) == (0, 1, 2)[: len(orders)]  # a view where it can be
         return self._weights[:, : len(orders)] if leading else self._weights[:, list(orders)]
 
@@ -290,7 +290,7 @@ class SmoothingWindow:
         columns = np.asarray(values, np.float64)
         columns = columns[:, None] if columns.ndim == 1 else columns
         if columns.shape[0] != self.samples:
-            raise RowError(f"{columns.shape[0]} values for {self.samples} sample times; give one value a time")
+            raise RowError(f"{columns.shape[0]} values for {self.samples} sample times; give as many")
         if not np.isfinite(columns).all():
             raise RowError("values must be finite; drop invalid samples first, the hole counts as a gap")
         if not self._some:

@@ -100,7 +100,7 @@ def _of_all(evidence: Evidence) -> Findings:
     if held_out is None:
         doubts += [evidence.unchecked] * bool(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
-        said = f"one half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
+        said = f"a half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
         if held_out.worst.relative_error >= MOST_UNPREDICTED:
             against.append(said)
         elif held_out.worst.relative_error >= WEAKLY_PREDICTED:

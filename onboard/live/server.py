@@ -131,7 +131,7 @@ def _close_to_all_but(port: int, address: str) -> None:
             if listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and listening.getsockname()[1] == port:
                 only_from(listening, address)
                 return
-    raise RuntimeError(f"the socket that listens on port {port} was not found, so viewers cannot be checked")
+    raise RuntimeError(f"no listening socket seen on port {port}, so viewers cannot be checked")
 
 
 def messages(rows: Rows) -> Iterator[tuple[int, bytes]]:

@@ -41,7 +41,7 @@ def read(path: Path | None) -> dict[str, dict[str, Any]]:
     except OSError as error:
         raise ValueError(f"--page-plan {path}: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"--page-plan {path}: give the plan.json that heft plan wrote for one motion") from error
+        raise ValueError(f"--page-plan {path}: give the plan.json that heft plan wrote for a single motion") from error
     return {name: {"half": half, "unit": unit} for name, (half, unit) in found.items() if 0.0 < half < math.inf}
 
 

@@ -266,7 +266,7 @@ class PageState:
         if self.silence:
             yield silence, self.silence
         if (row := self._standing) is not None and any(lost := row[["missing", "damaged_bytes"]].tolist()):
-            yield "note", "{} packets did not come, {} bytes belong to no whole one: the log has all".format(*lost)
+            yield "note", "{} packets did not come, {} bytes belong to no whole packet: the log has all".format(*lost)
 
     def _of_health(self, now_ns: int, ended: bool, silence: str) -> Iterator[tuple[str, str]]:
         if self._health is None:

@@ -110,7 +110,7 @@ def recover(
     except LogFormatError as error:
         return Recovery({}, (), (), str(error))
     if not reader.channels and damage:
-        return Recovery({}, (), damage, "not one chunk of the log can be read")
+        return Recovery({}, (), damage, "no chunk of the log can be read")
     others, missing = ((), None) if reader.is_flight else _elsewhere(reader.segments)
     damage = damage if missing is None else (missing, *damage)
     before = {} if reader.is_flight else marks_of(LogReader(reader.segments[:1]).metadata.get(RECORDED, {}))

@@ -284,7 +284,7 @@ class LogWriter:
 
     def _refuse_after_end(self) -> None:
         if self._ended:
-            raise RecordingError("the log is closed; open a new one")
+            raise RecordingError("the log is closed; open another")
 
     def _seal_messages(self) -> None:
         """Put all accepted rows into sealed chunks."""

@@ -49,7 +49,7 @@ def prior_root(
         if link not in vehicle.links:
             raise UnknownFrameError(f"the prior names {link!r}; links with inertia are {', '.join(vehicle.links)}")
         if link in relative:
-            raise UnknownFrameError(f"link {link!r} has two sigmas, one of them relative; state one")
+            raise UnknownFrameError(f"link {link!r} has an absolute and a relative sigma; state either")
     root = np.diag(named_relative_sigma(model, {**dict.fromkeys(made, 0.0), **relative}, extras))
     for index, link in enumerate(vehicle.links):
         own = slice(10 * index, 10 * index + 10)
@@ -57,9 +57,11 @@ def prior_root(
             _check(link, relative[link], root[own])
             continue
         if named := sorted(set(model.names[own]) & set(extras)):
-            raise UnknownFrameError(f"{named[0]} has an absolute sigma beside that of its link {link!r}; state one")
+            raise UnknownFrameError(f"{named[0]} has an absolute sigma beside that of its link {link!r}; state either")
         if not model.chi[own.start] > 0.0:
-            raise UrdfError(f"link {link!r} has no mass in the URDF for its sigma; give it one, or take the sigma out")
+            raise UrdfError(
+                f"link {link!r} has no mass in the URDF for its sigma; give it a mass, or take the sigma out"
+            )
         root[own, own] = standard_root(model.chi[own], *made[link])
     return root
 
@@ -67,4 +69,4 @@ def prior_root(
 def _check(link: str, relative: float, root: FloatArray) -> None:
     if relative > 0.0 and not root[0].any():  # of a point the rest is as drawn
         text = f"link {link!r} has no mass in the URDF that a relative sigma could be of"
-        raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")
+        raise UrdfError(f"{text}; give absolute sigmas, M_{link} to ZZ_{link}, or a relative sigma of 0 if it is exact")

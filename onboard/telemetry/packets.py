@@ -32,7 +32,7 @@ COUNTS = 1 << 14  # sequence counts before they begin again
 HEADER_BYTES, SECONDARY, CRC_BYTES = 6, struct.Struct(">BI3sBH"), 2
 _LARGEST = 3.4028234e38  # of single precision
 UNKNOWN_MODE, UNKNOWN_PHASE = 255, -1
-PUS_C = 2 << 4  # version of the PUS, and 0: status of the time reference is not told
+PUS_C = 2 << 4  # version of the PUS, and 0: status of the time reference is not reported
 
 # Words of onboard.flight.supervise.modes and onboard.identification.standing, without what those import: a process that
 # only sends stays small. A test compares them.
@@ -118,8 +118,8 @@ STATUS = PacketKind(
         Field("memory_free", "f", "of the computer", "MB"),
         Field("disk_free", "f", "where the log is written", "MB"),
         Field("temperature", "f", "the hottest zone", "deg C"),
-        Field("sent", "I", "packets of this session before this one"),
-        Field("unsent_answers", "I", "answers that a newer one replaced before they were sent; the log has them"),
+        Field("sent", "I", "packets of this session before this"),
+        Field("unsent_answers", "I", "answers replaced by newer answers before they were sent; the log has them"),
         Field("unsent_events", "I", "events that were not sent; the log has them"),
         Field("unsent_phases", "I", "changes of mode or phase that were not sent; the log has them"),
         Field("unsent_reasons", "I", "reasons of answers that were not sent; the log has them"),
@@ -183,7 +183,7 @@ FLIGHT = PacketKind(
     ),
 )
 _PUS = (
-    Field("pus", "B", "PUS version 2 (C), and 0: status of the time reference is not told"),
+    Field("pus", "B", "PUS version 2 (C), and 0: status of the time reference is not reported"),
     Field("service", "B", "PUS service, 1: verification"),
     Field("subtype", "B", "of the message"),
     Field("counter", "H", "messages of this service and subtype before it in this session"),
@@ -291,7 +291,7 @@ def decode(data: bytes, kinds: Mapping[int, PacketKind]) -> Packet:
     if version != VERSION or p_field != P_FIELD:
         raise PacketError(f"its definitions are number {version}, these are {VERSION}: use the heft that flew")
     if len(data) != kind.length:
-        raise PacketError(f"a packet {kind.name} has {kind.length} bytes, this one {len(data)}")
+        raise PacketError(f"a packet {kind.name} has {kind.length} bytes, this packet {len(data)}")
     found = _format(kind.lead).unpack_from(data, HEADER_BYTES) + kind.format.unpack_from(data, at + SECONDARY.size)
     fraction_ns = (int.from_bytes(fraction, "big") * 1_000_000_000 + FRACTION - 1) // FRACTION
     values = {field.name: _value(field, value) for field, value in zip((*kind.lead, *kind.fields), found, strict=True)}

@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         opened = sink(address)
     except OSError as error:
-        sys.stdout.write(f"{error.strerror or error}; give another link, or make this one usable\n")
+        sys.stdout.write(f"{error.strerror or error}; give another link, or make this link usable\n")
         return 2
     ready()
     _Sender(log, address, opened, settings).run(lambda: bool(asked) or left())

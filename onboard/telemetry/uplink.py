@@ -29,7 +29,7 @@ _SECOND_NS = 1_000_000_000
 WHY = {
     Refusal.NOT_ARMED: "arm it: [telemetry] commands of the vehicle file",
     Refusal.OUT_OF_RANGE: f"begin before end, within the flight, {LONGEST_SPAN_S} s at most",
-    Refusal.DUPLICATE: "this sequence count has come before: give another one",
+    Refusal.DUPLICATE: "this sequence count has come before: give another",
     Refusal.UNKNOWN: f"service {SERVICE}: 1 mark, 2 stop, 3 span",
     Refusal.MALFORMED: "its data have another length: see docs/ground.md",
     Refusal.OTHER_SESSION: "it is of another session: take that of the last packet",

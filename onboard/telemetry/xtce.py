@@ -131,11 +131,11 @@ def _heads(system: System, apids: Mapping[str, int]) -> tuple[Parameter[Any], tu
     primary = [
         number("packet_version", 3, "Packet version number"),
         number("packet_type", 1, "0: telemetry"),
-        number("secondary_header", 1, "1: there is one"),
+        number("secondary_header", 1, "1: it is there"),
         apid,
         number("sequence_flags", 2, "3: unsegmented"),
         number("sequence_count", 14, "Of this APID and session"),
-        number("packet_data_length", 16, "Bytes after this field, less one"),
+        number("packet_data_length", 16, "Bytes after this field, less 1"),
     ]
     secondary = [
         p_field,

@@ -61,13 +61,13 @@ FORM = [
         7,
         "joint 'shoulder' stands in line 4 too; rename",
     ),
-    (urdf(joint=LIMIT + "\n" + LIMIT), 5, "<joint> has <limit> a second time; take one of them out"),
+    (urdf(joint=LIMIT + "\n" + LIMIT), 5, "<joint> has <limit> a second time; take either out"),
     (urdf(arm=ARM + "\n" + ARM), 4, "<link> has <inertial> a second time"),
     (urdf(kind="floating"), 4, "joint 'shoulder' is 'floating'; .* base = \"free\" lets the root go"),
     (urdf(kind="hinge"), 4, "joint 'shoulder' is 'hinge'; fixed, revolute"),
     (urdf().replace('<child link="arm"/>', ""), 4, "lacks <child"),
     (urdf().replace('<child link="arm"/>', '<child link="amr"/>'), 4, "names link 'amr', .* did you mean 'arm'"),
-    (urdf(more='<link name="c"/>'), 6, "it hangs on base, c; a vehicle has one root"),
+    (urdf(more='<link name="c"/>'), 6, "it hangs on base, c; a vehicle has a single root"),
     (
         urdf(more='<joint name="j" type="fixed"><parent link="arm"/><child link="base"/></joint>'),
         2,
@@ -125,7 +125,7 @@ BODIES = [
         3,
         "link 'arm' weighs 0.08 kg and has 0.097 kg m2: all its mass would be 1.1 m from its centre, and its shape is",
     ),
-    (urdf(base=""), 2, "the base, link 'base' with what is fixed to it, weighs nothing; one that is free"),
+    (urdf(base=""), 2, "the base, link 'base' with what is fixed to it, weighs nothing; a link that is free"),
 ]
 
 

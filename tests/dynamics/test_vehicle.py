@@ -157,7 +157,7 @@ def test_rocksat_is_what_the_tables_say():
             "<robot name='r'><link name='a'/><link name='b'/></robot>",
             ("a",),
             UrdfError,
-            "it hangs on a, b; a vehicle has one root",
+            "it hangs on a, b; a vehicle has a single root",
         ),
         (urdf(), ("arm",), UrdfError, "the root is base"),
         (urdf(), ("nothing",), UrdfError, "the root is base"),

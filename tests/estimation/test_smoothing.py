@@ -178,7 +178,7 @@ def test_bad_signals_are_named(times, values, at, width):
 
 
 def test_no_third_derivative():
-    with pytest.raises(RowError, match="not one of 0, 1, 2"):
+    with pytest.raises(RowError, match="not 0, 1 or 2"):
         smooth(np.arange(0, 1, 0.005), np.zeros(200), [0.5], WIDTH, 3)
 
 

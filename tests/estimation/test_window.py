@@ -149,7 +149,7 @@ def test_nothing_in_nothing_out():
 
 
 def test_what_makes_no_sense_is_refused():
-    with pytest.raises(RowError, match="choose one"):
+    with pytest.raises(RowError, match="remove either"):
         Memory(1.0, 1.0)
     for given in ({"forgetting_s": 0.0}, {"window_s": -1.0}, {"window_s": np.inf}):
         with pytest.raises(RowError, match="positive time"):
@@ -159,7 +159,7 @@ def test_what_makes_no_sense_is_refused():
     window = WindowRls(2)
     with pytest.raises(RowError, match="no forgetting factor"):
         window.update(np.eye(2), np.ones(2), np.ones(2), forgetting=0.9)
-    with pytest.raises(RowError, match="one triangle"):
+    with pytest.raises(RowError, match="a triangle"):
         window.restore(SquareRootRls(2).state())
     with pytest.raises(RowError, match=r"\(0, 1\]"):
         SquareRootRls(2).update(np.eye(2), np.ones(2), np.ones(2), forgetting=0.0)

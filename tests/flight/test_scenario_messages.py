@@ -37,16 +37,16 @@ quantity = "inertal"
 link_1 = 3
 """
 TOLD = {
-    2: r"'physics.step_us': a whole number is wanted here \(found \"fast\"\)",
-    3: r"'physics.gravity_m_s2': a list is wanted here, like \[1, 2\] \(found 9.81\)",
-    4: r"'physics.integration_steps': a whole number is wanted here \(found 1.5\)",
+    2: r"'physics.step_us': a whole number is wanted here \(given: \"fast\"\)",
+    3: r"'physics.gravity_m_s2': a list is wanted here, like \[1, 2\] \(given: 9.81\)",
+    4: r"'physics.integration_steps': a whole number is wanted here \(given: 1.5\)",
     6: "unknown key 'paylod'; did you mean 'payload'",
     10: "'payload.mass_kg': 2 values at the most are wanted here",
     11: "'payload.size_mm': a list is wanted here",
     14: "unknown key 'release.rate_rads'; did you mean 'rate_rad_s'",
     15: "'release.velocity_m_s': a finite number is wanted here",
     19: "'sequence.0.action': \"swingg\" is none of hold, swing, .* did you mean 'swing'",
-    20: r"'sequence.0.duration_s': more than 0 is wanted here \(found -3\)",
+    20: r"'sequence.0.duration_s': more than 0 is wanted here \(given: -3\)",
     21: "unknown key 'sequence.0.joints'",
     24: "'bus.can_0.kind': \"cann\" is none of i2c, can, pulse, pair, serial, tcp, udp; did you mean 'can'",
     26: "'sensor.imu_base.quantity': \"inertal\" is none of .* did you mean 'inertial'",
@@ -144,5 +144,5 @@ def test_a_packaged_mission_is_not_blamed_for_the_file_over_it(
     assert cli.main(["hil", mission, "--scenario", str(over), "--faults"]) == cli.BAD_INPUT
     lines = capsys.readouterr().err.removeprefix("heft: ").splitlines()
     assert f"{over}:1: unknown key 'sequenc'; did you mean 'sequence'? Units are in the key" in lines
-    assert f"{over}:7: 'sequence.0.duration_s': more than 0 is wanted here (found -3)" in " ".join(lines)
+    assert f"{over}:7: 'sequence.0.duration_s': more than 0 is wanted here (given: -3)" in " ".join(lines)
     assert any(line.startswith(f"{over}:6: unknown key 'sequence.0.spin'") for line in lines)

@@ -95,7 +95,7 @@ def test_samples_are_put_on_the_time_when_they_were_taken(tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (("id = 2", "id = 1"), "have ID 1; give each its own"),
+        (("id = 2", "id = 1"), "have ID 1; give them different ids"),
         (("id = 2", "id = 2\nsample_period_ms = 6"), "asked at once; give both the same periods"),
         (("baud=1000000", "baud=57600"), "takes 9.5 ms on 'tty_servos': raise its baud rate"),
         (("gain_N_m_A = 1.78", "torque_sigma_N_m = 0.01"), "measures a current; give gain_N_m_A"),

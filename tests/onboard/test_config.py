@@ -53,7 +53,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
     ("old", "new", "expected"),
     [
         ('bus = "i2c_1"', 'bus = "i2c_9"', "no bus 'i2c_9'; there are: i2c_1, can_0, sync_line"),
-        ("address = 0x68", "address = 0x10", "104 or more is wanted here (found 16)"),
+        ("address = 0x68", "address = 0x10", "104 or more is wanted here (given: 16)"),
         ('kind = "mpu6050"', 'kind = "mpu9999"', "is none of as5600, bota_ft"),
         (
             'kind = "mpu6050"',
@@ -74,7 +74,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         (
             "[estimation.gates]",
             "[estimation.memory]\nforgetting_s = 9\nwindow_s = 9\n[estimation.gates]",
-            "give one of the two",
+            "remove either",
         ),
         ("step_ms = 100", 'method = "instrumental"\nstep_ms = 100', 'method "instrumental" is for base = "free"'),
         ("step_ms = 100", 'smoothing = "kalman"\nstep_ms = 100', "none of spline, filter, smoother"),
@@ -94,7 +94,7 @@ def without(device: str) -> str:
     ("old", "new", "expected"),
     [
         (without("imu_base"), "", "no device is an IMU"),
-        (without("can_sync"), "", "bus 'can_0' has 0 canopen_sync devices; it needs one"),
+        (without("can_sync"), "", "bus 'can_0' has 0 canopen_sync devices; it needs exactly one"),
         ('bus = "i2c_1"', 'bus = "can_0"', "bus 'can_0' has devices of CAN and I2C"),
     ],
 )
@@ -113,12 +113,20 @@ NODE_GYRO = '[[device.wrist.channel]]\nname = "gyro_x"\nrole = "gyro"\naxis = "x
         ("?baud=115200", "", "lacks baud: add '?baud=...'"),
         ("?line=17", "", "lacks line: add '?line=...'"),
         ("?baud=115200", "?baud=115200&parity_bit=N", "unknown options parity_bit"),
-        ('bus = "tty_grip"', 'bus = "tty_cell"', "'tty_cell' has cell, grip; a serial line has one device: give each"),
-        ('bus = "loop_in"', 'bus = "sync_line"', "'sync_line' has pulse, second; a pulse line has one device"),
+        (
+            'bus = "tty_grip"',
+            'bus = "tty_cell"',
+            "'tty_cell' has cell, grip; a serial line has a single device: give each",
+        ),
+        ('bus = "loop_in"', 'bus = "sync_line"', "'sync_line' has pulse, second; a pulse line has a single device"),
         ('bus = "tty_imu"', 'bus = "tty_9"', "no bus 'tty_9'; there are: i2c_1, can_0"),
         # CAN
-        ("node = 4", "node = 1", "'upper' and 'shoulder' are both node 1; a node has one profile"),
-        ("node = 3", 'node = 1\nsupervision = "guarding"', "'phase' and 'shoulder' are one node; give both the same"),
+        ("node = 4", "node = 1", "'upper' and 'shoulder' are both node 1; set the same profile"),
+        (
+            "node = 3",
+            'node = 1\nsupervision = "guarding"',
+            "'phase' and 'shoulder' are the same node; give both the same",
+        ),
         ("node = 3", 'node = 3\nsupervision = "guarding"\nguard_time_ms = 0', "guard_time_ms = 0: use 1..65535"),
         ("node = 3", 'node = 3\nsupervision = "watching"', "none of heartbeat, guarding"),
         ("torque = true", "torque = true\ntpdos = [1]", "its values fill 2 TPDOs: name more tpdos"),
@@ -158,7 +166,7 @@ NODE_GYRO = '[[device.wrist.channel]]\nname = "gyro_x"\nrole = "gyro"\naxis = "x
         ),
         ('"loop_out"\nsync_period_ms = 5', '"loop_out"\nsync_period_ms = 1', "give more than the dither of 1 ms"),
         # channels
-        ("[device.second]", "[device.elbow_mark]", "channel 'elbow_mark' is that of 'elbow' too; rename one of them"),
+        ("[device.second]", "[device.elbow_mark]", "channel 'elbow_mark' is that of 'elbow' too; rename either"),
         ("[device.second]", "[device.event]", "channel 'event' is heft's"),
         ("[device.second]", '[device."1pps"]', "channel '1pps' is not a name; use a letter, then letters"),
         ("[device.second]", "[device.second_pulse_of_the_receiver_on_top]", "32 at the most"),
@@ -270,7 +278,7 @@ def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
         ("lag_ms = 300", "lag_ms = inf", "finite number"),
         ("lag_ms = 300", "lag_ms = 9e9", "5000 or less is wanted"),
         ("lag_ms = 300", "lag_ms = 120", "ends 125 ms after its row, so no row would be made; write 187.5"),
-        ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (found true)"),
+        ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (given: true)"),
         ("row_rate_hz = 100", 'row_rate_hz = "100"', "write it without quotes"),
         ("[device.load_cell]", "[device.recorder_gap]", "is heft's"),
         ("[device.load_cell]", "[device.health]", "is heft's"),

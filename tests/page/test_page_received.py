@@ -219,7 +219,7 @@ def test_no_wrong_number_of_a_file_with_bit_errors(tmp_path: Path, rng: np.rando
     assert len(shown) > 300
     assert all(value in sent[name] for name, value in shown)
     assert not file.is_whole
-    assert any("belong to no whole one" in text for text in reasons(frames[-1]))
+    assert any("belong to no whole packet" in text for text in reasons(frames[-1]))
 
 
 def test_a_file_has_a_slider_and_a_go(tmp_path: Path, tab: Tab) -> None:

@@ -282,7 +282,7 @@ def test_what_a_command_line_gives_is_grouped_by_flight(tmp_path):
 
 def test_a_directory_that_is_no_flight_says_so(tmp_path):
     write_small(tmp_path / "single.mcap")
-    with pytest.raises(LogFormatError, match="not the directory of one flight"):
+    with pytest.raises(LogFormatError, match="not the directory of a flight"):
         LogReader(tmp_path)
 
 

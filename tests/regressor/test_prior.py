@@ -49,7 +49,7 @@ def test_other_columns_have_their_own_sigmas():
     ("relative", "extras", "made", "said"),
     [
         (REST, BIAS, {"arm": ARM, "ram": ARM}, "the prior names 'ram'"),
-        (REST | {"arm": 0.1}, BIAS, {"arm": ARM}, "two sigmas, one of them relative"),
+        (REST | {"arm": 0.1}, BIAS, {"arm": ARM}, "an absolute and a relative sigma"),
         (REST, BIAS | {"M_arm": 0.1}, {"arm": ARM}, "M_arm has an absolute sigma"),
         (REST, BIAS, {}, "arm"),
     ],

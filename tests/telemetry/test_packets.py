@@ -131,5 +131,5 @@ def test_other_definitions_apids_and_words_are_refused_with_the_reason() -> None
         decode(encode(PHASE, 900, 0, 0, 0, some(PHASE)), BY_APID)
     with pytest.raises(PacketError, match="mode 77 is none of boot, checkout"):
         decode(made(PHASE, mode=77), BY_APID)
-    with pytest.raises(PacketError, match="a packet phase has 28 bytes, this one 94"):
+    with pytest.raises(PacketError, match="a packet phase has 28 bytes, this packet 94"):
         decode(encode(ANSWER, APIDS["phase"], 0, 0, 0, some(ANSWER)), BY_APID)

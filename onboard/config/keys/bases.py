@@ -61,7 +61,7 @@ BODY: dict[str, tuple[str, ...]] = {
         "Least and largest delay from the command to the force, which is fitted between them.",
         "poses or commands are later than this",
     ),
-    "each_delay_sigma_ms": ("Delay of one valve against the others, 1 sigma.",),
+    "each_delay_sigma_ms": ("Delay of a valve against the others, 1 sigma.",),
     "loss_sigma_ms": ("By how much longer a valve takes to open than to close, 1 sigma.",),
 }
 

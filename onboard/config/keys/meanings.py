@@ -42,7 +42,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "base_link": _M("Link of the URDF that the base IMU moves with."),
         "payload_link": _M("Link that stands for what is grappled; its inertia in the URDF is a first guess or zero."),
         "essential": _M(
-            "Devices without which a flight has failed: heft fly ends with 1 if one of them was never heard.",
+            "Devices without which a flight has failed: heft fly ends with 1 if any of them was never heard.",
             "name what the answer cannot do without",
         ),
         "gravity_m_s2": _M(
@@ -65,7 +65,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "sync_period_ms": _M(
             "Nothing recorded is ever longer than this off the medium.", "the medium wears, or is slow"
         ),
-        "segment_s": _M("A log goes on in a new file after this time.", "files are to be downlinked one by one"),
+        "segment_s": _M("A log goes on in a new file after this time.", "files are to be downlinked separately"),
         "segment_mib": _M("The same, after this size.", "as above"),
         "min_free_mib": _M(
             "The oldest segments of earlier flights are deleted while less is free; 0 keeps them all.",
@@ -118,7 +118,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "prior": _M("Table: what is known beforehand."),
         "masses": _M("Table: masses to report from inertia about a joint."),
         "motor": _M(
-            "Tables by name: motors coupled to more than one joint; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
+            "Tables by name: motors coupled to several joints; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
             "a wrist is coupled, and its joints' torques are measured",
         ),
         "nuisance": _M(
@@ -254,7 +254,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
         "gyro_cross_axis": _M(
-            "Share of one axis that another shows, each of six; silent: the least of the two above.",
+            "Share of an axis that another shows, each of six; silent: the least of the two above.",
             "the data sheet states it",
         ),
         "accelerometer_bias_m_s2": _M(

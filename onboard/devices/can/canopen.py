@@ -40,7 +40,7 @@ class CanDevice(BusDevice):
         """See ``BusDevice``."""
         syncs = [name for name, device in devices.items() if isinstance(device, CanopenSyncDevice)]
         if len(syncs) != 1:
-            text = f"bus {bus!r} has {len(syncs)} canopen_sync devices; it needs one"
+            text = f"bus {bus!r} has {len(syncs)} canopen_sync devices; it needs exactly one"
             yield ["device", next(iter(devices))], text
         by_node: dict[int, tuple[str, CanopenNodeDevice]] = {}
         profiles: dict[int, str] = {}
@@ -49,10 +49,10 @@ class CanDevice(BusDevice):
                 continue
             other, first_of_node = by_node.setdefault(device.node, (name, device))
             if device.guard != first_of_node.guard:
-                text = f"{name!r} and {other!r} are one node; give both the same supervision"
+                text = f"{name!r} and {other!r} are the same node; give both the same supervision"
                 yield ["device", name], text
             if device.is_profile and profiles.setdefault(device.node, name) != name:
-                text = f"{name!r} and {profiles[device.node]!r} are both node {device.node}; a node has one profile"
+                text = f"{name!r} and {profiles[device.node]!r} are both node {device.node}; set the same profile"
                 yield ["device", name, "node"], f"{text}: give each its number, or take a canopen_object"
 
 

@@ -42,7 +42,7 @@ class OdriveDevice(MotorDevice):
     new_keys: ClassVar[str] = """node = {number}                       # its can.node_id
 counts_per_revolution = 8388608 # yours: 1048576 x gear, here 8; negative where it turns against the joint
 zero_count = 0                 # yours: what it reads at joint angle zero
-noise_rad = 5e-5               # yours: one sample, of an arm at rest
+noise_rad = 5e-5               # yours: of a sample, arm at rest
 """
     kind: Literal["odrive"]
     node: Annotated[int, Field(ge=0, le=63)]
@@ -67,7 +67,7 @@ noise_rad = 5e-5               # yours: one sample, of an arm at rest
         for name, one in devices.items():
             other = by_node.setdefault(one.node, name) if isinstance(one, OdriveDevice) else name
             if other != name:
-                yield ["device", name, "node"], f"{name!r} and {other!r} are one node; give each its own can.node_id"
+                yield ["device", name, "node"], f"{name!r} and {other!r} are the same node; change either can.node_id"
 
     def settings(self, name: str) -> OdriveAxis:
         """See ``BusDevice``."""

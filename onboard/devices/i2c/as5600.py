@@ -34,7 +34,7 @@ class As5600Device(I2cDevice, JointDevice):
     new_bus = "i2c_{number}"  # it has one address
     new_keys: ClassVar[str] = """zero_count = 0                 # yours: what it reads at joint angle zero, 0 to 4095
 sample_period_ms = 5
-noise_rad = 9e-4               # one sample: 0.043 degrees, and a count / sqrt(12)
+noise_rad = 9e-4               # of a sample: 0.043 degrees, and a count / sqrt(12)
 """
     new_smoothing_ms = 300  # its noise, through 100 ms, biases the rows
     new_floating_smoothing_ms = 600  # and through 300 ms what a free-flyer holds

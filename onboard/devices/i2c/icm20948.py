@@ -28,8 +28,8 @@ accel_range_g = 4
 gyro_range_deg_s = 250
 filter_code = 2                # 111 Hz and 120 Hz
 poll_period_ms = 10
-accel_noise_m_s2 = 0.038       # one sample: 230 ug/sqrt(Hz) x sqrt(562.5 Hz / 2), the data sheet's
-gyro_noise_rad_s = 4.4e-3      # one sample: 0.015 deg/s/sqrt(Hz) x sqrt(562.5 Hz / 2)
+accel_noise_m_s2 = 0.038       # of a sample: 230 ug/sqrt(Hz) x sqrt(562.5 Hz / 2), the data sheet's
+gyro_noise_rad_s = 4.4e-3      # of a sample: 0.015 deg/s/sqrt(Hz) x sqrt(562.5 Hz / 2)
 """
     driver_configs = (Icm20948Config,)
     identify: ClassVar[Identify | None] = staticmethod(identify)

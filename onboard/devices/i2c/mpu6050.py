@@ -31,8 +31,8 @@ accel_range_g = 4
 gyro_range_deg_s = 250
 filter_code = 2                # DLPF_CFG: 94/98 Hz
 poll_period_ms = 10
-accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
-gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
+accel_noise_m_s2 = 0.088       # of a sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
+gyro_noise_rad_s = 1.95e-3     # of a sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
 """
     driver_configs = (Mpu6050Config,)
     identify: ClassVar[Identify | None] = staticmethod(identify)

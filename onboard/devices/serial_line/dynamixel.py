@@ -42,8 +42,8 @@ class DynamixelDevice(SerialLineDevice, MotorDevice, DrivenDevice):
     """
 
     about_clock = (
-        "The middle between the question's end and the moment when its own answer is due (return delay, answers before "
-        "its own), by the host's clock, however late that reads the answer; where it samples in between, and how late "
+        "The middle between the question's end and the moment when its answer is due (return delay, answers before "
+        "it), by the host's clock, however late that reads the answer; where it samples in between, and how late "
         "an adapter sends the question, is not known, which is `delay_sigma_ms`. It has no input for the sync line."
     )
     driver_configs = (DynamixelConfig, DynamixelTiming)
@@ -55,7 +55,7 @@ class DynamixelDevice(SerialLineDevice, MotorDevice, DrivenDevice):
         str
     ] = """id = {number}                         # set each with DYNAMIXEL Wizard, as the baud rate
 zero_count = 2048              # yours: what it reads at joint angle zero, 0 to 4095
-noise_rad = 7e-4               # one sample: a count / sqrt(12), and its sensor's 0.03 degrees
+noise_rad = 7e-4               # of a sample: a count / sqrt(12), and its sensor's 0.03 degrees
 """
     new_torque = """gain_N_m_A = 1.78              # yours: stall torque / stall current, here of an XM430-W350
 torque_scale_sigma = 0.1       # yours: of that, relative
@@ -103,7 +103,7 @@ after_stop = "hold"            # it has no brake: without torque the arm falls
                 continue
             other = by_id.setdefault(device.id, name)
             if other != name:
-                yield ["device", name, "id"], f"{name!r} and {other!r} have ID {device.id}; give each its own"
+                yield ["device", name, "id"], f"{name!r} and {other!r} have ID {device.id}; give them different ids"
             leader = devices[first]
             if isinstance(leader, cls) and device.timing != leader.timing:
                 yield ["device", name], f"{name!r} and {first!r} are asked at once; give both the same periods and keys"

@@ -25,7 +25,7 @@ class NimuDevice(SerialLineDevice, ImuDevice):
     records = IMU
     driver_configs = (NimuConfig,)
     new_keys = """sample_rate_hz = 150
-accel_noise_m_s2 = 0.02        # one sample: from its certificate
+accel_noise_m_s2 = 0.02        # of a sample: from its certificate
 gyro_noise_rad_s = 2e-3
 """
     first_row_s = 0.3  # it talks unasked, a quarter of a second after its power came

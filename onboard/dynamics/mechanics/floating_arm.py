@@ -49,7 +49,7 @@ class FloatingArm:
             raise SignalError("the vehicle has no mass; give its links <inertial> elements")
         self.tip = vehicle.frame_id(tip)
         if self.model.frames[self.tip].parentJoint <= 1:
-            raise UnknownFrameError(f"frame {tip!r} is fixed in the base; name one that an arm's joint moves")
+            raise UnknownFrameError(f"frame {tip!r} is fixed in the base; name a frame that an arm's joint moves")
         self._data = self.model.createData()
         self._configuration = pin.neutral(self.model)
 

@@ -78,7 +78,9 @@ def require_flyable(
     if not problems and floats and not base_weighs(drawing, payload_link):
         line = drawing.lines[drawing.links[drawing.root]]
         what = f"the base, link {drawing.root!r} with what is fixed to it, weighs nothing"
-        problems = [UrdfProblem(line, f"{what}; one that is {base} moves by its mass and inertia: give it <inertial>")]
+        problems = [
+            UrdfProblem(line, f"{what}; a link that is {base} moves by its mass and inertia: give it <inertial>")
+        ]
     if problems:
         raise DrawingError(problems, label)
     return drawing
@@ -169,7 +171,7 @@ def _number(line: int, text: str, who: str, largest: float, unit: str) -> Iterat
         comma = " with a decimal point" if "," in text else ""
         yield UrdfProblem(line, f"{who}={text!r} is no number; write it in digits{comma}")
     elif abs(float(text)) > largest:
-        remedy = _REMEDIES.get(unit, "write it as a number near one")
+        remedy = _REMEDIES.get(unit, "write it as a number near 1")
         yield UrdfProblem(line, f"{who}: {text} {unit} is more than anything that flies has ({largest:.4g}); {remedy}")
 
 
@@ -202,7 +204,7 @@ def impossible(mass_kg: float, inertia_kg_m2: FloatArray) -> str:
     if c > a + b + FLAT_KG_M2:
         return f"{told}; none can be more than the sum of the others: give its inertia about the centre of mass"
     if c > mass_kg * FARTHEST_M**2:
-        return f"{told} with {mass_kg:g} kg: that is {math.sqrt(c / mass_kg):.4g} m from its centre; correct one"
+        return f"{told} with {mass_kg:g} kg: that is {math.sqrt(c / mass_kg):.4g} m from its centre; correct either"
     return ""
 
 
@@ -321,7 +323,7 @@ def _placed_twice(drawing: Drawing) -> Iterator[UrdfProblem]:
 def _second_origin(drawing: Drawing, elements: Iterable[ET.Element]) -> Iterator[UrdfProblem]:
     for element in elements:
         for again in element.findall("origin")[1:2]:
-            what = f"<{element.tag}> has <origin> a second time; take one of them out"
+            what = f"<{element.tag}> has <origin> a second time; take either out"
             yield UrdfProblem(drawing.lines[again], what)
 
 

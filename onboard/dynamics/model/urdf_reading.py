@@ -181,7 +181,7 @@ def _names(elements: list[ET.Element], lines: dict[ET.Element, int]) -> Iterator
         if not name or not name.isprintable() or name != name.strip():
             yield UrdfProblem(line, f"<{element.tag} name={name!r}>: give it a name of letters, digits, - and _")
         elif name in first:
-            yield UrdfProblem(line, f"{element.tag} {name!r} stands in line {first[name]} too; rename one of them")
+            yield UrdfProblem(line, f"{element.tag} {name!r} stands in line {first[name]} too; rename either")
         else:
             first[name] = line
 
@@ -191,7 +191,7 @@ def _tags(links: list[ET.Element], joints: list[ET.Element], lines: dict[ET.Elem
     for element in (*links, *joints, *(part for link in links for part in link.findall("inertial"))):
         for tag in ("inertial", "mass", "inertia", "parent", "child", "axis", "limit", "mimic"):
             if len(found := element.findall(tag)) > 1:
-                yield UrdfProblem(lines[found[1]], f"<{element.tag}> has <{tag}> a second time; take one of them out")
+                yield UrdfProblem(lines[found[1]], f"<{element.tag}> has <{tag}> a second time; take either out")
     for link in links:
         for inertial in link.findall("inertial"):
             if missing := [tag for tag in ("mass", "inertia") if inertial.find(tag) is None]:
@@ -221,7 +221,9 @@ def _references(drawing: Drawing) -> Iterator[UrdfProblem]:
                 yield UrdfProblem(drawing.lines[joint.element], f"{what}; {meant}")
         if hangs.setdefault(joint.child, joint.name) != joint.name:
             what = f"link {joint.child!r} hangs on joint {joint.name!r} and on {hangs[joint.child]!r}"
-            yield UrdfProblem(drawing.lines[joint.element], f"{what}; a link has one joint before it: cut the loop")
+            yield UrdfProblem(
+                drawing.lines[joint.element], f"{what}; a link has a single joint before it: cut the loop"
+            )
 
 
 def _tree(drawing: Drawing, roots: list[str]) -> Iterator[UrdfProblem]:
@@ -231,7 +233,7 @@ def _tree(drawing: Drawing, roots: list[str]) -> Iterator[UrdfProblem]:
         what = f"it hangs on {shortened(roots) or 'nothing, for its joints go in a ring'}"
         element = drawing.links[roots[1]] if roots else first
         yield UrdfProblem(
-            drawing.lines[element], f"{what}; a vehicle has one root: join the others to it by fixed joints"
+            drawing.lines[element], f"{what}; a vehicle has a single root: join the others to it by fixed joints"
         )
         return
     if len(drawing.links) > MOST_LINKS or moving > MOST_JOINTS:

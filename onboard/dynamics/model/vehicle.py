@@ -155,7 +155,7 @@ class VehicleModel:
         if frame not in self._poses:
             found = self.model.frames[self.frame_id(frame)]
             if found.parentJoint != 1:
-                raise UnknownFrameError(f"frame {frame!r} moves with a joint; name one that is fixed in the base")
+                raise UnknownFrameError(f"frame {frame!r} moves with a joint; name a frame fixed in the base")
             pose = np.array(found.placement.rotation), np.array(found.placement.translation)
             for part in pose:
                 part.setflags(write=False)

@@ -108,9 +108,9 @@ def swing(
 
 def _check(t: FloatArray, w: FloatArray, suspension: Suspension) -> None:
     if t.ndim != 1 or t.shape != w.shape or len(t) < 50 or not (np.isfinite(t).all() and np.isfinite(w).all()):
-        raise CalibrationError("give 50 or more finite samples of time and rate, of one length")
+        raise CalibrationError("give 50 or more finite samples of time and rate, of equal length")
     if not (np.diff(t) > 0.0).all() or float(np.diff(t).max()) > 5.0 * float(np.median(np.diff(t))):
-        raise CalibrationError("the samples' times go back or have a gap; take a run without one")
+        raise CalibrationError("the samples' times go back or have a gap; take a run without gaps")
     if not (min(suspension[:3]) > 0.0 and min(suspension[3:6]) >= 0.0 and suspension.gravity_m_s2 > 0.0):
         raise CalibrationError("mass, string spacing and length must be positive, their sigmas zero or more")
 

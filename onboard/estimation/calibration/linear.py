@@ -36,7 +36,7 @@ def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, readin
     if x.shape != y.shape or x.ndim != 1 or not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise CalibrationError("give as many finite readings as known values")
     if len(x) < 2 or np.ptp(x) <= 3.0 * float(np.max(known_sigma)):
-        raise CalibrationError("two or more known values that differ are needed; add a larger one")
+        raise CalibrationError("two or more known values that differ are needed; add a larger value")
     slope = float(np.polyfit(x, y, 1)[0])
     for _ in range(5):
         variance = np.asarray(reading_sigma) ** 2 + (slope * np.asarray(known_sigma)) ** 2

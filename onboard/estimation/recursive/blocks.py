@@ -25,7 +25,7 @@ class TimeBlocks:
 
     def __init__(self, block_s: float, capacity: int, *shapes: tuple[int, ...]) -> None:
         if not 0.0 < block_s < np.inf:
-            raise RowError(f"the block length is {block_s} s; give a positive one")
+            raise RowError(f"the block length is {block_s} s; it must be positive")
         if capacity < 4:
             raise RowError(f"a capacity of {capacity} blocks; give at least four")
         self.block_s = block_s

@@ -284,7 +284,7 @@ class JackknifeEstimate:
         ):
             raise RowError(f"{k} considered parameters need as many sigmas, none negative, or a root ({k}, {k})")
         if not 0.0 < level < 1.0:
-            raise RowError(f"the level is {level}; give one between 0 and 1")
+            raise RowError(f"the level is {level}; it must be between 0 and 1")
         return sigma
 
     def instead(self, other: Instead) -> Self:

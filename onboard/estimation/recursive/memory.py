@@ -107,7 +107,7 @@ class WindowRls(SquareRootRls):
         Raises:
             RowError: always.
         """
-        raise RowError("a window cannot be restored from one triangle; add its rows again")
+        raise RowError("a window cannot be restored from a triangle; add its rows again")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class Memory:
 
     def __post_init__(self) -> None:
         if self.forgetting_s is not None and self.window_s is not None:
-            raise RowError("forgetting_s and window_s are both given; rows fade or leave a window, choose one")
+            raise RowError("forgetting_s and window_s are both given; rows fade or leave a window: remove either")
         for name, value in (("forgetting_s", self.forgetting_s), ("window_s", self.window_s)):
             if value is not None and not 0.0 < value < np.inf:
                 raise RowError(f"{name} is {value}; give a positive time")

@@ -86,9 +86,9 @@ class SquareRootRls:
 
     def __init__(self, parameters: int, considered: int = 0, forgetting: float = 1.0) -> None:
         if parameters < 1 or considered < 0:
-            raise RowError(f"{parameters} parameters and {considered} considered; at least one and none")
+            raise RowError(f"{parameters} parameters and {considered} considered; at least 1 and 0")
         if not 0.0 < forgetting <= 1.0:
-            raise RowError(f"the forgetting factor is {forgetting}; give one in (0, 1]")
+            raise RowError(f"the forgetting factor is {forgetting}; it must be in (0, 1]")
         self.parameters = parameters
         self.considered = considered
         self.forgetting = forgetting
@@ -164,7 +164,7 @@ class SquareRootRls:
             return
         factor = self.forgetting if forgetting is None else forgetting
         if not 0.0 < factor <= 1.0:
-            raise RowError(f"the forgetting factor is {factor}; give one in (0, 1]")
+            raise RowError(f"the forgetting factor is {factor}; it must be in (0, 1]")
         if factor < 1.0:
             self._triangle *= np.sqrt(factor)
             if self._prior_rows.shape[0]:  # restores the prior information reduced by forgetting

@@ -300,7 +300,7 @@ def write(record: Record, directory: Path) -> Path:
 def render(record: Record) -> RenderableType:
     """The list as a table, and whether the vehicle is ready."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("step", "", "found", "operator"):
+    for heading in ("step", "", "result", "operator"):
         table.add_column(heading)
     colours = {PASSED: "green", FAILED: "red", LEFT_OUT: "yellow"}
     for step in record.steps:

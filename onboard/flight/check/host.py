@@ -96,7 +96,7 @@ def look_over(
         else:
             problems += _of_speed(there, speed, bytes_per_s)
     if slowest_s > SLOW_SYNC_S:
-        warnings.append(f"{there} took {slowest_s:.1f} s to bring data to the medium once: use a faster one")
+        warnings.append(f"{there} took {slowest_s:.1f} s to bring data to the medium once: use a faster medium")
     return Host(free_bytes, bytes_per_s, speed, slowest_s, tuple(problems), tuple(warnings))
 
 

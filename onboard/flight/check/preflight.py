@@ -296,7 +296,7 @@ def _stamps(rows: Rows | None) -> NDArray[np.int64]:
 
 def _rate_problems(device: BusDevice, rate_hz: float | None, nominal_hz: float, silent_s: float) -> list[str]:
     if rate_hz is None:
-        return ["one row only: repeat with a longer time"]
+        return ["a single row: repeat with a longer time"]
     if silent_s > max(SILENT_S, 5.0 / nominal_hz):
         return [f"no data for the last {silent_s:.1f} s: check its power and wiring"]
     if abs(rate_hz / nominal_hz - 1.0) > device.rate_tolerance:

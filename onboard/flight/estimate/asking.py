@@ -251,7 +251,7 @@ class Asking:
             why = self._hopeless(known, roots, allowed, between)
             if not why and stalled:
                 told = _most(shares(known.covariance, known.asked, library.unknowns))
-                why = f"the last {_FEWEST} segments have told nothing that was not known; most is by {told}"
+                why = f"the last {_FEWEST} segments have added no information; most is by {told}"
             if why:
                 return self._give_up(now_ns, time_s, now, why)
         if solved:  # else the information of the segments is in a window that is not explained yet

@@ -299,7 +299,7 @@ def from_bytes(data: bytes, places: Places) -> Any:
         tree = data[_HEAD.size : _HEAD.size + length]
         arrays = memoryview(data)[_HEAD.size + length :]
         if magic != _MAGIC or len(tree) != length or zlib.crc32(tree) != crc or _sum(arrays) != words:
-            raise StateError("this is no state of an estimator, or a damaged one")
+            raise StateError("this is no state of an estimator, or it is damaged")
         return _Reader(places, arrays).value(json.loads(tree))
     except StateError:
         raise

@@ -46,7 +46,7 @@ def require_private(directory: Path) -> None:
     if about.st_uid != os.getuid():
         raise NotPrivateError(
             f"{directory} belongs to user {about.st_uid}, who could read and alter the flight; "
-            "have it removed, or set HEFT_RINGS to a directory of your own"
+            "have it removed, or set HEFT_RINGS to a private directory"
         )
     if about.st_mode & 0o077:
         raise NotPrivateError(

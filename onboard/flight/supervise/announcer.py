@@ -214,7 +214,7 @@ def missing_all_flight(vehicle: config.Vehicle, rows: dict[str, int]) -> list[st
         channels = [c for name, device in vehicle.devices_on(bus).items() for c in device.channels(name)]
         of_bus[bus] = sum(rows.get(channel, 0) for channel in channels)
         if channels and not of_bus[bus]:
-            told.append(f"bus {bus} was missing all flight: not one row of {', '.join(channels)}")
+            told.append(f"bus {bus} was missing all flight: no row of {', '.join(channels)}")
     for name in vehicle.file.vehicle.essential:
         if not any(rows.get(channel, 0) for channel in vehicle.file.device[name].channels(name)):
             told.append(f"{name}, which is essential, was missing all flight")

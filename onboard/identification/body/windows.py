@@ -69,5 +69,5 @@ def windows_of(
         at_s = until_s
     if not kept:
         text = f"no {WINDOW_s:g} s with {SHORTEST} poses and known commands"
-        raise ConvergenceError(f"{text}: check that both are on one clock")
+        raise ConvergenceError(f"{text}: check that both are on the same clock")
     return PoseWindows(np.array(starts), int(np.ceil(WINDOW_s / _STEP_s)) + 1, _STEP_s, kept, noises)

@@ -38,7 +38,7 @@ _BESIDE: Final = 12  # ticks on each side that tell the rate there
 _HOLE: Final = 0.5  # of a tick: largest deviation of a tick's time; beyond it ticks are missing
 _RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative
-_UNEXPLAINED: Final = "the motion about the capture is not one that can be predicted"
+_UNEXPLAINED: Final = "the motion about the capture cannot be predicted"
 _ACTUAL, _FREE = 0, 1  # paths of the base: by the readings, and as it would be without a capture
 
 

@@ -106,7 +106,7 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_root: Floa
     if not np.linalg.norm(functional[0] @ prior_root) <= _KNOWN_MASS * mass:
         raise SignalError(
             f"free fall does not show the mass, and the prior leaves it open; give M_{vehicle.spec.base_link} an "
-            f"absolute sigma, and every rotor a relative one, {0.1 * _KNOWN_MASS:g} of the mass or less"
+            f"absolute sigma, and every rotor a relative sigma, {0.1 * _KNOWN_MASS:g} of the mass or less"
         )
     rows = np.vstack([functional[1:4] / mass, functional[4:]])
     units = ("m",) * 3 + ("kg m^2",) * 6

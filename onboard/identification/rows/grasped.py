@@ -47,7 +47,7 @@ class GraspedPayload:
     def __init__(self, model: RowModel, base: BaseParameters) -> None:
         link, columns = model.vehicle.spec.payload_link, model.vehicle.payload_columns()
         if link is None:
-            raise SignalError("the vehicle has no payload link; name one in its specification")
+            raise SignalError("the vehicle has no payload link; name it in its specification")
         self.names = tuple(f"{name}_{link}" for name in BODY)
         self._w = base.weights(np.eye(len(model.names))[columns])  # (10, p)
 

@@ -206,7 +206,7 @@ class Identifier:
         """
         n, m = signals.measured.shape
         if m != len(self.model.rows) or signals.sigma.shape != (n, m) or excluded.shape != (n,):
-            raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give one each")
+            raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give as many")
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
         found |= 0 if signals.refused is None else signals.refused
         moving = [signals.q, signals.dq, signals.ddq, *signals.motion]

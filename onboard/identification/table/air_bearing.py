@@ -97,7 +97,7 @@ class AirBearingBase:
     ) -> None:
         self.rounding_m_s = ROUNDING_m_s
         if vehicle.spec.base is not BaseKind.PLANAR:
-            raise SignalError(f"the base is {vehicle.spec.base}; this is for a planar one")
+            raise SignalError(f"the base is {vehicle.spec.base}; a planar base is needed")
         self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
         self._run = PlanarRun(vehicle, signals, offsets)
         self._pucks = np.array([vehicle.pose_in_base(frame)[1][:2] for frame in prior.pucks]).reshape(-1, 2)

@@ -62,7 +62,7 @@ class PackedChannel:
         """Raises ChannelError unless ``rows`` are one-dimensional rows of the channel's dtype."""
         if (rows.dtype is not self.dtype and rows.dtype != self.dtype) or rows.ndim != 1:
             raise ChannelError(
-                f"channel {self.channel.topic!r} takes one-dimensional rows of {self.dtype.names}, "
+                f"channel {self.channel.topic!r} takes 1-D rows of {self.dtype.names}, "
                 f"not {rows.ndim}-dimensional ones of {rows.dtype.names}"
             )
 

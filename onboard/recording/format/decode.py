@@ -79,7 +79,7 @@ class RowTimes:
             low, high, last = min(times), max(times), times[-1]
             before = self._newest_ns.get(channel.name, low)
             if max(high, before) - min(low, before) > FARTHEST_NS:
-                wrong = wrong or f"channel {channel.name!r}: the time of a row is years from the one before it"
+                wrong = wrong or f"channel {channel.name!r}: the time of a row is years from the row before it"
             self._newest_ns[channel.name] = last
         if wrong:
             raise LogFormatError(wrong)

@@ -146,7 +146,7 @@ class Scan:
     def _cut(self, start: int) -> Damage:
         self._ended = True
         if not self.size:
-            return Damage(0, 0, "the log is empty: not one byte was written, or it was cut to nothing")
+            return Damage(0, 0, "the log is empty: no byte was written, or it was cut to nothing")
         where = "inside a record" if start < self.size else "after a whole record"
         return Damage(start, self.size, f"the log ends {where}: it was not closed")
 

@@ -188,7 +188,7 @@ def segments(log: Path) -> tuple[Path, ...]:
         log = log.resolve()
         heads = {path: _head(path) for path in log.glob(f"*{SUFFIX}") if _continues(path, log.name)}
         if not heads:
-            raise LogFormatError(f"{log} is not the directory of one flight; name a flight or a log in it")
+            raise LogFormatError(f"{log} is not the directory of a flight; name a flight or a log in it")
         flight = _most_common(heads)
         return _of_flight(flight, heads) if flight else _in_order(heads, heads)
     beside = log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}")

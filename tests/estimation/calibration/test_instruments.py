@@ -104,7 +104,7 @@ def test_a_touching_cable_and_a_single_mass_are_refused():
     x = np.array([0.0, 5.0, 10.0, 20.0])
     with pytest.raises(CalibrationError, match="point 4"):
         line(x, np.array([0.2, 5.2, 10.2, 19.2]), np.full(4, 1e-3), np.full(4, 2e-3))
-    with pytest.raises(CalibrationError, match="add a larger one"):
+    with pytest.raises(CalibrationError, match="add a larger value"):
         line(x[:1], x[:1], np.zeros(1), np.ones(1))
     with pytest.raises(CalibrationError, match="state a sigma"):
         line(x, x, np.zeros(4), np.zeros(4))

@@ -141,7 +141,7 @@ def test_what_is_no_fitted_drawing_is_refused(lab: Path, fitted: Path, capsys: p
     log = str(lab / "logs" / "both_1.mcap")
     for vehicle, logs, said in (
         (str(fitted), [log], "is there already"),
-        (str(fitted), [log, log], "fitted to one log"),
+        (str(fitted), [log, log], "fitted to a single log"),
         ("tudelft", [log], "links of an arm"),
         ("dymaflex", [log], "links of an arm"),
         ("rocksat", [log], "[estimation.masses]"),

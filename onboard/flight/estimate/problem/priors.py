@@ -136,7 +136,7 @@ def _spring(model: VehicleModel, name: str, keys: config.JointKeys) -> SpringPri
     if keys.stiffness_N_m_rad is None:
         return None
     if not model.joint(name).revolute:
-        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: the joint slides; a spring is of one that turns")
+        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: the joint slides; only a joint that turns has a spring")
     if not model.distal_links(name):
         raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: no link with inertia lies beyond the joint")
     known = keys.stiffness_relative, keys.damping_N_m_s_rad, keys.damping_relative

@@ -155,7 +155,7 @@ class UncertainLinks:
     def __init__(self, vehicle: VehicleModel, covariance: Mapping[str, FloatArray]) -> None:
         payload = vehicle.spec.payload_link
         if payload is None:
-            raise UnknownFrameError("this vehicle has no payload link; name one")
+            raise UnknownFrameError("this vehicle has no payload link; set payload_link")
         unknown = set(covariance) - (set(vehicle.links) - {payload})
         if unknown:
             raise UnknownFrameError(f"covariances are for links other than the payload; {', '.join(unknown)} is none")

@@ -177,7 +177,7 @@ class StatedSigmas:
             of_gains, common = (self._L @ one.errors)[-k:], self._rows.index(None)
             factor = float(of_gains[common] + np.delete(of_gains, common).mean())
             considered[self._gains[common]] = max(considered[self._gains[common]], abs(factor) / HALF)
-            said += (f"all gains may be off by one factor, by {abs(factor):.0%}",)
+            said += (f"all gains may be off by a common factor, by {abs(factor):.0%}",)
         covariance = self._base.covariance(root)
         rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
         return Taken(rls, considered, root, covariance, said)

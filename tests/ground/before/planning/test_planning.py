@@ -150,7 +150,7 @@ def test_spheres_keep_links_apart(flyer):
         ("joint.elbow.rate = 1.0", "limits of joint elbow; the joints are joint_1, joint_2"),
         ("[[sphere]]\nframe = 'head'\nradius_m = 0.1", "sphere: "),
         ("rate = 3", "bad.toml:1: unknown key 'rate'; "),
-        ("joint.joint_1.rate = -1", "bad.toml:1: 'joint.joint_1.rate': 1e-12 or more is wanted here (found -1)"),
+        ("joint.joint_1.rate = -1", "bad.toml:1: 'joint.joint_1.rate': 1e-12 or more is wanted here (given: -1)"),
         ("joint.joint_1 = {low = 2.0, high = 3.0}", "joint_1 starts at"),
         ("base_rate_rad_s = 1e-6", "at rest in its posture the vehicle breaks: base's rate"),
         ("joint.joint_1 = {low = 0.5, high = -0.5}", "low 0.5 is not below -0.5"),

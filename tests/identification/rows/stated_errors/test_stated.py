@@ -98,7 +98,7 @@ def test_a_body_too_heavy_or_gains_too_large_are_both_covered_unless_one_is_the_
     """All reads 8 or 12 % too much: 8 or 12 sigmas of one factor on the gains; 40, or 6, of each of two links."""
     _, found = taken(rng, np.ones(2), (1.0 + error, 1.0 + error), considered=(*SCALES, ALL), sigma=sigma)
     assert 0.75 * error / 1.96 < found.considered[2] < 0.15  # of two links drawn to 2 %, which take the rest
-    assert found.said[-1].startswith("all gains may be off by one factor, by ")
+    assert found.said[-1].startswith("all gains may be off by a common factor, by ")
 
 
 @pytest.mark.parametrize("truth", [[8.0, -4.0, 6.0, -5.0, 7.0, -6.0], [20.0, -10.0, 15.0, 10.0, -12.0, -15.0]])
