@@ -60,7 +60,7 @@ class Hx711Config:
             )
         if not POWER_DOWN_MS < self.poll_period_ms <= 500.0 / self.sample_rate_hz:
             raise ConfigurationError(
-                f"poll_period_ms {self.poll_period_ms:g}: more than {POWER_DOWN_MS:g} (a reset lasts for one), and half"
+                f"poll_period_ms {self.poll_period_ms:g}: more than {POWER_DOWN_MS:g} (a reset lasts as long), and half"
                 " a conversion at the most, or it loses samples"
             )
 

@@ -65,7 +65,7 @@ class Reporter:
     def flush(self, now_ns: int) -> None:
         """Emit the counts of suppressed events."""
         for (code, source), held in self._held.items():
-            text = f"{held} more of this event since it was last told"
+            text = f"{held} more of this event since it was last reported"
             self._batches.append(event(now_ns, Severity.INFO, code, source, text))
         self._held.clear()
 

@@ -176,7 +176,7 @@ class DrivenFlight(Mission):
         for drive in self._wired:
             bus = buses[self._can]
             if not isinstance(bus, CanBus):
-                raise ScenarioError(f"bus.{self._can} is no CAN bus; drives are on one")
+                raise ScenarioError(f"bus.{self._can} is no CAN bus; drives are on CAN")
             servo = drive_of(drive, self._axis(drive.joint), self.start_ns, plan.of(drive.name))
             self.drives[drive.name] = servo
             bus.add(servo)

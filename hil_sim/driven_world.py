@@ -51,7 +51,9 @@ class DrivenWorld(ArmRig):
         built = plant.driven()
         missing = sorted(set(built.joints) ^ {drive.joint for drive in wired})
         if missing:
-            raise ScenarioError(f"{', '.join(missing)}: every joint of the URDF needs one drive, and no other has one")
+            raise ScenarioError(
+                f"{', '.join(missing)}: a drive is needed for every joint of the URDF, and for nothing else"
+            )
         self.vehicle = DrivenVehicle(built, noise_rad, seed)
         axes = {drive.name: self.vehicle.axes[drive.joint] for drive in wired}
         super().__init__(wired, faults, period_ns=period_ns, seed=seed, axes=axes)

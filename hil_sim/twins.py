@@ -180,5 +180,5 @@ class Twins:
     def _bus(self, name: str, kind: type[Kind]) -> Kind:
         bus = self._buses[name]
         if not isinstance(bus, kind):
-            raise ScenarioError(f"bus.{name} was opened as {type(bus).__name__}; give one of kind {kind.__name__}")
+            raise ScenarioError(f"bus.{name} was opened as {type(bus).__name__}; give a bus of kind {kind.__name__}")
         return bus

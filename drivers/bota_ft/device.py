@@ -103,7 +103,9 @@ class BotaFt(SerialDevice):
         super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
         self._channels = {one.channel: one for one in channels}
         if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(f"{name}: channels {[one.channel for one in channels]}: give each its own name")
+            raise ConfigurationError(
+                f"{name}: channels {[each.channel for each in channels]}: give them different names"
+            )
         self._period_us = 1e6 / self.config.rate_hz
         self._stream = WrenchStream()
         self._text = b""  # what came since the last command

@@ -80,7 +80,7 @@ class CanopenBus:
         names = [sync.name, *(data.name for data in values)]
         if len(set(names)) < len(names):
             raise ConfigurationError(
-                f"bus {name} has two channels of one name ({', '.join(sorted(names))}): rename one"
+                f"bus {name} has two channels of the same name ({', '.join(sorted(names))}): rename either"
             )
         by_node: dict[int, list[PdoChannel]] = {}
         for data in values:

@@ -113,7 +113,7 @@ def decode_sync(data: bytes) -> int:
     if not data:
         return 0
     if len(data) != 1 or not 1 <= data[0] <= SYNC_COUNTER_MOST:
-        raise FrameError(f"{data.hex(' ')} is no SYNC: its counter is one byte, 1..240 (1019h)")
+        raise FrameError(f"{data.hex(' ')} is no SYNC: its counter is a byte, 1..240 (1019h)")
     return data[0]
 
 

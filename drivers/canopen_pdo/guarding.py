@@ -33,7 +33,7 @@ class GuardConfig:
             raise ConfigurationError(f"node {self.node}: guard_time_ms = {self.guard_time_ms}: use 1..65535")
         if not 2 <= self.life_time_factor <= 0xFF:
             raise ConfigurationError(
-                f"node {self.node}: life_time_factor = {self.life_time_factor}: use 2..255, so that one may be lost"
+                f"node {self.node}: life_time_factor = {self.life_time_factor}: use 2..255, an answer may be lost"
             )
 
 

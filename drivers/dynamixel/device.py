@@ -78,7 +78,7 @@ class DynamixelBus(PolledDevice):
         self.timing = registers.DynamixelTiming() if timing is None else timing
         self._servos = {servo.id: registers.KnownServo(servo) for servo in servos}
         if not servos or len(self._servos) < len(servos):
-            raise ConfigurationError(f"{name}: ids {[servo.id for servo in servos]}: give each servo one of its own")
+            raise ConfigurationError(f"{name}: ids {[servo.id for servo in servos]}: give each servo a different id")
         super().__init__(
             name,
             open_port,
@@ -362,5 +362,5 @@ def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Sta
     for block in statuses(port.read(port.in_waiting)):
         if len(block.data) == PING_BYTES:
             model = int.from_bytes(block.data[:2], "little")
-            known = "" if model in table.MODELS else ", not one that is known"
+            known = "" if model in table.MODELS else ", unknown here"
             yield Station(block.identifier, f"DYNAMIXEL, model {model}{known}, firmware {block.data[2]}")

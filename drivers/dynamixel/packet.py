@@ -198,7 +198,7 @@ class Reply:
     def _accept(self, identifier: int, content: bytes) -> None:
         """Take error byte and data of a status packet."""
         if identifier not in self._pending:
-            raise FrameError(f"id {identifier} answers and was not asked: give each servo an id of its own")
+            raise FrameError(f"id {identifier} answers and was not asked: give each servo a different id")
         if len(content) not in (1, 1 + self._count) or (len(content) == 1 and self._count and not content[0] & ~ALERT):
             raise FrameError(f"id {identifier} sent {len(content) - 1} bytes, not {self._count}: it is late")
         del self._pending[: self._pending.index(identifier) + 1]  # they answer in order: those before it are silent

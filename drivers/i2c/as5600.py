@@ -29,8 +29,8 @@ COUNTS = 4096
 LARGEST_STEP = COUNTS // 4  # between two samples
 FAULTS = (
     ("magnet_missing", "no magnet is detected: fit it, or lower it to 0.5 to 3 mm above the chip"),
-    ("magnet_weak", "the magnet is too weak: bring it nearer, or take a stronger one"),
-    ("magnet_strong", "the magnet is too strong: raise it, or take a weaker one"),
+    ("magnet_weak", "the magnet is too weak: bring it nearer, or take a stronger magnet"),
+    ("magnet_strong", "the magnet is too strong: raise it, or take a weaker magnet"),
 )
 
 

@@ -92,7 +92,9 @@ class NetFt(SerialDevice):
         super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
         self._channels = {one.channel: one for one in channels}
         if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(f"{name}: channels {[one.channel for one in channels]}: give each its own name")
+            raise ConfigurationError(
+                f"{name}: channels {[each.channel for each in channels]}: give them different names"
+            )
         self._period_of_record_ns = 1e9 / self.config.rate_hz
         self._stream = RecordStream()
         self._number: int | None = None  # of the last record of this stream
@@ -135,7 +137,7 @@ class NetFt(SerialDevice):
             else:
                 ahead = (number - self._number + _NUMBERS // 2) % _NUMBERS - _NUMBERS // 2
                 if ahead <= 0:
-                    text = "a record came twice, or after a later one, and is left out"
+                    text = "a record came twice, or after a later record, and is left out"
                     self._report.event(host_ns, Severity.WARNING, "repeated", text)
                     continue
                 if ahead - 1 > self._most_lost(host_ns):

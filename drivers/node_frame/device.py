@@ -106,7 +106,7 @@ class NodeFrame(SerialDevice):
             text = f"frame of kind {kind:#04x}: the node speaks another version of the format"
             self._report.event(host_ns, Severity.ERROR, "version", text)
         elif node != self.config.node:
-            text = f"frame of node {node}, not {self.config.node}: correct the configuration, one node per port"
+            text = f"frame of node {node}, not {self.config.node}: correct the configuration, a single node per port"
             self._report.event(host_ns, Severity.WARNING, "other_node", text)
         elif kind == frame.DESCRIPTOR:
             self._heard(now_ns)
@@ -118,7 +118,7 @@ class NodeFrame(SerialDevice):
     def _hold(self, host_ns: int, payload: bytes) -> None:
         if len(self._held) == MOST_HELD:
             _, dropped = self._held.popleft()
-            text = "data frames without a descriptor are dropped: the node has to send one every second"
+            text = "data frames without a descriptor are dropped: the node has to send it every second"
             self._report.event(host_ns, Severity.ERROR, "no_descriptor", text)
             if self._before_held is None:
                 self._before_held = int.from_bytes(dropped[_SEQUENCE_AT], "little") - 1
@@ -276,7 +276,7 @@ class NodeFrame(SerialDevice):
 
     def _finish(self, now_ns: int) -> None:
         if self._held:
-            text = f"{len(self._held)} data frames without a descriptor are dropped: the node has to send one"
+            text = f"{len(self._held)} data frames without a descriptor are dropped: the node has to send it"
             self._report.event(now_ns, Severity.ERROR, "no_descriptor", text)
             self._held.clear()
         if self._last_ns is None or self._frame_ns == 0.0:

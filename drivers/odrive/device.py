@@ -223,7 +223,7 @@ class Odrives:
         self._port = BusPort(port, self._report)
         self._axes = {axis.node: _Axis(axis, self._report) for axis in axes}
         if not axes or len(self._axes) < len(axes):
-            raise ConfigurationError(f"{name}: nodes {[axis.node for axis in axes]}: give each axis its own")
+            raise ConfigurationError(f"{name}: nodes {[axis.node for axis in axes]}: give the axes different nodes")
         self._started_ns = 0
         self._is_broken = False
 

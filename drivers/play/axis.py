@@ -83,7 +83,7 @@ class AxisConfig:
             text = f"{self.drive.name}: may be between {self.low} and {self.high} counts: a drive counts in 32 bits"
             raise ConfigurationError(f"{text}, the least below the most: correct limits, zero_count or margin")
         if min(self.rate, self.acceleration, self.quick_stop, self.following_error, self.start_within) < 1:
-            raise ConfigurationError(f"{self.drive.name}: a limit of less than one count: give larger ones")
+            raise ConfigurationError(f"{self.drive.name}: a limit of less than a count: give larger limits")
 
     def degrees(self, counts: float) -> float:
         """Of the joint, without sign of the direction of its counts."""

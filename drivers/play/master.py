@@ -213,7 +213,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
             for axis in moving:
                 axis.cut()
             left = ", ".join(axis.name for axis in moving)
-            self._end(Severity.ERROR, "drive_unheard", f"no answer to quick stop: {left}; told to cut the current")
+            self._end(Severity.ERROR, "drive_unheard", f"no answer to quick stop: {left}; commanded to cut the current")
 
     def _end(self, severity: Severity, code: str, text: str) -> None:
         self.state, self.stopped_by = State.STOPPED, self.stopped_by or text

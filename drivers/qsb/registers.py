@@ -84,7 +84,7 @@ class QsbConfig:
 
     def __post_init__(self) -> None:
         if self.counts_per_revolution == 0:
-            raise ConfigurationError("counts_per_revolution = 0: give the counts of one turn")
+            raise ConfigurationError("counts_per_revolution = 0: give the counts of a turn")
         if self.counting not in FREE_RUNNING:
             raise ConfigurationError(f"counting = {self.counting}: use 1, 2 or 4")
         if not 1 <= self.interval_ticks <= LONGEST_INTERVAL:

@@ -153,7 +153,7 @@ def open_pair(url: str, clock: Clock) -> ClockedPort:
         return UnixPair(bus.path, clock)
     data, clock_line = bus.integer("data"), bus.integer("clock")
     if data == clock_line:
-        raise UrlError(f"bus URL {url!r} has one line for both: correct data or clock")
+        raise UrlError(f"bus URL {url!r} has the same line for both: correct data or clock")
     return ReopeningPair(lambda: GpiodPair.open(bus.path, data, clock_line, clock), clock)
 
 

@@ -90,14 +90,14 @@ def parse(text: str, kinds: Mapping[str, tuple[str, ...]]) -> BusUrl:
     except ValueError as error:
         raise UrlError(f"{who} is none: {error}") from error
     if parts.scheme not in kinds:
-        raise UrlError(f"{who} names no transport: begin it with one of {', '.join(kinds)} and '://'")
+        raise UrlError(f"{who} names no transport: begin it with any of {', '.join(kinds)} and '://'")
     needed, *allowed = kinds[parts.scheme]
     if needed == "path" and not parts.path.startswith("/"):
         raise UrlError(f"{who} has no path: write {parts.scheme}:///dev/... with three slashes")
     if needed == "path" and parts.netloc:
         raise UrlError(f"{who} has {parts.netloc!r} before the path: write {parts.scheme}:///dev/...")
     if needed == "host" and (not parts.netloc or parts.path.strip("/")):
-        raise UrlError(f"{who} needs one name and no path: write {parts.scheme}://NAME")
+        raise UrlError(f"{who} needs a name and no path: write {parts.scheme}://NAME")
     if parts.scheme == "can+python" and not all(parts.path.strip("/").partition("/")):
         raise UrlError(f"{who} needs an interface and a channel: can+python:///pcan/PCAN_USBBUS1")
     if "#" in text:
@@ -109,7 +109,7 @@ def _options(who: str, scheme: str, given: list[tuple[str, str]], allowed: list[
     """The options of a URL, each known, given once, and of a value that it can have."""
     options = dict(given)
     if len(options) < len(given):
-        raise UrlError(f"{who} gives an option twice: take one of them out")
+        raise UrlError(f"{who} gives an option twice: take either out")
     if unknown := sorted(set(options) - set(allowed)):
         known = f"use only {', '.join(allowed)}" if allowed else "it takes none"
         raise UrlError(f"{who} has unknown options {', '.join(unknown)}: {known}")
@@ -126,7 +126,7 @@ def _wrong(scheme: str, name: str, value: str) -> str:
     """Why an option cannot have this value, with the remedy; "" where it can."""
     words = ONE_OF.get(f"{scheme} {name}", ONE_OF.get(name))
     if words is not None:
-        return "" if value in words else f"is none that it can have: use one of {', '.join(words)}"
+        return "" if value in words else f"is none that it can have: use any of {', '.join(words)}"
     low, high = RANGES[name]
     if not (_SECONDS if name == "timeout_s" else _DIGITS).fullmatch(value):
         return "is not a number: give digits" if name == "timeout_s" else "is not a whole number: give digits"

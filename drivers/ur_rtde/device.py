@@ -91,7 +91,9 @@ class UrRtde(SerialDevice):
         super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
         self._channels = {one.channel: one for one in channels}
         if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(f"{name}: channels {[one.channel for one in channels]}: give each its own name")
+            raise ConfigurationError(
+                f"{name}: channels {[each.channel for each in channels]}: give them different names"
+            )
         self._wanted_types = _OWN | {one.variable: "VECTOR6D" for one in channels}
         self._names: list[str] = []  # outputs that were asked for
         self._stream = PackageStream()

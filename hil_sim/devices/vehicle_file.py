@@ -196,7 +196,9 @@ def _add_wiring(out: Table, file: Table, devices: Table) -> None:
         if name in used:
             out["bus"][name] = _bus(name, str(bus.get("url")), syncs, lines)
     if len(syncs) > 1:
-        raise ScenarioError(f"the CAN buses {', '.join(syncs)}: one sync box drives one of them; rehearse them in turn")
+        raise ScenarioError(
+            f"the CAN buses {', '.join(syncs)}: the sync box drives a single bus; rehearse them in turn"
+        )
     if not syncs and not lines:
         return
     box: Table = {"kind": "sync_box"}
@@ -360,7 +362,7 @@ def _say_when(table: Table, capture: Table) -> None:
     """The time of a capture that a scenario file gives takes the place of the phase below it."""
     timed = {"earliest_s", "latest_s"} & capture.keys()
     if timed and "phase" in capture:
-        raise ScenarioError(f"capture: phase and {min(timed)}: give one of them")
+        raise ScenarioError(f"capture: phase and {min(timed)}: give either")
     if timed:
         table["capture"].pop("phase", None)
     phases = [step.get("phase") for step in table["sequence"] if isinstance(step, dict)]

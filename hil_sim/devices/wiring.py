@@ -36,17 +36,17 @@ def problems(
         if device.drives is not None:
             yield from _plugged(f"device.{name}.line", device.drives, buses, "pulse")
     if sum(device.drives is not None for device in devices.values()) > 1:
-        yield "there are several sync boxes; keep one and remove the others"
+        yield "there are several sync boxes; keep the first and remove the others"
     for (bus, place), count in Counter((device.bus, device.place) for device in devices.values()).items():
         if bus is not None and count > 1:
-            yield f"bus {bus}: {count} devices are {place}; move one, or give it another"
+            yield f"bus {bus}: {count} devices are {place}; move either, or give it another"
 
 
 def _plugged(key: str, bus: str, buses: Mapping[str, BusTable], kind: str) -> Iterator[str]:
     if bus not in buses:
         yield f"{key}: no bus {bus!r}; there are: {_listed(buses)}"
     elif buses[bus].kind != kind:
-        yield f"{key}: {bus} is of kind {buses[bus].kind!r} and this goes on one of kind {kind!r}; name another bus"
+        yield f"{key}: {bus} is of kind {buses[bus].kind!r} and this goes on a bus of kind {kind!r}; name another bus"
 
 
 def _listed(names: Iterable[str]) -> str:

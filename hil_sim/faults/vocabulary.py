@@ -57,7 +57,7 @@ EFFECTS: Final = {
     FaultKind.INTERMITTENT: "loose connector: open for the first half of every VALUE seconds",
     FaultKind.STUCK: "the input holds its last value",
     FaultKind.SATURATED: "the input is at full scale, at the end that the sign of VALUE says",
-    FaultKind.WRONG: "the reading is 1 + VALUE times the true one; a phase code or SYNC counter is VALUE too high",
+    FaultKind.WRONG: "the reading is 1 + VALUE times the truth; a phase code or SYNC counter is VALUE too high",
     FaultKind.DELAYED: "the input shows what was VALUE seconds ago; CAN frames and edges arrive VALUE seconds late",
     FaultKind.GARBAGE: "it sends random bits in frames of the right form; the sync line has VALUE more edges a second",
     FaultKind.SLOW: "CAN nodes and polled cells answer VALUE seconds late; a clock runs slow by the share VALUE",
@@ -66,19 +66,19 @@ EFFECTS: Final = {
     FaultKind.TIMEOUT: "transfers are made, and end in ETIMEDOUT",
     FaultKind.STUCK_BUS: "SDA is held low: no transfer begins (EBUSY)",
     FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
-    FaultKind.FIELD: "the magnet's field is 1 + VALUE times the nominal one: weak below 0.5, strong above 1.5",
+    FaultKind.FIELD: "the magnet's field is 1 + VALUE times the nominal: weak below 0.5, strong above 1.5",
     FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY; a DYNAMIXEL with hardware "
     "error VALUE (0: 20h, overload), until it has no supply (the end is not used); a UR arm says protective stop",
     FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h; or "
     "that of a UR arm: no power",
     FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
-    FaultKind.PULSE_SPURIOUS: "one more edge every VALUE seconds",
+    FaultKind.PULSE_SPURIOUS: "a further edge every VALUE seconds",
     FaultKind.BUS_OFF: "the flight computer's controller is off the bus; error frames say when",
     FaultKind.ERROR_FRAMES: "a bus error every VALUE seconds; the frame it hit is sent again",
     FaultKind.FLOOD: "a babbling node sends COB-ID VALUE without pause",
     FaultKind.FRAME_DROP: "the flight computer loses frames of COB-ID VALUE (0: every frame)",
     FaultKind.BYTE_LOSS: "each character is lost with probability VALUE",
-    FaultKind.BYTE_GARBLE: "each character has one bit inverted with probability VALUE",
+    FaultKind.BYTE_GARBLE: "each character has a bit inverted with probability VALUE",
     FaultKind.UNPLUG: "the adapter is pulled out of the flight computer, or its network cable",
 }
 """Of each kind, between its start and its end."""
@@ -91,7 +91,7 @@ CLOCK_KINDS: Final = (FaultKind.SLOW, FaultKind.CLOCK_JUMP)
 
 _SHORTEST_S, _LONGEST_S = 1e-4, 1e6
 _SECONDS: Final = {
-    FaultKind.INTERMITTENT: "the seconds from one interruption to the next",
+    FaultKind.INTERMITTENT: "the seconds from interruption to interruption",
     FaultKind.DELAYED: "the delay in seconds",
     FaultKind.SLOW: "the seconds it answers late, or the share by which its oscillator is slow",
     FaultKind.PULSE_SPURIOUS: "the seconds between two edges",
@@ -144,7 +144,7 @@ class Fault:
         except ValueError:
             known = ", ".join(FaultKind)
             said = f"No fault is called {self.kind!r}{meant(str(self.kind), FaultKind)}"
-            raise FaultError(f"{said}; name one of: {known}.") from None
+            raise FaultError(f"{said}; there are: {known}.") from None
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0 and self.end_s > self.start_s):
             raise FaultError(
                 f"Fault {self.kind} of {self.device} lasts from {self.start_s} s to {self.end_s} s; "

@@ -91,7 +91,7 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
     held = _held(scenario, starts) if scenario.payload is not None else np.ones(len(starts), bool)
     swings = [k for k, step in enumerate(scenario.sequence) if step.action == "swing" and held[k]]
     if not swings:
-        raise ScenarioError('no [[sequence]] with action = "swing" begins with the payload held; add one')
+        raise ScenarioError('no [[sequence]] with action = "swing" begins with the payload held; add it')
     at = max(swings, key=lambda k: scenario.sequence[k].duration_s)
     length = scenario.sequence[at].duration_s if duration_s is None else duration_s
     step = scenario.sequence[at].model_copy(

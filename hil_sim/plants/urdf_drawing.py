@@ -100,7 +100,7 @@ def read(text: str, label: str) -> Drawing:
         each.set("link", PREFIX + link)
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
-        raise ScenarioError(f"{label} hangs on {', '.join(roots) or 'nothing'}; a vehicle has one root")
+        raise ScenarioError(f"{label} hangs on {', '.join(roots) or 'nothing'}; a vehicle has a single root")
     return Drawing(roots[0], links, joints, ET.tostring(robot, encoding="unicode"))
 
 

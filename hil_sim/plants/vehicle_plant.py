@@ -337,7 +337,7 @@ class VehiclePlant(world.Plant):
         """
         scenario = self._scenario
         if scenario.vehicle.base == "prescribed":
-            raise ScenarioError('a base = "prescribed" moves as it is told, whatever its arm does: nothing to control')
+            raise ScenarioError('a base = "prescribed" moves as prescribed, whatever its arm does: nothing to control')
         models: list[mujoco.MjModel] = []
         for held in (None, self.payload):
             if scenario.vehicle.payload_link is not None:

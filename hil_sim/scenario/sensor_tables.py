@@ -45,7 +45,9 @@ class Axes(Table):
     @model_validator(mode="after")
     def _one_or_eight(self) -> "Axes":
         if len(self.bandwidth_Hz) not in (1, 8) or len(self.delay_ms) != len(self.bandwidth_Hz):
-            raise ValueError("bandwidth_Hz and delay_ms have one entry for each of the 8 filter codes, or one each")
+            raise ValueError(
+                "bandwidth_Hz and delay_ms have an entry for each of the 8 filter codes, or a single entry"
+            )
         return self
 
     def filter(self, code: int) -> tuple[float, float]:

@@ -385,7 +385,7 @@ class Scenario(Table):
         if (self.flexibility or self.backlash) and self.vehicle.base == "prescribed":
             raise ValueError("flexibility and backlash are for a base that floats or stands")
         if self.payload is not None and self.vehicle.payload_link is None:
-            raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
+            raise ValueError("payload: the vehicle file names no payload_link to hold it; name it, or leave it out")
         if (self.burn or self.wrench) and (self.vehicle.base != "free" or self.parabolas is not None):
             raise ValueError('burn, wrench: they push a base = "free" that is not let go by hand')
         if self.attitude is not None and (self.vehicle.base != "free" or self.parabolas or self.flexibility):
@@ -398,7 +398,7 @@ class Scenario(Table):
         if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):
             raise ValueError('motion.segments and a step with action = "asked" need each other')
         if self.motion.segments is not None and self.motion.csv is not None:
-            raise ValueError("motion.csv and motion.segments: give one of them")
+            raise ValueError("motion.csv and motion.segments: give either")
         end_s = sum(step.duration_s for step in self.sequence)
         caught = self.capture
         if caught and caught.phase is None and not 0.0 < caught.earliest_s <= caught.latest_s < end_s:
@@ -423,7 +423,7 @@ class Scenario(Table):
             }
             if any(needing.values()):
                 named = ", ".join(key for key, is_there in needing.items() if is_there)
-                raise ValueError(f"{named}: joints that move as told do not give way; add [servo.default]")
+                raise ValueError(f"{named}: joints that move as planned do not give way; add [servo.default]")
         parts = {"coning": self.coning, "vibration": self.vibration, "air": self.air}
         if base != "prescribed" and any(parts.values()):
             named = ", ".join(key for key, part in parts.items() if part is not None)
@@ -433,7 +433,7 @@ class Scenario(Table):
         step_us = physics.step_us * (1 if self.servo else physics.integration_steps)
         if self.vibration is not None and self.vibration.highest_Hz * step_us > 2.5e5:
             raise ValueError(
-                f"vibration up to {self.vibration.highest_Hz:g} Hz needs four steps a cycle, and one takes {step_us} "
+                f"vibration up to {self.vibration.highest_Hz:g} Hz needs four steps a cycle, a step takes {step_us} "
                 "us: give [physics] fewer integration_steps, or a smaller step_us"
             )
 

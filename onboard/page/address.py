@@ -16,6 +16,7 @@ from onboard.live.heads import fields, host_of, is_ours
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8787
 LONGEST_REQUEST = 8192  # bytes
+NOT_FOUND = "404 Not Found"
 ACT, LONGEST_ACT = "act", 512  # path and bytes of what is asked of the flight
 
 
@@ -108,7 +109,7 @@ def judge(head: bytes, address: PageAddress, token: str, *, acts: bool = False) 
         return Request(path, query, "", body)
     given, separator, rest = path.removeprefix("/").partition("/")
     if not separator or not hmac.compare_digest(given.encode("latin-1"), token.encode()):
-        return Request("", refused="404 Not Found")
+        return Request("", refused=NOT_FOUND)
     if body is not None and rest != ACT:
         return Request("", refused="405 Method Not Allowed")
     return Request(f"/{rest}", query, "", body)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from urllib.parse import parse_qs
 
 from onboard.page.acts import Acts
-from onboard.page.address import ACT, LONGEST_REQUEST, PageAddress, Request, judge
+from onboard.page.address import ACT, LONGEST_REQUEST, NOT_FOUND, PageAddress, Request, judge
 from onboard.page.follow import packed
 from onboard.page.meshes import meshes_of
 from onboard.page.state import PageState
@@ -201,7 +201,7 @@ class Web:
         elif (frame := self._frame(name)) is not None:
             await _reply(writer, "200 OK", "application/json", frame)
         else:
-            await _reply(writer, "404 Not Found", "text/plain", b"404 Not Found")
+            await _reply(writer, NOT_FOUND, "text/plain", NOT_FOUND.encode())
 
     @property
     def _has_meshes(self) -> bool:

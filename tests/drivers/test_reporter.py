@@ -14,7 +14,7 @@ def test_a_repeated_event_is_held_back_and_counted():
     batches = reporter.take()
     assert texts(batches, "bad") == ["again", "(+9 before) again"]
     reporter.flush(REPEAT_NS + 2)
-    assert texts(reporter.take(), "bad") == ["1 more of this event since it was last told"]
+    assert texts(reporter.take(), "bad") == ["1 more of this event since it was last reported"]
     assert reporter.take() == []
 
 

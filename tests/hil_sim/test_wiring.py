@@ -21,11 +21,11 @@ def node(**keys: object) -> dict[str, object]:
     ("overrides", "named"),
     [
         ({"device": {"imu_base": {"bus": "i2c_2"}}}, "device.imu_base.bus: no bus 'i2c_2'; there are: can_0, i2c_1"),
-        ({"device": {"imu_base": {"bus": "can_0"}}}, "can_0 is of kind 'can' and this goes on one of kind 'i2c'"),
+        ({"device": {"imu_base": {"bus": "can_0"}}}, "can_0 is of kind 'can' and this goes on a bus of kind 'i2c'"),
         ({"device": {"sync_box": {"line": "can_0"}}}, "device.sync_box.line: can_0 is of kind 'can'"),
         ({"device": {"joint_1": {"measures": "radar"}}}, "device.joint_1 measures 'radar'; the sensors here are: enc"),
         ({"device": {"joint_1": {"measures": "imu"}}}, "a encoder406 does not measure inertial; name another sensor"),
-        ({"device": {"joint_1": {"node": 2}}}, "bus can_0: 2 devices are node 2; move one, or give it another"),
+        ({"device": {"joint_1": {"node": 2}}}, "bus can_0: 2 devices are node 2; move either, or give it another"),
         ({"device": {"two": BOX}, "clock": {"two": CRYSTAL}}, "several sync boxes"),
         ({"device": {"camera": node(node=4, flags=True)}}, "device.camera.flags: Extra inputs are not permitted"),
         (

@@ -41,7 +41,7 @@ class TorqueConfig:
 
     def __post_init__(self) -> None:
         if not self.axes:
-            raise ConfigurationError("a law of torques without a drive: name one")
+            raise ConfigurationError("a law of torques without a drive: name a drive")
 
 
 class TorqueMaster(DriveMaster[DriveAxis]):

@@ -46,7 +46,7 @@ class CanopenObjectConfig:
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
-            raise ConfigurationError(f"{self.name}: format {self.format!r} is unknown: use one of {', '.join(FORMATS)}")
+            raise ConfigurationError(f"{self.name}: format {self.format!r} is unknown: use any of {', '.join(FORMATS)}")
         if not 1 <= self.tpdo <= 4:
             raise ConfigurationError(f"{self.name}: tpdo = {self.tpdo}: use 1..4")
         if not 0 <= self.byte_offset <= 8 - struct.calcsize(FORMATS[self.format]):

@@ -45,7 +45,7 @@ class PairBus:
             ValueError: there is one already.
         """
         if self._chip is not None:
-            raise ValueError("There is a chip on these two lines; give the other one two lines of its own.")
+            raise ValueError("There is a chip on these two lines; give the other chip two other lines.")
         self._chip = chip
 
     def inject(self, faults: DeviceFaults) -> None:

@@ -389,7 +389,7 @@ class NodeFrameTable(Emulator):
 def _channel(bench: Bench, table: NodeChannelTable) -> NodeChannel:
     analog = bench.sensors[f"{bench.name}_{table.name}"]
     if isinstance(analog, ImuSensor):
-        raise ValueError(f"channel {table.name} has one value; name a sensor that has one too.")
+        raise ValueError(f"channel {table.name} is a single value; name a sensor that gives a single value.")
     kind = ValueType[table.type.upper()]
     return NodeChannel(table.name, table.unit, kind, analog, table.mantissa, table.exponent, table.wraps)
 

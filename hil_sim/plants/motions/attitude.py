@@ -52,14 +52,14 @@ def holding(scenario: Scenario, model: UrdfModel, joints: Sequence[str]) -> Whee
         return None
     found = [name for name in joints if name in wheels(scenario)]
     if not found:
-        raise ScenarioError("attitude: no reaction wheel is in the vehicle file; add one, or take [attitude] out")
+        raise ScenarioError("attitude: no reaction wheel is in the vehicle file; add it, or take [attitude] out")
     moved = sorted({name for step in scenario.sequence for name in step.rates} & set(found))
     if moved:
-        raise ScenarioError(f"sequence.rates names {', '.join(moved)}, which [attitude] turns; take one of them out")
+        raise ScenarioError(f"sequence.rates names {', '.join(moved)}, which [attitude] turns; take either out")
     axes = []
     for name in found:
         body = model.model.body(int(model.model.joint(name).bodyid[0]))
         if int(body.parentid[0]) != model.body(scenario.vehicle.base_link):
-            raise ScenarioError(f"attitude: {name} is not a joint of {scenario.vehicle.base_link!r}; make it one")
+            raise ScenarioError(f"attitude: {name} is not a joint of {scenario.vehicle.base_link!r}; attach it there")
         axes.append(matrix_of(np.array(body.quat)) @ model.model.joint(name).axis)
     return Wheels(np.array([joints.index(name) for name in found]), np.array(axes), scenario.attitude)

@@ -221,12 +221,12 @@ def _clock_of(
     ticks, stamps = rows["tick"].astype(np.float64), rows["host_ns"].astype(np.float64)
     polls = len(np.unique(stamps))
     if polls < FEWEST_SAMPLES or ticks[-1] <= ticks[0]:
-        return "the device's", None, None
+        return "device's", None, None
     ticks, stamps = ticks - ticks[0], stamps - stamps[0]
     slope, offset = np.polyfit(ticks, stamps, 1)
     left = float((stamps - slope * ticks - offset).std())
     sigma = left * (12.0 / polls) ** 0.5 / float(stamps[-1])  # of a straight line through evenly spaced stamps
-    return "the device's", 1e6 * (period_ns / float(slope) - 1.0), 1e6 * sigma
+    return "device's", 1e6 * (period_ns / float(slope) - 1.0), 1e6 * sigma
 
 
 def render(test: DeskTest) -> RenderableType:

@@ -152,7 +152,7 @@ def _hang(read: Readings, span: Span, R_BS: FloatArray, suspension: Suspension, 
     axis = directions[:, -1]
     if strength[-1] < 25.0 * strength[-2]:
         raise CalibrationError(
-            f"the body swings about more than one axis at {span}; let it go without a push, and keep it from swinging "
+            f"the body swings about several axes at {span}; let it go without a push, and keep it from swinging "
             "sideways"
         )
     about = rate @ axis

@@ -170,7 +170,7 @@ def _require_one_frame(read: Readings, positions: list[_Position], bias: FloatAr
         off.append(float(u @ after.up / np.linalg.norm(u)) < _CARRIED)
     if any(off):
         raise CalibrationError(
-            "from face to face the gyro turns another way than the accelerometer: their axes are not one right-handed "
+            "from face to face the gyro turns another way than the accelerometer: their axes are no right-handed "
             "frame; check signs and order of the axes"
         )
 

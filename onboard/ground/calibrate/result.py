@@ -54,7 +54,7 @@ class Calibration:
     def as_json(self) -> dict[str, Any]:
         """The same for programs."""
         return {
-            "found": [one._asdict() for one in self.found],
+            "found": [number._asdict() for number in self.found],
             "changes": [one._asdict() | {"table": ".".join(one.table)} for one in self.changes],
             "notes": self.notes,
         }
@@ -79,7 +79,7 @@ def render(calibration: Calibration, title: str) -> Table:
     """What was found, as a table."""
     table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("")
-    for heading in ("found", "1 sigma", "in the file"):
+    for heading in ("value", "1 sigma", "in the file"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
     for name, value, sigma, unit, before in calibration.found:

@@ -194,7 +194,9 @@ def _solved(rows: list[_Row], drawn: FloatArray, drawn_sigma_m: float | None) ->
     H, right = A.T @ A, A.T @ b
     if len(untold):
         if drawn_sigma_m is None:
-            raise CalibrationError("the centre is not told in all three directions; turn the part, and measure again")
+            raise CalibrationError(
+                "the centre is not determined in all three directions; turn the part, and measure again"
+            )
         P = (
             untold.T @ untold / drawn_sigma_m**2
         )  # the drawing only there: it may be this measurement's, of another time

@@ -55,7 +55,7 @@ def done(item: Item, expected: str, make_world: MakeWorld) -> Done:
     own = revision(item.call)
     if own != expected:
         raise OtherCodeError(
-            f"its heft is of revision {own}, and this one of {expected}; NumPy, SciPy, Pinocchio and MuJoCo count too"
+            f"its heft is of revision {own}, and this heft of {expected}; NumPy, SciPy, Pinocchio and MuJoCo count too"
         )
     with _ONE_AT_A_TIME, scratch() as directory:
         log = directory / "flight.mcap"

@@ -50,7 +50,7 @@ class FlightSection(Section):
     def _one_kind(self) -> Self:
         given = [key for key in ("mission", "logs", "call") if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ValueError(f"give one of mission, logs, call; there is {' and '.join(given) or 'none'}")
+            raise ValueError(f"give mission, logs or call; there is {' and '.join(given) or 'none'}")
         if self.mission is None and (self.over is not None or self.faults):
             raise ValueError("over and faults go with a mission")
         if self.vehicle is not None and self.logs is None:
@@ -88,7 +88,7 @@ class Factor(Section):
     def _one_form(self) -> Self:
         given = [name for name in ("values", "range", "level") if getattr(self, name)]
         if len(given) != 1:
-            raise ValueError(f"give one of values, range, level; there is {' and '.join(given) or 'none'}")
+            raise ValueError(f"give values, range or level; there is {' and '.join(given) or 'none'}")
         if (self.key is None) != bool(self.level):
             raise ValueError("values and range need a key; level tables have none")
         if self.key is not None and (self.key.split(".")[0] not in _PREFIXES or "." not in self.key):

@@ -210,7 +210,7 @@ def by_level(rows: Sequence[Row], factor: str) -> dict[str, Summary]:
         raise ValueError(f"no flight has a factor {factor!r}; there are: {', '.join(known) or 'none'}")
     if len(levels) > MOST_LEVELS:
         raise ValueError(
-            f"the factor {factor!r} has {len(levels)} levels, and at most {MOST_LEVELS} are told one by one"
+            f"the factor {factor!r} has {len(levels)} levels, and at most {MOST_LEVELS} are shown separately"
         )
     return {str(level): summary([row for row in rows if row.get(column) == level]) for level in levels}
 

@@ -56,7 +56,7 @@ def summed(found: Summary) -> RenderableType:
     lines = [f"{found.flights} flights; answers: {', '.join(counts) or 'none'}"]
     if found.detected_once.whole:
         late = f" after {np.median(found.late_s):.2f} s, {max(found.late_s):.2f} s at worst" if found.late_s else ""
-        lines.append(f"capture told, once: {found.detected_once.part} of {found.detected_once.whole}{late}")
+        lines.append(f"capture reported, once: {found.detected_once.part} of {found.detected_once.whole}{late}")
     if found.accounted.whole:
         lines.append(f"every sample accounted for: {found.accounted.part} of {found.accounted.whole}")
     wrong = found.wrong_flights

@@ -24,9 +24,9 @@ def require_fittable(vehicle: config.Vehicle, directory: Path) -> None:
     """
     settings = vehicle.file.estimation
     if vehicle.file.free_body is not None or settings.method == EXIDDM:
-        raise ValueError("--fit-drawing: links of an arm are found by rows alone; here it is one body")
+        raise ValueError("--fit-drawing: links of an arm are identified by rows alone; here it is a body")
     if settings.masses is not None:
-        raise ValueError("--fit-drawing: [estimation.masses] are told by the drawing, and do not change it")
+        raise ValueError("--fit-drawing: [estimation.masses] come from the drawing, and do not change it")
     if settings.carried is not None:
         raise ValueError("--fit-drawing: an answer that goes on from another log is of that log too; leave it out")
     if (directory / VEHICLE).exists():
@@ -60,7 +60,9 @@ def write(vehicle: config.Vehicle, found: Identified, directory: Path) -> list[P
         raise ValueError(f"{found.log} determines no link of the arm; there is no drawing to write")
     kept = {one.link for one in found.drawing}
     fitted = urdf(vehicle, found.only(kept))
-    said = f"# Links as heft identify found them by {json.dumps(found.log.name)}: by this file that log counts twice."
+    said = (
+        f"# Links as estimated by heft identify from {json.dumps(found.log.name)}: by this file that log counts twice."
+    )
     text = f"{said}\n\n{edited(vehicle, changes(vehicle, found))}"
     with tempfile.TemporaryDirectory() as where:
         tried = Path(where) / VEHICLE

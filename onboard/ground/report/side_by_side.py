@@ -40,14 +40,17 @@ def _verdicts(found: FlightComparison) -> list[tuple[str, str]]:
         unit = f" {one.unit}" if one.unit else ""
         if one.chance is not None and one.chance < DISAGREE:
             told.append(
-                ("warn", f"{one.name}: the flights disagree; one value would scatter so in {one.chance:.2g} of all")
+                (
+                    "warn",
+                    f"{one.name}: the flights disagree; a single value would scatter so in {one.chance:.2g} of all",
+                )
             )
         if one.trend is not None and abs(one.trend[0]) > HALF * one.trend[1]:
             told.append(
                 ("warn", f"{one.name} changes by {interval(*one.trend, sign='+')}{unit} from a flight to the next")
             )
     several = sum(one.chance is not None for one in found.quantities)
-    return told or [("good", f"{several} quantities that more than one flight answered: all agree, none has a trend")]
+    return told or [("good", f"{several} quantities that several flights answered: all agree, none has a trend")]
 
 
 def _flights(found: FlightComparison) -> str:

@@ -31,7 +31,7 @@ def read(tmp_path: Path, text: str) -> list[Item]:
         (HEAD + "seeds = 0\n" + ROCKET[len(HEAD) :], 3, "1 or more"),
         (HEAD + 'seeds = "5"\n' + ROCKET[len(HEAD) :], 3, "written|number"),
         (HEAD, 1, "'flight' is missing"),
-        (HEAD + "[flight]\n", 3, "give one of mission, logs, call; there is none"),
+        (HEAD + "[flight]\n", 3, "give mission, logs or call; there is none"),
         (ROCKET + 'call = "a:b"\n', 3, "there is mission and call"),
         (HEAD + '[flight]\ncall = "os.system"\n', 4, "pattern"),
         (ROCKET + "[factor.a]\nvalues = [1]\n", 5, "need a key"),

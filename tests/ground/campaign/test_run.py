@@ -305,7 +305,7 @@ def test_with_tls_as_the_page_says_a_campaign_flies_and_nobody_else_is_heard(
 
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
     (item, *_) = items(plan_file.read(written(tmp_path, CALLED)))
-    with pytest.raises(OtherCodeError, match="this one of another"):
+    with pytest.raises(OtherCodeError, match="this heft of another"):
         fly(item, "another")
 
 

@@ -118,7 +118,9 @@ def fitted(lab: Path) -> Path:
 def test_the_fitted_drawing_serves_another_recording_of_the_arm(lab: Path, fitted: Path) -> None:
     vehicle, drawn = config.load(fitted), config.load(lab / "v" / "vehicle.toml")
     text = fitted.read_text()
-    assert text.startswith('# Links as heft identify found them by "both_1.mcap": by this file that log counts twice.')
+    assert text.startswith(
+        '# Links as estimated by heft identify from "both_1.mcap": by this file that log counts twice.'
+    )
     assert "link_2" not in vehicle.file.link  # it would stand in place of the URDF's
     prior = vehicle.file.estimation.prior
     assert prior.link["base"] == drawn.file.estimation.prior.link["base"]

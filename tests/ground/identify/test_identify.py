@@ -192,7 +192,7 @@ def test_a_log_that_no_load_goes_by(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "no load of" in (said := fails([str(log)], capsys))
     assert "config_a (*config_a*)" in said
     assert "or write [[free_body.load]]" in said
-    with pytest.raises(LoadError, match="more than one load"):
+    with pytest.raises(LoadError, match="several loads"):
         load_of(TUDELFT, Path("config_a_config_b.mcap"))
 
 

@@ -249,7 +249,7 @@ def test_requests_of_another_process_are_the_same_pulses(lines):
 
 
 def test_two_lines_carry_one_chip(lines):
-    with pytest.raises(ValueError, match="two lines of its own"):
+    with pytest.raises(ValueError, match="two other lines"):
         lines.bus.add(lines.twin)
 
 

@@ -195,7 +195,7 @@ def test_motion_from_a_csv(tmp_path):
         ("[as_built.base]\ninertia_relative = 50.0\n" + SHORT, "hardly any body"),
         ("[capture]\nearliest_s = 500.0\nlatest_s = 600.0", "capture must lie"),
         ("[capture]\nphase = 7", "no \\[\\[sequence\\]\\] has phase 7; there are 0, 1, 2, 9"),
-        ("[capture]\nphase = 1\nlatest_s = 6.0", "phase and latest_s: give one of them"),
+        ("[capture]\nphase = 1\nlatest_s = 6.0", "phase and latest_s: give either"),
         ("[gravity]\nx = 1", "gravity"),
         ("not toml", "not TOML"),
     ],

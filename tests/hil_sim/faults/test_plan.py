@@ -172,7 +172,7 @@ def test_phases_are_told_as_the_input_shows_them(fault, told):
         (("off", "x", math.inf), "0 <= start_s"),
         (("pulse_spurious", "x", 0.0), "seconds between"),
         (("error_frames", "x", 0.0), "seconds between"),
-        (("intermittent", "x", 0.0, 1.0), "seconds from one"),
+        (("intermittent", "x", 0.0, 1.0), "seconds from interruption"),
         (("intermittent", "x", 0.0, math.inf, 0.1), "not loose for ever"),
         (("slow", "x", 0.0), "late"),
         (("delayed", "x", 0.0, 1.0, -0.1), "delay in seconds, of 0.0001 or more"),

@@ -126,7 +126,7 @@ def test_a_fixed_base_bears_what_gravity_asks(motion):
     [
         ("<robot", "no XML"),
         ("<sdf/>", "no URDF"),
-        ('<robot><link name="a"/><link name="b"/></robot>', "one root"),
+        ('<robot><link name="a"/><link name="b"/></robot>', "a single root"),
         (
             '<robot><link name="a"/><link name="b"/><joint name="j" type="floating"><parent link="a"/>'
             '<child link="b"/></joint></robot>',

@@ -75,7 +75,7 @@ def test_a_path_is_read_as_a_file(tmp_path) -> None:
         ({"servo": {"joint_1": {"coulomb_N_m": -1.0}}}, "servo.joint_1.coulomb_N_m"),
         ({"wind": {}}, "wind"),
         ({"as_built": {"arm": {"centre_mm": float("nan")}}}, "as_built.arm.centre_mm"),
-        ({"sensor": {"imu": {"accel_g": {"delay_ms": [0.0]}}}}, "one entry for each of the 8 filter codes"),
+        ({"sensor": {"imu": {"accel_g": {"delay_ms": [0.0]}}}}, "an entry for each of the 8 filter codes"),
         ({"sequence": [{"phase": 3, "action": "wave", "duration_s": 1.0}]}, "sequence.0"),
         ({"sequence": []}, "sequence"),
         ({"stop": [{"joint": "joint_1", "at_deg": 15.0}]}, "stop.0.end"),

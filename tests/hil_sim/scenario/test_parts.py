@@ -23,14 +23,18 @@ def of(vehicle: str, tables: dict[str, Any]):
 @pytest.mark.parametrize(
     ("vehicle", "tables", "said"),
     [
-        ("rocksat", {"stop": [STOP]}, r"stop: joints that move as told do not give way; add \[servo.default\]"),
+        ("rocksat", {"stop": [STOP]}, r"stop: joints that move as planned do not give way; add \[servo.default\]"),
         (
             "rocksat",
             AIR | {"drag": [{"link": "arm", "area_m2": 1.0, "centre_of_pressure_mm": [0, 0, 0]}]},
             "drag: join",
         ),
-        ("rocksat", {"sequence": [push(17.0)]}, 'action = "push": joints that move as told'),
-        ("rocksat", {"ejection": {"phase": 5, "duration_ms": 6.0}}, "ejection.duration_ms: joints that move as told"),
+        ("rocksat", {"sequence": [push(17.0)]}, 'action = "push": joints that move as planned'),
+        (
+            "rocksat",
+            {"ejection": {"phase": 5, "duration_ms": 6.0}},
+            "ejection.duration_ms: joints that move as planned",
+        ),
         (
             "rocksat",
             SERVO | {"drag": [{"link": "arm", "area_m2": 1.0, "centre_of_pressure_mm": [0, 0, 0]}]},

@@ -311,7 +311,7 @@ def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
     """
     spec: VehicleSpec = model.spec
     if spec.base.moves and not spec.base.follows:
-        raise ValueError("the base moves as it is told, whatever the arm does: computed torque does not know how")
+        raise ValueError("the base moves as prescribed, whatever the arm does: computed torque does not know how")
     tip = spec.payload_link if spec.payload_link is not None else model.links[-1]
     return JointSpace(FloatingArm(model, tip, (1.0 + model_error) * model.chi))
 

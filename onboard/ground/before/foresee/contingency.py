@@ -121,7 +121,7 @@ def _without(vehicle: config.Vehicle, plan: MotionPlan, name: str) -> tuple[conf
         less, told = _by_arrival(vehicle)
         return less, plan, f"no pulse: times by arrival, 1 sigma {told or 'as stated, for nothing marks pulses'}"
     known = ", ".join(dict.fromkeys([*joints, *devices, *([CELL] if cells else []), PULSE]))
-    raise ValueError(f"--without {name}: name one of {known}")
+    raise ValueError(f"--without {name}: there are {known}")
 
 
 def _parked(plan: MotionPlan, joint: int) -> MotionPlan:

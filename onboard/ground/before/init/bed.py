@@ -13,7 +13,7 @@ from onboard.ground.before.init.vehicle import write_files
 
 _PHASES = """
 # A run without the proof mass and another with it: heft merge --in-turn recording WITHOUT.mcap WITH.mcap -o both.mcap.
-# heft identify takes it for set on from the second recording on. In one run, where a column says when:
+# heft identify takes it for set on from the second recording on. In a single run, where a column says when:
 # [device.phase]
 # kind = "recorded_value"
 # period_ms = 5
@@ -49,7 +49,7 @@ def write(wanted: Bed, directory: Path) -> list[Path]:
     drawn = wanted.drawn
     if not drawn.joints:
         raise config.ConfigError(
-            "a body on a pivot is moved by reaction wheels: the URDF has no joint that turns one; thrusters on a "
+            "a body on a pivot is moved by reaction wheels: no joint of the URDF turns a wheel; thrusters on a "
             "bearing do not take part, they are identified on a table: --base planar --thrusters (docs/recordings.md)"
         )
     if wanted.proof and wanted.proof not in drawn.links:
@@ -90,7 +90,7 @@ def _wheel(number: int, joint: str) -> NewDevice:
 kind = "recorded_rate"
 joint = {json.dumps(joint)}             # of the URDF
 period_ms = 5                  # yours
-noise_rad_s = 0.02             # one sample: yours
+noise_rad_s = 0.02             # of a sample: yours
 scale_sigma = 0.003            # yours: of what it stores, inertia in the URDF times speed; all answers scale with it
 delay_sigma_ms = 0.2           # yours
 repeats = true                 # a wheel at rest

@@ -99,7 +99,7 @@ turn_sigma_rad = 0.01
 kind = "recorded_pose"
 frame = {json.dumps(wanted.marker)}
 period_ms = 10                 # yours
-position_noise_m = 5e-4        # of one pose: yours
+position_noise_m = 5e-4        # of a pose: yours
 yaw_noise_rad = 1e-3
 {thrusters}
 [estimation]
@@ -137,7 +137,7 @@ def _sketch(wanted: NewBody) -> str:
         frames.append(mount(name, "body", f"{0.2 * x:g} {0.2 * y:g} 0", f"0 0 {yaw:g}", _YOURS))
     return f"""<?xml version="1.0"?>
 <!-- Made by heft init: a sketch of a body on a table. SI units. Mass and places of the frames are yours to put in;
-     each thruster's frame has its x along the force on the body. Centre and inertia are to be found: a guess does. -->
+     each thruster's frame has its x along the force on the body. Centre and inertia will be identified: guess. -->
 <robot name={quoteattr(wanted.name)}>
 
   <link name="body">

@@ -88,7 +88,7 @@ def imu(kind: str, frame: str) -> NewDevice:
 kind = "recorded_imu"
 frame = "{frame}"           # link of the URDF whose axes are the sensor's
 period_ms = 5                  # yours
-accel_noise_m_s2 = 0.05        # one sample: yours
+accel_noise_m_s2 = 0.05        # of a sample: yours
 gyro_noise_rad_s = 2e-3
 """,
         "",
@@ -132,7 +132,7 @@ def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_
 kind = "recorded_angle"
 joint = {json.dumps(name)}             # of the URDF
 period_ms = 5                  # yours
-noise_rad = 1e-5               # one sample: yours
+noise_rad = 1e-5               # of a sample: yours
 """
     if largest_N_m is None:
         return angle
@@ -209,7 +209,7 @@ axis = {axis}
 measures = "{measures}"
 capacity_N = {capacity:<18}# {unit}: range of its data sheet, yours
 scale_sigma = 0.01             # behind a known weight
-noise_N = {noise:<21}# {unit}, one sample at rest: yours
+noise_N = {noise:<21}# {unit}, of a sample at rest: yours
 """
     return made._replace(text=made.text + keys + LoadCellDevice.new_delay)
 
@@ -222,7 +222,7 @@ lever_m = 0.04                 # yours
 lever_sigma_m = 1e-4
 capacity_N = 50.0              # yours: larger samples are saturated
 scale_sigma = 0.0025           # relative, of its calibration
-noise_N = 0.0025               # one sample
+noise_N = 0.0025               # of a sample
 """
 
 
@@ -288,7 +288,7 @@ IN_TURN = """
 # kind = "recorded_value"
 # period_ms = 100
 # [estimation.phases]
-# channel = "recording"        # 1 in the first recording, 2 in the second one
+# channel = "recording"        # 1 in the first recording, 2 in the second
 # identify = [1, 2]
 # payload_taken = 2
 """
@@ -299,7 +299,7 @@ SYNC = NewDevice(
 kind = "canopen_sync"          # all nodes of the bus sample on it
 bus = "{CAN}"
 period_ms = 5
-delay_ms = 0.110               # a one-byte frame at 500 kbit/s
+delay_ms = 0.110               # a frame of 1 byte at 500 kbit/s
 """,
     CAN,
     URLS[CAN],
@@ -307,7 +307,7 @@ delay_ms = 0.110               # a one-byte frame at 500 kbit/s
 PULSE = NewDevice(
     f"""
 [device.pulse]
-kind = "sync_pulse"            # puts every device on one time; docs/sync_pulse.md
+kind = "sync_pulse"            # a common time for all devices; docs/sync_pulse.md
 bus = "{GPIO}"
 sync_period_ms = 5             # pulse intervals are whole numbers of these
 """,

@@ -21,7 +21,7 @@ def table(own: str) -> str:
     return f"""
 [drive]                        # what the drives are sent: docs/driving.md
 armed = true                   # and then only by heft fly --arm
-motion = "{MOTION}"          # yours: heft plan writes one
+motion = "{MOTION}"          # yours: heft plan writes it
 {own}"""
 
 

@@ -143,7 +143,7 @@ def write_files(directory: Path, files: dict[str, str]) -> list[Path]:
 
 
 _JOINTLESS = {  # by base
-    "free": "; a thrown body shows its inertia by a rotor alone, without one only ratios of its moments: "
+    "free": "; a thrown body shows its inertia by a rotor alone, without it only ratios of its moments: "
     "heft init --from tudelft, docs/free_body.md; with wheels on a spherical bearing: --base pivot",
     "planar": ", or --thrusters of a body without an arm",
 }

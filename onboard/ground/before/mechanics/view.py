@@ -46,7 +46,7 @@ def _vector(values: np.ndarray) -> str:
 
 
 def _joints(found: Mechanics) -> Table:
-    table = Table(box=None, pad_edge=False, title="a joint's own part", title_justify="left")
+    table = Table(box=None, pad_edge=False, title="a joint by itself", title_justify="left")
     table.add_column("joint")
     for heading in ("tip, base floats, m/rad", "tip, base fixed, m/rad", "base turns, rad/rad"):
         table.add_column(heading, justify="right")

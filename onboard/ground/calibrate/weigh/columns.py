@@ -303,19 +303,17 @@ def _scaled(
         if (unit or usual) not in table_of:
             raise PosesError(
                 f"{table.label}: the unit {given or unit!r} of {_shown([table.names[k] for k in at])} is not known; "
-                f"give --{what}-unit, one of {', '.join(table_of)}, or how many {usual} one is, 1e-6 for instance"
+                f"give --{what}-unit, any of {', '.join(table_of)}, or its size in {usual}, 1e-6 for instance"
             )
         factors.append(table_of[unit or usual])
     six = table.values[:, [*force, *moment]]
     if unnamed and not units.force and (np.isnan(six) | (six == np.rint(six))).all():
         raise PosesError(
-            f"{table.label}: forces and moments are whole numbers without a unit, as counts are: say with --force-unit "
-            "and --moment-unit how many N and N m one is, 1e-6 for instance (or N, Nm)"
+            f"{table.label}: forces and moments are whole numbers without a unit, as counts are: say its size in N and "
+            "N m with --force-unit and --moment-unit, 1e-6 for instance (or N, Nm)"
         )
     if any(_COMPENSATED.search(table.names[k]) for k in force if table.names):
-        said.append(
-            "such forces are without the payload that the controller was told: set it to 0, or add it to this one"
-        )
+        said.append("such forces are without the payload set in the controller: set it to 0, or add it to this")
     wrench = np.hstack([table.values[:, list(force)] * factors[0], table.values[:, list(moment)] * factors[1]])
     return wrench, tuple(unnamed)
 

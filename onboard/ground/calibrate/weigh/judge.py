@@ -53,7 +53,7 @@ def judge(answer: Answer) -> Judged:
         findings=findings,
         standings=own,
         corrections=corrections,
-        unchecked="too few poses to predict one half from the other: twelve or more",
+        unchecked="too few poses to predict a half from the other: twelve or more",
     )
     return Judged(verdict(evidence), standings_of(evidence), tuple(_notes(answer)))
 
@@ -92,7 +92,7 @@ def _findings(answer: Answer) -> Findings:
         row, body = answer.changed
         against.append(
             f"from row {row + 1} on another body is held, of {body.after_kg:.4g} kg after {body.before_kg:.4g} kg, "
-            f"{times_text(body.nats)} times likelier than one: weigh each part of the table by itself"
+            f"{times_text(body.nats)} times likelier than a single body: weigh each part of the table by itself"
         )
     if answer.wrong is not None and not against:
         against.append(f"{answer.wrong.what}: so the readings agree, {times_text(answer.wrong.nats)} times likelier")
@@ -113,7 +113,7 @@ def _findings(answer: Answer) -> Findings:
     if mass.supported and mass.mean > HEAVIEST_kg:
         against.append(
             f"{mass.mean:.3g} kg is more than any arm holds: its forces are in another unit than N, or are counts "
-            "(--force-unit and --moment-unit: a name, or N and N m in one, 1e-6 for instance)"
+            "(--force-unit and --moment-unit: a name, or its size in N and N m, 1e-6 for instance)"
         )
     if answer.said_down and (lean := _lean(answer)):
         doubts.append(f"{lean}: say how far it may lean (--tilt-deg)")

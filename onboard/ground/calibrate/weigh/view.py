@@ -50,7 +50,7 @@ def render(answer: Answer, judged: Judged, more: tuple[Pose, ...], title: str) -
 def _quantities(answer: Answer, judged: Judged, title: str) -> Table:
     table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("")
-    for heading in ("found", "from (95 %)", "to"):
+    for heading in ("value", "from (95 %)", "to"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
     table.add_column("level")

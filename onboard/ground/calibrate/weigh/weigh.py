@@ -119,7 +119,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     said_down, known = known.down is not None, known._replace(down=poses.convention.down)
     prior, groups = known.prior, count.pop("groups")
     others = tuple((other.convention, one.evidence - first.evidence) for other, one, _ in found)
-    tell("whether it is one body")
+    tell("whether it is a single body")
     changed = change(poses, prior, wrist.fit(poses.R, poses.wrench, prior))
     tell("rows that contradict the others")
     out = wrist.outliers(poses.R, poses.wrench, prior)

@@ -98,7 +98,7 @@ def wrist_sensor(vehicle: config.Vehicle, frame: str = "") -> WristSensor:
     if (frame and frame not in six) or (len(six) != 1 and not frame):
         held = ", ".join(f"{len(cells)} at {name}" for name, cells in by_frame.items()) or "none"
         raise PosesError(
-            f"{vehicle.label}: a wrist sensor is six load cells of one frame, three forces and three moments; it has "
+            f"{vehicle.label}: a wrist sensor is six load cells of a frame, three forces and three moments; it has "
             f"{held}{'; give --link' if len(six) > 1 else ''}"
         )
     name = frame or six[0]

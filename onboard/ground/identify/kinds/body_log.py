@@ -80,7 +80,9 @@ def _recorded(
     for one in rows[1:]:
         common = np.intersect1d(common, one["host_ns"])
     if len(common) < 2:
-        raise ChannelError(f"{log.path}: {name} has no poses of x, y and yaw at the same times; give them one clock")
+        raise ChannelError(
+            f"{log.path}: {name} has no poses of x, y and yaw at the same times; give them the same clock"
+        )
     start_ns = int(common[0])
     values = []
     for one, of, units in zip(rows, ("x", "y", "yaw"), ((b"m",), (b"m",), (b"rad",)), strict=True):
@@ -137,7 +139,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
         raise ChannelError(f"{log.path}: {name} is in {unit.decode()!r}; a level needs 1, or N: correct the mapping")
     level = values / (own.force_N if unit == b"N" else 1.0)
     if (level < 0.0).any():
-        raise ChannelError(f"{log.path}: {name} is negative; a thruster pushes one way: give each a column")
+        raise ChannelError(f"{log.path}: {name} is negative; a thruster only pushes: give each a column")
     if level.max() > 1.5:
         text = f"{name} reaches {level.max():.3g} times its force"
         raise ChannelError(f"{log.path}: {text}; give its unit and scale in the mapping, or its force_N")

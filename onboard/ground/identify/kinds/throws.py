@@ -160,9 +160,9 @@ def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
     if not loads:
         raise LoadError(f"{log}: {vehicle.path} does not say what it weighs; write {own} (docs/free_body.md)")
     known = ", ".join(f"{load.name} ({load.logs})" for load in found or loads)
-    what, remedy = ("more than one load", "") if found else ("no load", f", or write {own}")
+    what, remedy = ("several loads", "") if found else ("no load", f", or write {own}")
     raise LoadError(
-        f"{log}: {what} of {vehicle.path} goes by this name: {known}; rename the log, or correct its 'logs'{remedy}"
+        f"{log}: {what} of {vehicle.path} by this name: {known}; rename the log, or correct its 'logs'{remedy}"
     )
 
 

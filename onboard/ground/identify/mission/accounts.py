@@ -177,6 +177,6 @@ def _where(account: Account) -> str:
     if account.left < 0:
         return ""
     if not account.recorded:
-        return ", not one row"
+        return ", no row"
     spans = ", ".join(f"{span.from_s:.3f} to {span.to_s:.3f} s" for span in account.silent[:3])
     return f", rows pause from {spans}" if spans else ", at the start, at the end or beside its gaps"

@@ -167,7 +167,7 @@ def render(table: Result) -> RenderableType:
         made.add_section()
     lines: list[Text] = []
     if (capture := table["capture"]) and capture["told"]:
-        lines.append(Text(f"captured at {capture['true_s']:.2f} s, told to the estimator by the phase"))
+        lines.append(Text(f"captured at {capture['true_s']:.2f} s, given to the estimator by the phase"))
     elif capture:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))

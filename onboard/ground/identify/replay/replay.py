@@ -149,7 +149,9 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
         skipped_ns = int(tick["skipped_ns"]) if "skipped_ns" in (tick.dtype.names or ()) else 0
         now_ns = int(tick["host_ns"])
         if before_ns is not None and not 0 <= now_ns - before_ns - skipped_ns < _LONGEST_STEP_NS:
-            text = f"step {int(tick['sequence'])} of the estimator is {1e-9 * (now_ns - before_ns):.0f} s after the one"
+            text = (
+                f"step {int(tick['sequence'])} of the estimator is {1e-9 * (now_ns - before_ns):.0f} s after the step"
+            )
             raise ChannelError(f"{text} before it: its time is altered; heft identify does without the steps")
         before_ns = now_ns
         yield EstimatorStep(now_ns, batches, 0 if tick["final"] else None, fresh, short, skipped_ns)

@@ -121,6 +121,6 @@ def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | N
         wrong = f": {told}" if told else " holds cells that are not numbers; correct them or the mapping"
         raise SourceError(f"{path}: column {name!r}{wrong}")
     if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):
-        wanted = "one value" if width is None else f"{width} values"
+        wanted = "a value" if width is None else f"{width} values"
         raise SourceError(f"{path}: column {name!r} has shape {values.shape}; the mapping needs {wanted} a row")
     return values

@@ -131,7 +131,7 @@ class Csv(_Section):
     @model_validator(mode="after")
     def _check_marks(self) -> Self:
         if self.delimiter == self.decimal:
-            raise ValueError(f"`delimiter` and `decimal` are both {self.decimal!r}: name the one between the cells")
+            raise ValueError(f"`delimiter` and `decimal` are both {self.decimal!r}: name that between the cells")
         if not self.header and self.header_line != 1:
             raise ValueError("`header = false` has no `header_line`: say `rows_from`, the first line of numbers")
         if self.header and self.rows_from is not None and self.rows_from <= self.header_line:
@@ -175,7 +175,7 @@ class _Quantity(_Section):
     def _check_unit(self) -> Self:
         good = [unit for unit, (kept, _) in UNITS.items() if not self.keeps or kept in self.keeps]
         if self.unit not in good:
-            raise ValueError(f"unit {self.unit!r} is not known here; use one of {', '.join(map(repr, good))}")
+            raise ValueError(f"unit {self.unit!r} is not known here; use any of {', '.join(map(repr, good))}")
         if not 1.0 / MOST_A_COUNT < self.si_count < MOST_A_COUNT:
             raise ValueError(f"a count of {self.si_count:.3g} {self.si_unit} cannot be stored; correct the scale")
         return self
@@ -240,7 +240,7 @@ class Scalar(_Quantity):
             raise ValueError("`wraps` is of a `column` that starts again after a turn; leave it out")
         if sum(one is not None for one in (self.column, self.sum, self.quaternion)) != 1:
             raise ValueError(
-                "give one of `column`, `sum`, columns and what to multiply each by, `quaternion`, four columns"
+                "give a `column`, `sum`, columns and what to multiply each by, or `quaternion`, four columns"
             )
         if self.column is None and self.values != "physical":
             raise ValueError('a sum of columns, or a yaw, is no count; say values = "physical"')
@@ -311,7 +311,7 @@ def load(name: str | Path) -> Mapping:
     known = packaged()
     path = known.get(str(name), Path(name))
     try:
-        text = config.read(path, f"a mapping file, or one of these names: {', '.join(known)}")
+        text = config.read(path, f"a mapping file, or any of these names: {', '.join(known)}")
         file = config.validated(MappingFile, config.tree_of(text, str(path)), config.Origin(str(path), text))
     except config.ConfigError as error:
         raise MappingError(str(error)) from error

@@ -98,7 +98,7 @@ def read_csv(path: Path, layout: Csv, *, skip: bool = False, most_rows: int | No
         and not whole
         and (len(rows[-1]) < len(names) or (_is_cut(rows, layout.decimal) and not _ends_with_a_newline(path)))
     )
-    truncated = f"row {count + len(rows)}, the last one, is cut off: left out" if cut else ""
+    truncated = f"row {count + len(rows)}, the last, is cut off: left out" if cut else ""
     if cut:
         rows.pop()
     pack(0)

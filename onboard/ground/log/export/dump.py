@@ -80,7 +80,7 @@ def dump(
     elif len(chosen) == 1 and kind == "csv":
         paths, targets = {}, {chosen[0]: target}
     else:
-        raise ValueError(f"one CSV goes into a pipe: say which with --channel; the log has {', '.join(chosen)}")
+        raise ValueError(f"a single CSV goes into a pipe: say which with --channel; the log has {', '.join(chosen)}")
     passes = 1 + bool(tables.clocked and set(chosen) - set(tables.clocked))
     task = None if progress is None else progress.add_task(f"dump {reader.path.name}", total=passes * reader.size)
     pending: dict[str, _Pending] = {}

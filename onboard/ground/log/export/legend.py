@@ -28,7 +28,7 @@ _GATES = {
     GateReason.STILL: "the joint is too slow: its Coulomb friction is undetermined",
     GateReason.STUCK: "a reading under the kernel repeats where it must change",
     GateReason.LEFT_OUT: "its instrument contradicts the others",
-    GateReason.JUMPED: "the angle of a joint has jumped since rows were used: its encoder is another one",
+    GateReason.JUMPED: "the angle of a joint has jumped since rows were used: its encoder is another",
 }
 _CLOCKS = {
     ClockState.ACQUIRING: "not enough marks yet",

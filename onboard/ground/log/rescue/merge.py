@@ -106,7 +106,7 @@ def merge(
                 progress.update(task, completed=sum(log.position for log in logs))
     damage = tuple(one for log in logs for one in log.damage)
     labels = [f"{part.label} is {part.segments[0]}" for part in parts if part.label]
-    told = [f"channels that several logs have are told apart: {', '.join(labels)}"] if labels else []
+    told = [f"channels that several logs have are renamed: {', '.join(labels)}"] if labels else []
     return Merged(rows, damage, (*told, *_strangers(parts, spans)))
 
 
@@ -272,7 +272,7 @@ def _require(logs: Sequence[LogReader], phase: str) -> None:
             raise ValueError(f"{log.path} is the log of a flight; its phases are in it, and it is identified by itself")
         if other := sorted({*first} ^ {*_samples(log)}):
             both = f"{log.path} and {logs[0].path}"
-            raise ChannelError(f"{both} differ by channel {other[0]}; import them by one mapping")
+            raise ChannelError(f"{both} differ by channel {other[0]}; import them by the same mapping")
         if phase in log.channels:
             raise ChannelError(f"{log.path} has a channel {phase!r} already; name another")
 

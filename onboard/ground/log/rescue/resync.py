@@ -155,7 +155,7 @@ def resync(
         ValueError: no IMU in any of the logs, or no motion in one.
     """
     if len(logs) < 2:
-        raise ValueError("give two logs or more: the clocks of one flight computer's log are fitted to its pulses")
+        raise ValueError("give two logs or more: the clocks of a flight computer's log are fitted to its pulses")
     imus = {number: name for number, log in enumerate(logs) if (name := _imu_channel(log, vehicle))}
     if not imus:
         raise ValueError("none of the logs has an IMU: give the log with the IMU first")

@@ -65,7 +65,7 @@ def inside(at_ns: NDArray[np.int64], windows: Sequence[tuple[int, int]]) -> NDAr
 
 def _phase_settings(log: LogReader, vehicle: config.Vehicle | None) -> config.Phases | None:
     if vehicle is None:
-        raise ValueError(f"{log.path} carries no vehicle file that says what its phases are; give one with --vehicle")
+        raise ValueError(f"{log.path} carries no vehicle file that says what its phases are; give it with --vehicle")
     return vehicle.file.estimation.phases
 
 

@@ -83,6 +83,6 @@ def flown_by(logs: Sequence[LogReader], directory: Path) -> config.Vehicle:
             raise config.ConfigError(f"{log.path} carries no vehicle file; give the vehicle that flew")
         if texts[log.path] != texts[logs[0].path]:
             raise config.ConfigError(
-                f"{log.path} and {logs[0].path} were flown with different vehicle files; give the one to use"
+                f"{log.path} and {logs[0].path} were flown with different vehicle files; give the file to use"
             )
     return vehicle_of(logs[0], directory)

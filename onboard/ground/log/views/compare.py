@@ -158,7 +158,7 @@ def render(found: FlightComparison) -> RenderableType:
         table.add_row(Text(one.name), *each, interval(one.mean, one.sigma_mean), trend, one.unit, word)
     told = (
         "Values with 95 % intervals; together: weighted mean, no surer than a flight is, for errors of calibration are "
-        "common to all; a flight: change from one to the next."
+        "common to all; a flight: change from flight to flight."
     )
     return Group(flights, Text(), table, Text(told))
 

@@ -33,7 +33,7 @@ def sample_times(flight: FlightData, draw: Gallery) -> str:
     return jitter_table(flight) + draw(
         jitter(flight),
         "Intervals between neighbouring samples, less their median. Arrival: when the host had them, of an IMU with a "
-        "FIFO many at once. Own clock: by the device's tick at its fitted length, for streams with their own clock.",
+        "FIFO many at once. Device's clock: by its tick at the fitted length, for streams that have it.",
     )
 
 
@@ -81,7 +81,7 @@ def jitter(flight: FlightData) -> Figure | None:
         assert arrival is not None
         found = [(1e-3 * (arrival.kept - arrival.median), "arrival", CYCLE[0])]
         if sampled is not None:
-            found.append((1e-3 * (sampled.kept - sampled.median), "own clock", CYCLE[1]))
+            found.append((1e-3 * (sampled.kept - sampled.median), "device's clock", CYCLE[1]))
         reach = max(1.0, *(float(np.percentile(np.abs(part), 99.5)) for part, _, _ in found))
         edges = np.linspace(-1.3 * reach, 1.3 * reach, _BINS + 1)
         for part, label, colour in found:
@@ -111,7 +111,7 @@ def jitter_table(flight: FlightData) -> str:
         line += [f"{1e-6 * arrival.most:.3f}", "" if sampled is None else f"{1e-3 * sampled.rms:.1f}"]
         line += ["" if sampled is None else f"{1e-6 * sampled.most:.3f}"]
         rows.append([name, *map(Cell, line)])
-    headings = ["stream", "median ms", "rms µs", "99 % within µs", "longest ms", "own clock: rms µs", "longest ms"]
+    headings = ["stream", "median ms", "rms µs", "99 % within µs", "longest ms", "device's clock: rms µs", "longest ms"]
     return html.table(headings, rows)
 
 

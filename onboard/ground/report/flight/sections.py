@@ -195,7 +195,7 @@ def _imus(flight: FlightData, draw: Gallery) -> str:
         body += draw(
             figures.imu(flight, name, rotation),
             "Unfiltered. Line: mean of each bin of time, band: extent of its samples. An accelerometer measures "
-            "specific force: free fall reads zero, and its own offset is still in.",
+            "specific force: free fall reads zero, and the offset is still in.",
         )
     if len(names) > 1:
         body += draw(figures.magnitudes(flight, names), "Magnitude of the specific force of every IMU.")

@@ -17,7 +17,7 @@ def by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> str
     found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}
     body = draw(
         answers.by_sweep(flight, found, truths),
-        "Each sweep identified by itself, from the prior and its own rows, as it goes on, to be held against the other "
+        "Each sweep identified by itself, from the prior and its rows alone, as it goes on, to compare with the other "
         "sweeps. Bands: 95 % by the rows alone, without the tolerances of the drawing: these are the same in every "
         "sweep, and are in the intervals of the answers. Dashed: truth.",
     )

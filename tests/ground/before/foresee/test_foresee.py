@@ -309,7 +309,7 @@ def test_the_command_says_what_is_left_and_fails_where_nothing_is(tmp_path, caps
     assert read["m_tip_mass"]["level_without"] == "good"
     assert read["XX_arm_R"]["sigma"] is None
     assert main(["checkout", "rocksat", "--without", "joint_9"]) == 2
-    assert "name one of joint_1, imu_base" in capsys.readouterr().err
+    assert "there are joint_1, imu_base" in capsys.readouterr().err
 
 
 def test_cyclic_errors_of_a_plan_are_smoothed_as_in_flight():

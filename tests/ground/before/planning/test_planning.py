@@ -174,7 +174,7 @@ def test_what_is_no_quantity_or_no_motion_is_refused(flyer, capsys):
     assert main(["plan", vehicle, "--seconds", "nan"]) == 2
     (flyer / "still.toml").write_text('[[sequence]]\nphase = 0\naction = "hold"\nduration_s = 4.0\n')
     assert main(["plan", vehicle, "--scenario", str(flyer / "still.toml")]) == 2
-    assert "add one" in capsys.readouterr().err
+    assert "add it" in capsys.readouterr().err
 
 
 def test_without_the_simulator_it_says_what_is_missing(flyer, capsys, monkeypatch):

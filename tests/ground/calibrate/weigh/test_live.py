@@ -229,7 +229,7 @@ def test_a_wrist_with_an_accelerometer_needs_no_encoders(workshop, tmp_path):
 
 
 def test_cells_that_are_no_wrist_sensor(workshop, tmp_path):
-    with pytest.raises(PosesError, match="six load cells of one frame"):
+    with pytest.raises(PosesError, match="six load cells of a frame"):
         wrist_sensor(load_vehicle("rocksat"))
     with pytest.raises(PosesError, match="6 at wrist"):
         wrist_sensor(workshop, "elbow")

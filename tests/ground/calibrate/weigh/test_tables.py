@@ -151,7 +151,7 @@ def test_counts_and_readings_that_the_controller_has_compensated(one, tmp_path, 
     ):
         read = table.Table((*HEADER[:4], *names), one.rows, tuple(range(len(one.rows))), "poses.csv")
         told = " ".join(columns.understood(read, columns.Units()).said)
-        assert ("without the payload that the controller was told" in told) == said
+        assert ("without the payload set in the controller" in told) == said
 
 
 def test_a_quaternion_that_is_none_is_said(one, tmp_path, capsys):

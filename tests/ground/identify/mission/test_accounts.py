@@ -81,5 +81,5 @@ def test_changes_that_nobody_heard_may_be_any_number(tmp_path: Path, cause: str,
 def test_a_channel_without_a_row_is_said_to_have_none(tmp_path: Path) -> None:
     account = written(tmp_path / "log.mcap", [])
     assert render({"joint": account}) == [
-        "SAMPLES UNACCOUNTED FOR: joint: 200 made, 0 recorded, 0 in gap records: 200 in no gap record, not one row"
+        "SAMPLES UNACCOUNTED FOR: joint: 200 made, 0 recorded, 0 in gap records: 200 in no gap record, no row"
     ]

@@ -79,7 +79,7 @@ def test_a_last_row_that_is_cut_off_costs_that_row(bench, keep):
     cut = not keep.endswith("-2")
     assert len(log.read("imu")) == len(log.read("joint")) == (2 if cut else 3)
     said = [(row["code"], row["text"]) for row in log.read("import_event")]
-    assert said == ([(b"truncated", b"run.csv: row 3, the last one, is cut off: left out")] if cut else [])
+    assert said == ([(b"truncated", b"run.csv: row 3, the last, is cut off: left out")] if cut else [])
 
 
 @pytest.mark.parametrize(("scale", "refused"), [("0.01", False), ("10.0", True), ("1.6", True)])
@@ -123,7 +123,7 @@ def test_a_long_csv_is_read_in_blocks_as_it_is_at_once(tmp_path, monkeypatch, bl
     whole = text_rows.read_csv(tmp_path / "run.csv", Csv())
     monkeypatch.setattr(text_rows, "_BLOCK", block)
     parts = text_rows.read_csv(tmp_path / "run.csv", Csv())
-    assert whole.truncated == parts.truncated == "row 51, the last one, is cut off: left out"
+    assert whole.truncated == parts.truncated == "row 51, the last, is cut off: left out"
     for name, kind in (("a", "i"), ("b", "f"), ("c", "U")):
         assert whole.columns[name].dtype.kind == parts.columns[name].dtype.kind == kind
         assert whole.columns[name].tolist() == parts.columns[name].tolist()

@@ -17,7 +17,7 @@ from tests.ground.log.bring_in.recordings import CSV_MAPPING
         ("scale = 0.01\n", "scale = -0.01\n", "channel.imu.accel.scale"),
         ("scale = 0.01\n", "scale = 1e43\n", "cannot be stored; correct the scale"),
         ("scale = 0.01\n", "scale = [1e-300, 1e300]\n", "cannot be stored; correct the scale"),
-        ('unit = "g"', 'unit = "rad/s"', "'channel.imu.accel': .*unit 'rad/s' is not known here; use one of 'm/s"),
+        ('unit = "g"', 'unit = "rad/s"', "'channel.imu.accel': .*unit 'rad/s' is not known here; use any of 'm/s"),
         ('unit = "rev"', 'unit = "furlong"', "unit 'furlong' is not known here"),
         ('"+z", "-x", "+y"', '"+z", "-x", "+x"', "must name each of x, y and z once"),
         ('columns = ["ax", "ay", "az"]', "", "give either `column`"),

@@ -106,7 +106,7 @@ def refused(column: str, values: Values) -> str:
     back = np.flatnonzero(np.diff(number) < 0.0)
     if len(back) and len(back) <= _MOST_STARTS:
         rows = ", ".join(str(one + 2) for one in back.tolist())
-        return f"{column!r} starts again in row {rows}: cut the recordings apart, and import one after the other"
+        return f"{column!r} starts again in row {rows}: cut the recordings apart, and import them in turn"
     if not len(back):
         count = int((np.diff(number) == 0.0).sum())
         return (

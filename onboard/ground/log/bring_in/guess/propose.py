@@ -91,7 +91,9 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     notes += [f"{_of(one)}{said(made.clocks[one.name])}" for one in some if one.name in made.clocks]
     if lacking := [name for name in vehicle.imus if name not in made.names]:
         needs = "gyro and accelerometer are needed of each; an attitude stands for neither"
-        notes.append(f"doubtful: not found, and heft identify refuses a log without: {', '.join(lacking)}; {needs}")
+        notes.append(
+            f"doubtful: no such columns, and heft identify refuses a log without: {', '.join(lacking)}; {needs}"
+        )
     bad = _bad(some, ragged, made.of_vehicle)
     head = text.head(re.sub(r"\W+", "_", path.stem) or "recording", path.name, kind, bad, layout and layout.csv, notes)
     whole = head + _time(main, made) + "".join(made.parts) + text.not_taken(made.others)

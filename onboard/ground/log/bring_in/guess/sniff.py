@@ -39,7 +39,7 @@ def kind_of(path: Path) -> Kind:
     if foreign.is_bag_directory(path):
         return "bag"
     if path.is_dir():
-        raise SourceError(f"{path} is a directory; give one recording of it")
+        raise SourceError(f"{path} is a directory; give a recording in it")
     if path.suffix.lower() in (".yaml", ".yml"):
         save = "json.dump([*yaml.safe_load_all(open('FILE.yaml'))], open('FILE.json', 'w'))"
         raise SourceError(f"{path} is YAML, which is not read here: save it as JSON, in Python by {save}")
