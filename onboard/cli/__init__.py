@@ -9,6 +9,7 @@ and no compiler to make it.
 """
 
 import argparse
+import atexit
 import contextlib
 import errno
 import gc
@@ -35,6 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
+    atexit.register(gc.freeze)  # nor is it looked through when the process ends
     argv = sys.argv[1:] if argv is None else argv
     arguments = parser(*argv[:1]).parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command
