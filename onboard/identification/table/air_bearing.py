@@ -208,7 +208,7 @@ class TableExiddm(Exiddm):
             return super()._of_joints()
         imu = PlacedImu(self._R_BS, self._p_BoSo_B, signals.samples, slice(0, 0), slice(0, 0))
         noise = JointNoise(vehicle, JointErrors(vehicle), [imu], [], [slice(0, 6)], PLANAR)
-        return noise.of(signals.q, signals.joint_sigma, self._likely)
+        return noise.of(signals.q, self._likely, signals.joint_sigma)[0]
 
     def fit(self) -> PayloadFit:
         """See :meth:`Exiddm.fit`."""

@@ -32,7 +32,7 @@ from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
 from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
 from onboard.identification.whole_flight.blocks import (
     FlightFit,
     Instrument,
@@ -75,7 +75,7 @@ class _Along(NamedTuple):
 
     ticks: slice
     values: FloatArray  # (b, lines)
-    jacobian: FloatArray  # (b, lines, predictor's p), by the state at the block's start
+    predicted: TickPrediction  # without the biases
     state: FloatArray  # (predictor's p,) there
     d_rate: FloatArray  # (3, predictor's p) of the rate there by the state at the segment's start
     lines: FloatArray  # (b, 2 + kinks)
@@ -238,20 +238,21 @@ class WholeFlight:
 
     def _noise_added(self, x: FloatArray) -> list[FloatArray]:
         """What noise of the joints' samples adds to the gradient of each block, (p,) each, at x; empty for nothing."""
-        found, widths = [], [own.stop - own.start for own in self._predictor.lines]
+        found, rest = list[FloatArray](), len(self.names) - self.constants
+        widths = [own.stop - own.start for own in self._predictor.lines]
         each = [(np.repeat(use, widths, axis=1), sigma) for use, sigma in zip(self._use, self._sigma, strict=True)]
-        inner = [(one.ticks, sigma[1:-1], use[1:-1]) for one, (use, sigma) in zip(self.segments, each, strict=True)]
-        noisy = any(is_noisy(self._predictor, *known, self.state(x, k)) for k, known in enumerate(inner))
+        ticks_of = ((one.ticks, self.state(x, k)) for k, one in enumerate(self.segments))
+        noise = (self._predictor.joint_noise(ticks.q, ticks.sample_sigma, state) for ticks, state in ticks_of)
+        noisy = any(is_noisy(one[1:-1], sigma[1:-1], use[1:-1]) for one, (use, sigma) in zip(noise, each, strict=True))
         for k, (one, (use, sigma)) in enumerate(zip(self.segments, each, strict=True) if noisy else ()):
             for along in self._along(x, k, np.inf):
                 here, before = along.ticks, along.ticks.start - 1
-                ticks, known = one.ticks.part(slice(before, here.stop + 1)), (sigma[here], use[here], along.state)
-                lines, _ = added_by_line(self._predictor, ticks, *known, before // BATCH_TICKS)
+                known = one.ticks.part(slice(before, here.stop + 1)), sigma[here], use[here], along.state
+                lines, _ = added_by_line(self._predictor, *known, before // BATCH_TICKS, along.predicted)
                 lines[:, PAYLOAD] *= one.held
-                for instrument in self.instruments:
-                    if use[here, instrument.lines].any():
-                        of_rates = np.zeros(len(self.names) - self.constants)
-                        found.append(np.append(lines[instrument.lines, RATE.stop :].sum(axis=0), of_rates))
+                for own in self.instruments:
+                    if use[here, own.lines].any():
+                        found.append(np.pad(lines[own.lines, RATE.stop :].sum(axis=0), (0, rest)))
         return found
 
     def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:
@@ -359,12 +360,11 @@ class WholeFlight:
             lines, values = self._lines(ticks.time_s[here]), predicted.values
             for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
                 values = values + (lines @ x[at])[:, None] * predicted.jacobian[:, :, bias_at]
-            yield _Along(here, values, predicted.jacobian, state, d_rate, lines)
+            yield _Along(here, values, predicted, state, d_rate, lines)
             transition = predicted.transition[RATE].copy()
             transition[:, RATE] = 0.0
             d_rate = predicted.transition[RATE, RATE] @ d_rate + transition
-            state = state.copy()
-            state[RATE] = predicted.state[RATE]
+            state = np.concatenate([predicted.state[RATE], state[RATE.stop :]])
             first = end - 2
 
     def _lines(self, time_s: FloatArray) -> FloatArray:
@@ -382,7 +382,7 @@ class WholeFlight:
         if device not in self._wander:
             return r, sigma, None
         delay_at, ticks = self._wander[device]
-        effect = (along.jacobian[:, own, delay_at][use] / sigma).ravel() * self._predictor.sigma[delay_at]
+        effect = (along.predicted.jacobian[:, own, delay_at][use] / sigma).ravel() * self._predictor.sigma[delay_at]
         split = apart(effect, np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start))
         return split(r[:, None])[:, 0], sigma, split
 
@@ -391,7 +391,7 @@ class WholeFlight:
     ) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Whitened residuals of the ticks to use, (u,), their derivatives, (u, k), and by which parameters, (k,)."""
         r, sigma, split = self._whitened(along, segment, instrument, use)
-        slopes = along.jacobian[:, instrument.lines]  # (n, lines, predictor's p)
+        slopes = along.predicted.jacobian[:, instrument.lines]  # (n, lines, predictor's p)
         slopes = slopes if use.all() else slopes[use]
         seen = self._seen[instrument.device]
         seen = seen if self.segments[segment].held else seen[seen >= PAYLOAD.stop]

@@ -257,7 +257,11 @@ class ImuPredictor:
             joint_sigma: of joint rates and accelerations, (n, 2, joints).
             state: (p,).
         """
-        return self._noise.of(q, joint_sigma, self.chi(state))
+        return self.joint_noises(q, state, joint_sigma)[0]
+
+    def joint_noises(self, q: FloatArray, state: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
+        """As :meth:`joint_noise`, for each of some sigmas."""
+        return self._noise.of(q, self.chi(state), *joint_sigma)
 
     def predict(
         self,

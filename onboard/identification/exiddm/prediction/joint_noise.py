@@ -99,19 +99,18 @@ class JointNoise:
         self._vehicle, self._joint_errors = vehicle, joint_errors
         self._imus, self._cells, self._lines, self._free = list(imus), list(cells), list(lines), list(free)
 
-    def of(self, q: FloatArray, joint_sigma: FloatArray, chi: FloatArray) -> FloatArray:
-        """One sigma of it, (n, m).
+    def of(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
+        """One sigma of it, (n, m), for each of some sigmas of the joints.
 
         Args:
             q: joint positions, (n, joints).
-            joint_sigma: of joint rates and accelerations, (n, 2, joints).
             chi: standard parameters of all links.
+            joint_sigma: of joint rates and accelerations, (n, 2, joints) each.
         """
-        if not joint_sigma.any():
-            return np.zeros((len(q), self._lines[-1].stop))
-        effect = self.effect(q[::_POSTURE_TICKS], chi)
-        variance = np.einsum("njkm,nkj->nm", effect[np.arange(len(q)) // _POSTURE_TICKS] ** 2, joint_sigma**2)
-        return np.asarray(np.sqrt(variance), np.float64)
+        if not any(one.any() for one in joint_sigma):
+            return [np.zeros((len(q), self._lines[-1].stop)) for _ in joint_sigma]
+        squares = self.effect(q[::_POSTURE_TICKS], chi)[np.arange(len(q)) // _POSTURE_TICKS] ** 2
+        return [np.sqrt(np.einsum("njkm,nkj->nm", squares, one**2)) for one in joint_sigma]
 
     def effect(self, q: FloatArray, chi: FloatArray) -> FloatArray:
         """Of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""

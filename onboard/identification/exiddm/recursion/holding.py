@@ -57,11 +57,12 @@ class Holding(BoundedWork):
             of = self._corrected = *now, state + self.covariance @ self.noise_added
         return of[3]
 
-    def _noise_of(self, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> None:
+    def _noise_of(self, ticks: Ticks, noise: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
         """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
         if self.held and self.state is not None and ticks.sample_sigma.any():
             turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
-            self.noise_added = self.noise_added + noise_added(self.predictor, ticks, sigma, use, self.state, turn)
+            added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise)
+            self.noise_added = self.noise_added + added
 
     @property
     def correction(self) -> NoiseCorrection:

@@ -299,7 +299,7 @@ class RecursiveExiddm(Holding):
         step = self.rivals.step(self.corrected(self.state), self.covariance) if self.held else None
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
-            noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+            noise, of_samples = self.predictor.joint_noises(ticks.q, self.state, ticks.joint_sigma, ticks.sample_sigma)
         self.covariance = self._linearised.known(self.covariance)
         batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
         state, covariance, suspect, used = self.state, self.covariance, False, 0
@@ -329,7 +329,7 @@ class RecursiveExiddm(Holding):
             state, covariance = innovation.corrected(used, state, covariance)
             self.ticks_used += int(there[:, own.start].sum())
             seen = np.isfinite(self.fusion.without(self.fusion.left_out, batch.measured))
-            self._noise_of(ticks, batch.sigma, there & seen)
+            self._noise_of(ticks, of_samples, batch.sigma, there & seen)
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
         self.rivals.steps.step(innovation.first(used), predicted.transition)
