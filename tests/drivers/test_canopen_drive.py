@@ -209,7 +209,7 @@ def test_configurations_that_cannot_be_are_refused(wrong):
 
 
 def test_two_channels_of_one_name_are_refused(clock):
-    with pytest.raises(ConfigurationError, match="two channels of one name"):
+    with pytest.raises(ConfigurationError, match="two channels of the same name"):
         bench_of(clock, Cia402Config(4, 1_000, position="x", velocity="x"))
     with pytest.raises(ConfigurationError, match="node = 0"):
         bench_of(clock, Cia402Config(0, 1_000, position="x"))

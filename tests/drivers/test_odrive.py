@@ -277,5 +277,5 @@ def test_what_no_axis_has_is_refused(keys):
 
 @pytest.mark.parametrize("axes", [(), (OdriveAxis("a", 1), OdriveAxis("b", 1))])
 def test_nodes_are_different(axes):
-    with pytest.raises(ConfigurationError, match="give each"):
+    with pytest.raises(ConfigurationError, match="give the axes"):
         Flight(axes)
