@@ -28,6 +28,16 @@ class I2cPort(Protocol):
         """Release the bus."""
 
 
+class SpiPort(Protocol):
+    """An SPI master with the select line of one chip. Raises OSError when it is gone; that a chip is, it cannot see."""
+
+    def transfer(self, data: bytes, size: int) -> I2cReply:
+        """Exchange ``data`` in frames of ``size`` bytes, the chip deselected after each; what came back."""
+
+    def close(self) -> None:
+        """Release it."""
+
+
 class CanFrame(NamedTuple):
     """A received classic CAN frame. ``identifier`` is the 11-bit COB-ID, or the error class bits of an error frame."""
 

@@ -43,6 +43,7 @@ from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.buses.spi import SpiBus
 from hil_sim.buses.tcp_ends import ListeningTcp
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.faults import parse
@@ -98,6 +99,21 @@ class PairPort(_WiresPort):
     def counts(self) -> dict[str, int]:
         """See ``Port``."""
         return {"pulses": self._pair.pulses}
+
+
+class SpiPort(_WiresPort):
+    """SPI on a Unix socket; kernel tier and this one share it."""
+
+    def __init__(self, path: Path) -> None:
+        self._spi = SpiBus()
+        super().__init__("spi", path, self._spi, 1_000_000)
+
+    def counts(self) -> dict[str, int]:
+        """See ``Port``."""
+        return {"frames": self._spi.frames}
+
+
+WIRES: Final = {"pair": PairPort, "spi": SpiPort}
 
 
 class _CanPort(Port):
@@ -187,8 +203,8 @@ def open_sockets(tables: Mapping[str, bus_tables.BusTable], directory: Path, see
         match table:
             case bus_tables.I2cBusTable():
                 return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
-            case bus_tables.PairBusTable():
-                return PairPort(directory / f"{bus}.sock")
+            case bus_tables.PairBusTable() | bus_tables.SpiBusTable():
+                return WIRES[table.kind](directory / f"{bus}.sock")
             case bus_tables.CanBusTable():
                 return _CanPort(directory / bus, table.bit_rate, seed)
             case bus_tables.PulseLineTable():

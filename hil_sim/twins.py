@@ -10,6 +10,7 @@ from hil_sim.buses.gpio.pair import PairBus
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.serial_bus import SerialBus
+from hil_sim.buses.spi import SpiBus
 from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
@@ -159,6 +160,8 @@ class Twins:
             self._bus(table.bus, I2cBus).add(twin.device)
         elif table.needs == "pair":
             self._bus(table.bus, PairBus).add(twin.device)
+        elif table.needs == "spi":
+            self._bus(table.bus, SpiBus).add(twin.device)
         elif table.needs == "can":
             bus = self._bus(table.bus, CanBus)
             bus.add(twin.device)

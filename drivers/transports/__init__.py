@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable
 
 from drivers.errors import UrlError
-from drivers.ports import CanPort, ClockedPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort
+from drivers.ports import CanPort, ClockedPort, I2cPort, PulseOutputPort, PulsePort, SerialAdapter, SerialPort, SpiPort
 from drivers.transports.url import BusUrl, parse
 
 Clock = Callable[[], int]
 
 I2C_URLS = {"i2c": ("path",), "i2c+unix": ("path", "timeout_s")}
+SPI_URLS = {"spi": ("path", "speed"), "spi+unix": ("path",)}
 CAN_URLS = {
     "can+socketcan": ("host", "bitrate", "receive_buffer"),
     "can+virtual": ("host", "timestamps"),
@@ -45,6 +46,27 @@ def open_i2c(url: str, clock: Clock) -> I2cPort:
     from drivers.transports.i2c_unix import UnixI2cPort  # noqa: PLC0415
 
     return UnixI2cPort(bus.path, clock, bus.number("timeout_s", 1.0))
+
+
+def open_spi(url: str, clock: Clock, mode: int) -> SpiPort:
+    """Open an SPI master with one chip's select line. A node that went is opened again when it is back.
+
+    Args:
+        url: ``spi:///dev/spidev0.0`` (kernel node; ``speed=1000000`` Hz), or ``spi+unix:///path.sock`` (a simulator's).
+        clock: CLOCK_MONOTONIC, ns.
+        mode: CPOL x 2 + CPHA, of the chip.
+
+    Raises:
+        UrlError: The URL is not one of these.
+        OSError: The node cannot be opened.
+    """
+    bus = parse(url, SPI_URLS)
+    from drivers.transports.spi import ReopeningSpi, SpidevPort, UnixSpi  # noqa: PLC0415
+
+    if bus.kind == "spi+unix":
+        return UnixSpi(bus.path, clock)
+    speed_hz = bus.integer("speed", 1_000_000)
+    return ReopeningSpi(lambda: SpidevPort(bus.path, clock, mode, speed_hz), clock)
 
 
 def open_can(url: str, clock: Clock) -> CanPort:

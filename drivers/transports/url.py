@@ -36,6 +36,7 @@ RANGES = {  # of an option that is a number
     "bitrate": (1, 1_000_000),  # ISO 11898-1
     "baud": (50, 12_000_000),  # the slowest of POSIX; the fastest USB adapters
     **dict.fromkeys(("line", "data", "clock"), (0, 2**32 - 1)),  # the kernel's GPIO_V2 offsets
+    "speed": (1_000, 10_000_000),  # AS5048A
     "receive_buffer": (1, 2**31 - 1),  # an int of setsockopt
     "timeout_s": (0, 3600),
 }

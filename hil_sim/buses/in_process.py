@@ -1,7 +1,7 @@
 """Tier T0: the flight computer's bus ends in its own process, on a virtual clock.
 
-smbus2 with its ioctl answered, libgpiod with a chip of two lines, python-can's ``virtual`` interface, port objects for
-``serial.Serial``, and pulse datagrams. Nothing here reads a clock or starts a thread.
+smbus2 and spidev with their ioctl answered, libgpiod with a chip of two lines, python-can's ``virtual`` interface,
+port objects for ``serial.Serial``, and pulse datagrams. Nothing here reads a clock or starts a thread.
 
 python-can's ``virtual`` interface with an adapter that can be pulled out, for buses in one process with twins.
 
@@ -28,6 +28,7 @@ from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
+from hil_sim.buses.spi import SpiBus, install_spi
 from hil_sim.buses.tcp_ends import VirtualTcp
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.scenario import bus_tables
@@ -198,6 +199,16 @@ class _PairPort(Port):
         self._uninstall()
 
 
+class _SpiPort(Port):
+    def __init__(self, path: Path, clock: Callable[[], int]) -> None:
+        bus = SpiBus()
+        self._uninstall = install_spi(path, bus, clock)
+        super().__init__(bus, f"spi://{path}")
+
+    def close(self) -> None:
+        self._uninstall()
+
+
 class _CanPort(Port):
     def __init__(self, channel: str, bit_rate: int, seed: int) -> None:
         self._link = VirtualCan(channel)
@@ -273,8 +284,11 @@ def in_process(
     def open_port(bus: str, table: bus_tables.BusTable, place: int, seed: int) -> Port:
         del place
         match table:
-            case bus_tables.I2cBusTable():
-                return _I2cPort(f"/dev/i2c-{name}-{bus}", clock)
+            case bus_tables.I2cBusTable() | bus_tables.SpiBusTable():
+                spi = table.kind == "spi"
+                return (
+                    _SpiPort(directory / f"{bus}.spidev", clock) if spi else _I2cPort(f"/dev/i2c-{name}-{bus}", clock)
+                )
             case bus_tables.PairBusTable():
                 return _PairPort(f"/dev/gpiochip-{name}-{bus}", clock)
             case bus_tables.CanBusTable():

@@ -214,8 +214,6 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
     scheme, options = url.split(":", 1)[0], {key: values[0] for key, values in parse_qs(urlsplit(url).query).items()}
     try:
         match scheme.split("+")[0]:
-            case "i2c":
-                return {"kind": "i2c"}
             case "can":
                 return {
                     "kind": "can",
@@ -229,11 +227,11 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
             case "serial":
                 line = {"parity": options.get("parity", "N"), "stop_bits": int(options.get("stop_bits", 1))}
                 return {"kind": "serial", "baud_rate": int(options["baud"]), **line}
-            case "tcp" | "udp" as network:
-                return {"kind": network}
+            case "i2c" | "spi" | "tcp" | "udp" as plain:
+                return {"kind": plain}
     except (KeyError, ValueError) as error:
         raise ScenarioError(f"bus.{name}: {url} lacks or has a wrong {error}; correct it") from error
-    raise ScenarioError(f"bus.{name}: {scheme} can not be rehearsed; i2c, can, serial, tcp, udp and gpio can")
+    raise ScenarioError(f"bus.{name}: {scheme} can not be rehearsed; i2c, spi, can, serial, tcp, udp and gpio can")
 
 
 def _as_built(estimation: Table, drawing: Drawing) -> Table:

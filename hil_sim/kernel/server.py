@@ -26,7 +26,7 @@ from hil_sim.faults import NEVER
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.scenario import bus_tables
-from hil_sim.serve import NetworkPort, PairPort, PseudoTerminal
+from hil_sim.serve import WIRES, NetworkPort, PseudoTerminal
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
 _REMOTE: Final = 0x4000_0000
@@ -188,8 +188,8 @@ def open_nodes(
         match table:
             case bus_tables.I2cBusTable():
                 return _I2cPort(_counted_on(i2c_node, place), table.bit_rate)
-            case bus_tables.PairBusTable():
-                return PairPort(directory / f"{bus}.sock")
+            case bus_tables.PairBusTable() | bus_tables.SpiBusTable():
+                return WIRES[table.kind](directory / f"{bus}.sock")
             case bus_tables.CanBusTable():
                 return _CanPort(_counted_on(can_interface, place), table.bit_rate, seed)
             case bus_tables.PulseLineTable():

@@ -35,6 +35,12 @@ class PairBusTable(Table):
     kind: Literal["pair"]
 
 
+class SpiBusTable(Table):
+    """SPI with one chip on a select line."""
+
+    kind: Literal["spi"]
+
+
 class SerialBusTable(Table):
     """A line to one device; ``adapter_latency_ms``: latency timer of a USB adapter, 0 without one."""
 
@@ -58,7 +64,14 @@ class UdpBusTable(Table):
 
 
 BusTable = Annotated[
-    I2cBusTable | CanBusTable | PulseLineTable | PairBusTable | SerialBusTable | TcpBusTable | UdpBusTable,
+    I2cBusTable
+    | CanBusTable
+    | PulseLineTable
+    | PairBusTable
+    | SpiBusTable
+    | SerialBusTable
+    | TcpBusTable
+    | UdpBusTable,
     Field(discriminator="kind"),
 ]
 

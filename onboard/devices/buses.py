@@ -14,7 +14,7 @@ from pydantic import Field
 
 from drivers import transports
 from drivers.device import Device
-from drivers.ports import ClockedPort, I2cPort, PulsePort, SerialPort
+from drivers.ports import ClockedPort, I2cPort, PulsePort, SerialPort, SpiPort
 from drivers.records import PULSE, SCALAR
 from drivers.transports.url import parse
 from onboard.devices.base import BusDevice, Channels, Clock, LoadCellDevice, OpeningBus, Problem, Surroundings
@@ -214,6 +214,25 @@ class PairDevice(BusDevice):
 
     def driver(self, name: str, port: ClockedPort) -> Device:
         """Its driver on open lines."""
+        raise NotImplementedError
+
+
+class SpiDevice(BusDevice):
+    """A device on SPI with a select line of its own: a bus has one."""
+
+    bus_type = "SPI"
+    urls = transports.SPI_URLS
+    new_bus = "spi_{number}"
+    mode: ClassVar[int]  # CPOL x 2 + CPHA
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """See ``BusDevice``."""
+        port = bus.own(transports.open_spi(bus.url, bus.clock, cls.mode))
+        return [device.driver(name, port) for name, device in bus.devices.items()]
+
+    def driver(self, name: str, port: SpiPort) -> Device:
+        """Its driver on an open bus."""
         raise NotImplementedError
 
 

@@ -48,7 +48,7 @@ TOLD = {
     19: "'sequence.0.action': \"swingg\" is none of hold, swing, .* did you mean 'swing'",
     20: r"'sequence.0.duration_s': more than 0 is wanted here \(given: -3\)",
     21: "unknown key 'sequence.0.joints'",
-    24: "'bus.can_0.kind': \"cann\" is none of i2c, can, pulse, pair, serial, tcp, udp; did you mean 'can'",
+    24: "'bus.can_0.kind': \"cann\" is none of i2c, can, pulse, pair, spi, serial, tcp, udp; did you mean 'can'",
     26: "'sensor.imu_base.quantity': \"inertal\" is none of .* did you mean 'inertial'",
     28: "'as_built.link_1': a table is wanted here",
 }

@@ -72,6 +72,8 @@ def _table(device: str, kind: str, number: int, common: str) -> NewDevice:
     url = model.new_url or URLS.get(bus, f"serial:///dev/{bus}?baud={model.new_baud}")
     if bus.startswith("i2c_"):
         url = f"i2c:///dev/{bus.replace('_', '-')}"
+    if bus.startswith("spi_"):
+        url = f"spi:///dev/spidev0.{number - 1}"
     keys = model.new_keys.format(number=number)
     return NewDevice(f'\n[device.{device}]\nkind = "{kind}"\nbus = "{bus}"\n{common}{keys}', bus, url)
 
