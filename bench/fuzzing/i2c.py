@@ -8,9 +8,9 @@ from bench import peers
 from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
 from drivers.device import Device
 from drivers.errors import FrameError
-from drivers.i2c import as5600, nau7802
+from drivers.i2c import as5048, as5600, nau7802
 from drivers.inertial import icm20948
-from drivers.ports import I2cReply
+from drivers.ports import I2cPort, I2cReply
 
 TRANSFER_NS = 100_000
 ERRNOS = (5, 6, 121, 110, 11)  # EIO, ENXIO, EREMOTEIO, ETIMEDOUT, EAGAIN
@@ -44,6 +44,28 @@ class Registers:
 
     def close(self) -> None:
         """See ``I2cPort``."""
+
+
+class Words:
+    """Registers as an AS5048A has them on SPI (``drivers.ports.SpiPort``); ``spoil``: answers with a bit turned."""
+
+    def __init__(self, chip: Registers, spoil: int) -> None:
+        self._chip, self._spoil, self._frames = chip, spoil, 0
+
+    def transfer(self, data: bytes, size: int) -> I2cReply:
+        """See ``SpiPort``: each frame is answered at once, in the place of the next one."""
+        got = bytes(size)
+        for at in range(0, len(data) - size, size):
+            register = int.from_bytes(data[at : at + size], "big") & 0xFF
+            high, low = self._chip.write_read(0x40, bytes([register]), 2).data
+            word = (high << 8 | low) & 0x7FFF
+            word |= (word.bit_count() & 1) << 15
+            self._frames += 1
+            got += (word ^ (self._frames % 16 == self._spoil >> 3 & 15)).to_bytes(size, "big")
+        return I2cReply(got, self._chip.clock())
+
+    def close(self) -> None:
+        """See ``SpiPort``."""
 
 
 class Banked(Registers):
@@ -107,6 +129,17 @@ def as5600_chip(data: bytes) -> None:
     _fly(as5600.As5600("joint", chip, config), chip, body, range(0x0C, 0x0E))
 
 
+def as5048_chip(data: bytes) -> None:
+    """The decoder and the device, as B and, by words that the bytes say, as A."""
+    (which, status), body = leading(data, 2)
+    with contextlib.suppress(FrameError):
+        as5048.decode_output(body)
+    config = as5048.As5048Config((-16384, 16384, 163840)[which % 3], which, (1.0, 5.0, 50.0)[which >> 2 & 1])
+    chip = Registers(peers.Clock(), {0xFB: status & 0x0F, 0xFD: 0x01})
+    port: I2cPort = as5048.As5048aPort(Words(chip, which)) if which & 0x80 else chip
+    _fly(as5048.As5048("joint", port, 0x40, config), chip, body, range(0xFA, 0x100))
+
+
 def icm20948_chip(data: bytes) -> None:
     """The decoder and the device, its banks one above the other; ``count`` bytes are in its FIFO."""
     (which, count), body = leading(data, 2)
@@ -122,6 +155,7 @@ def icm20948_chip(data: bytes) -> None:
 CALLS: dict[str, Callable[[bytes], None]] = {
     "nau7802": nau7802_chip,
     "as5600": as5600_chip,
+    "as5048": as5048_chip,
     "icm20948": icm20948_chip,
 }
 SEEDS = [
@@ -129,4 +163,5 @@ SEEDS = [
     b"\3\0" + bytes([0, 0, 0xBE, 8, 0, 0, 0, 0, 0x9E, 48, 0, 0]) * 8,
     b"\4\x20" + bytes([1, 3, 2, 8, 0, 0, 0, 2, 0x70, 32, 0, 0]) * 8,
     b"\0\0" + bytes([0, 1, 0, 24, 0, 0]) * 6,
+    b"\xb1\1" + bytes([0, 0xFF, 7, 16, 0xFE, 9, 24, 0xFD, 1, 1, 2, 3]) * 8,
 ]

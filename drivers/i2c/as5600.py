@@ -9,16 +9,12 @@ address). Known limit: of what the magnet turned while it was not heard, whole t
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import tau
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from drivers.errors import ConfigurationError, FrameError, WrongDeviceError
-from drivers.i2c.sensor import MS, I2cSensor, Watched
+from drivers.i2c.magnet import MagnetEncoder, MagnetReading
+from drivers.i2c.sensor import MS, Watched
 from drivers.ports import I2cPort
-from drivers.position import Position
-from drivers.records import SCALAR, SampleStatus, Severity
 
 CONF_H, CONF_L, STATUS = 0x07, 0x08, 0x0B
 OURS_H, OURS_L = 0x3F, 0x0F  # WD, FTH, SF; HYST, PM
@@ -26,12 +22,6 @@ FILTER_CODE = {16: 0, 8: 1, 4: 2, 2: 3}  # SF
 DETECTED, WEAK, STRONG = 0x20, 0x10, 0x08  # STATUS: MD, ML, MH
 POWER_UP_NS = 10 * MS
 COUNTS = 4096
-LARGEST_STEP = COUNTS // 4  # between two samples
-FAULTS = (
-    ("magnet_missing", "no magnet is detected: fit it, or lower it to 0.5 to 3 mm above the chip"),
-    ("magnet_weak", "the magnet is too weak: bring it nearer, or take a stronger magnet"),
-    ("magnet_strong", "the magnet is too strong: raise it, or take a weaker magnet"),
-)
 
 
 @dataclass(frozen=True)
@@ -89,10 +79,8 @@ def identify(port: I2cPort, address: int) -> str | None:
     return "AS5600 (by its reserved bits: it has no identity)"
 
 
-class As5600(I2cSensor):
-    """An AS5600 on an ``I2cPort``, as SCALAR rows in rad on the channel of its name.
-
-    ``tick``: CLOCK_MONOTONIC just before the request, ``host_ns``: when the answer had come. ``device_status``: STATUS.
+class As5600(MagnetEncoder):
+    """An AS5600 on an ``I2cPort``; ``device_status``: STATUS.
 
     Args:
         name: Channel, and source of its events.
@@ -104,11 +92,15 @@ class As5600(I2cSensor):
 
     def __init__(self, name: str, port: I2cPort, config: As5600Config | None = None) -> None:
         self.config = config or As5600Config()
-        super().__init__(name, port, self.ADDRESS, round(self.config.sample_period_ms * MS))
-        self._position = Position(LARGEST_STEP, self.config.zero_count, 12)
-        self._next = 0
-        self._last_ns: int | None = None
-        self._magnet_fault = ""
+        super().__init__(
+            name,
+            port,
+            self.ADDRESS,
+            bits=12,
+            zero_count=self.config.zero_count,
+            counts_per_revolution=self.config.counts_per_revolution,
+            sample_period_ms=self.config.sample_period_ms,
+        )
 
     def _watched(self) -> list[Watched]:
         return [
@@ -130,51 +122,10 @@ class As5600(I2cSensor):
     def _begin(self, now_ns: int, anew: bool) -> str:
         return f"AS5600 runs: a reading in {self.config.sample_period_ms:g} ms, filter {self.config.slow_filter}x"
 
-    def _take(self, now_ns: int) -> None:
+    def _read(self) -> MagnetReading:
         reply = self._bus.read(STATUS, 3)
-        try:
-            reading = decode_reading(reply.data)
-        except FrameError as error:
-            self._report.event(now_ns, Severity.ERROR, "bad_frame", str(error))
-            self._interrupt("bad_frame")
-            return
-        self._name_gap(now_ns)
-        fault = self._magnet(now_ns, reading.status)
-        position, accepted = self._position.place(reading.counts) if not fault else (reading.counts, False)
-        row = np.zeros(1, SCALAR)
-        scale = tau / self.config.counts_per_revolution
-        status = SampleStatus.OK if accepted else SampleStatus.NOT_VALID
-        asked_ns = min(now_ns, reply.host_ns)
-        row[0] = (self._next, reply.host_ns, asked_ns, position, scale, b"rad", 0, reading.status, status)
-        self._report.rows(self.name, row)
-        self._next += 1
-        self._last_ns = now_ns
-
-    def _magnet(self, now_ns: int, status: int) -> bool:
-        """Whether the magnet is at fault; an event is emitted when that changes."""
-        seen = (not status & DETECTED, bool(status & WEAK), bool(status & STRONG))
-        code, text = next((said for said, wrong in zip(FAULTS, seen, strict=True) if wrong), ("", ""))
-        if code and code != self._magnet_fault:
-            self._report.event(now_ns, Severity.ERROR, code, text)
-        elif self._magnet_fault and not code:
-            self._report.event(now_ns, Severity.INFO, "magnet_over", "the magnet is within its limits again")
-        self._magnet_fault = code
-        return bool(code)
-
-    def _name_gap(self, now_ns: int) -> None:
-        """Record the readings that were due since the last one as a gap, if it was away."""
-        if self._cause and self._last_ns is not None:
-            lost = max(round((now_ns - self._last_ns) / self._poll_ns) - 1, 0)
-            if lost:
-                first = self._next
-                self._report.gap(now_ns, self.name, first, first + lost - 1, now_ns - self._last_ns, self._cause)
-                self._next += lost
-        self._cause = ""
-
-    def _sleep(self, now_ns: int) -> None:
-        """It has no state to be put to."""
-
-    def _finish(self, now_ns: int) -> str:
-        self._name_gap(now_ns)
-        self._last_ns = None
-        return f"{self._next} samples"
+        counts, status = decode_reading(reply.data)
+        wrong = (not status & DETECTED, bool(status & WEAK), bool(status & STRONG))
+        codes = ("magnet_missing", "magnet_weak", "magnet_strong")
+        fault = next((code for code, seen in zip(codes, wrong, strict=True) if seen), "")
+        return MagnetReading(counts, status, fault, reply.host_ns)

@@ -51,6 +51,7 @@ class I2cSensor(ABC):
     def __init__(self, name: str, port: I2cPort, address: int, poll_period_ns: int) -> None:
         self.name = name
         self._address = address
+        self._where = f"I2C {address:#x}"
         self._bus: RegisterBus = RegisterBus(port, address)
         self._report = Reporter(name)
         self._poll_ns = self._wait_ns = poll_period_ns
@@ -229,7 +230,7 @@ class I2cSensor(ABC):
 
     def _fault(self, now_ns: int, error: OSError) -> None:
         code = "bus_error" if self._configured else "no_answer"
-        text = f"{self.name}: I2C {self._address:#x} does not answer {explain(error)}"
+        text = f"{self.name}: {self._where} does not answer {explain(error)}"
         self._stay_away(now_ns, code, DriverError(text))
 
     def _stay_away(self, now_ns: int, code: str, error: DriverError) -> None:

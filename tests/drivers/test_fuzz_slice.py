@@ -26,6 +26,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "bota_ft": 120,
     "nau7802": 60,
     "as5600": 60,
+    "as5048": 60,
     "icm20948": 60,
     "hx711": 60,
     "vehicle": 12,

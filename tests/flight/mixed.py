@@ -13,6 +13,7 @@ from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.devices.hx711 import Hx711Twin
+from hil_sim.devices.i2c.as5048 import As5048aTwin, As5048bTwin
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
@@ -37,7 +38,7 @@ from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, St
 
 FORCE_N = 12.5
 TORQUE_N_M = 1.5
-LINKS = 9
+LINKS = 11
 BOOT_MS = 1_000  # the slowest twin is up after half of it
 DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -129,6 +130,7 @@ class MixedWorld:
             "robot": bus_tables.TcpBusTable(kind="tcp"),
             "box": bus_tables.UdpBusTable(kind="udp"),
             "hex": bus_tables.UdpBusTable(kind="udp"),
+            "spi_1": bus_tables.SpiBusTable(kind="spi"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -141,6 +143,8 @@ class MixedWorld:
         self.elbow_imu = Icm20948Twin(StairImu(), RateClock(-0.006), START_NS)
         bus["i2c_1"].add(self.elbow_imu)
         bus["i2c_1"].add(As5600Twin(Analog(angle(5)), START_NS, zero_count=77))
+        bus["i2c_1"].add(As5048bTwin(Analog(angle(10)), START_NS, address=0x42, zero_count=5000))
+        bus["spi_1"].add(As5048aTwin(Analog(angle(11)), START_NS, zero_count=16000))
         bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
         bus["cell_lines"].add(Hx711Twin(Analog(force_n), RateClock(0.012), START_NS))
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)

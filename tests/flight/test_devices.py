@@ -111,9 +111,9 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
     signal = smoothed(flying, rows, SECONDS - 0.1)
     at_ns = START_NS + np.arange(4300, 4600, 50) * MS
     roles = roles_of(flying)
-    assert len(roles.joints) == 9
+    assert len(roles.joints) == 11
     for joint in roles.joints:
-        number = int(joint.joint[-1])
+        number = int(joint.joint.partition("_")[2])
         true = np.array([angle(number)(1e-9 * (t - START_NS)) for t in at_ns.tolist()])
         found = signal(joint.channel, at_ns)
         assert (found.refused == 0).all(), joint.channel
@@ -121,7 +121,7 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
         if joint.channel == "elbow":  # it counts modulo 500 until it is set up: where zero is, nobody knows
             true, measured = true[1:] - true[0], measured[1:] - measured[0]
         a_tenth_of_a_millisecond_rad = 0.1e-3 * 0.6
-        a_count_rad = 2.0 * np.pi / 4096 if joint.channel in ("tip", "servo_6", "servo_7") else 0.0
+        a_count_rad = 2.0 * np.pi / 4096 if joint.channel in ("tip", "servo_6", "servo_7", "knee", "hip") else 0.0
         if joint.channel == "robot_8":  # by arrivals alone: two of its sigmas
             a_count_rad = 2e-9 * flying.file.device["robot_8"].delay_ns[1] * 0.6
         assert measured == pytest.approx(true, abs=a_tenth_of_a_millisecond_rad + a_count_rad), joint.channel
@@ -179,7 +179,7 @@ def test_a_bus_that_cannot_be_opened_costs_its_own_devices_only(tmp_path):
     assert said == {(b"i2c_1", b"bus_failed"), (b"imu_tip", b"bus_error")}
     silent = {channel for channel in flying.channels if channel not in rows}
     magnetic = {f"imu_tip_mag_{axis}" for axis in "xyz"}
-    assert silent == {"imu_base", "imu_elbow", "bridge", "tip", "imu_tip", *magnetic}
+    assert silent == {"imu_base", "imu_elbow", "bridge", "tip", "knee", "imu_tip", *magnetic}
 
 
 def test_the_generator_makes_the_syncs_of_a_bus_that_has_no_other(tmp_path):

@@ -205,6 +205,8 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "joint_7": "servo_7",
         "joint_8": "robot_8",
         "joint_9": "wrist_9",
+        "joint_10": "knee",
+        "joint_11": "hip",
     }
     assert [cell.name for cell in roles.cells] == [
         "load_cell",

@@ -111,6 +111,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | URL | carries |
 |---|---|
 | `i2c:///dev/i2c-1` | several I2C devices, by address |
+| `spi:///dev/spidev0.0` (`speed=1000000`) | one device: its select line is the last number |
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
@@ -120,7 +121,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `gpio-pair:///dev/gpiochip0?data=5&clock=6` | one device of a clock line and a data line |
-| `i2c+unix`, `gpio+unix`, `gpio-out+unix`, `gpio-pair+unix` with a socket's path | the same of a simulator |
+| `i2c+unix`, `spi+unix`, `gpio+unix`, `gpio-out+unix`, `gpio-pair+unix` and a socket's path | of a simulator |
 
 `heft preflight VEHICLE` opens every bus, runs every device for a few seconds and reports those that differ from
 the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that cannot be opened, with an event.
@@ -136,6 +137,7 @@ simulated devices in tests.
 WRITTEN = "Written by `python -m tests.onboard.device_page docs/devices.md` from the classes that read the file."
 TITLES = {
     "i2c": "Devices on I2C",
+    "spi": "Devices on SPI",
     "can": "Devices on CAN",
     "gpio": "Devices on two GPIO lines",
     "serial": "Devices on serial lines",
@@ -147,6 +149,7 @@ ROOMS = {
     "i2c": "i2c",
     "can": "can",
     "serial_line": "serial",
+    "spi": "spi",
     "hx711": "gpio",
     "ur_rtde": "tcp",
     "net_ft": "tcp",

@@ -54,7 +54,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
     [
         ('bus = "i2c_1"', 'bus = "i2c_9"', "no bus 'i2c_9'; there are: i2c_1, can_0, sync_line"),
         ("address = 0x68", "address = 0x10", "104 or more is wanted here (given: 16)"),
-        ('kind = "mpu6050"', 'kind = "mpu9999"', "is none of as5600, bota_ft"),
+        ('kind = "mpu6050"', 'kind = "mpu9999"', "is none of as5048a, as5048b"),
         (
             'kind = "mpu6050"',
             'kind = "wind_vane"',
