@@ -189,7 +189,7 @@ class MixedWorld:
         counts = {1: lambda time_s: (1e6 * force_n(time_s), False)}
         self.hand = NetBox(counts, RateClock(4e-5), START_NS, rate_hz=500.0)
         bus["box"].add(self.hand)
-        thumb = {2: lambda time_s: (1e4 * force_n(time_s), False)}
+        thumb = {0: lambda time_s: (1e4 * force_n(time_s), False)}
         bus["hex"].add(HexBox(thumb, RateClock(-3e-5), START_NS))
         for _ in range(BOOT_MS):
             self.advance(MS)
