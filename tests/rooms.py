@@ -115,20 +115,21 @@ def transports_alone_open_buses(path: str, source: str) -> list[str]:
 
 
 def estimation_is_pure(path: str, source: str) -> list[str]:
-    """NumPy, SciPy, filterpy, the standard library, and itself."""
+    """NumPy, SciPy, filterpy, the standard library, the compiled core, and itself."""
     if not path.startswith("onboard/estimation"):
         return []
     known = {"filterpy", "numpy", "scipy", *sys.stdlib_module_names}
     return [
         f"{path}:{i.line}: {i.name}"
         for i in imports(path, source)
-        if not within(i.name, "onboard.estimation", *known) or within(i.name, "logging", "time", "pathlib", "os", "io")
+        if not within(i.name, "onboard.native", "onboard.estimation", *known)
+        or within(i.name, "logging", "time", "pathlib", "os", "io")
     ]
 
 
 LAYERS = {  # of a package: each room may import those before it, and itself; every room is here
     "onboard": (
-        *("estimation", "native", "dynamics", "regressor", "identification", "control"),
+        *("native", "estimation", "dynamics", "regressor", "identification", "control"),
         *("section", "npz", "ring", "channels", "recording", "timebase", "devices", "config"),
         *("flight", "ground", "live", "telemetry", "page", "cli"),
     ),

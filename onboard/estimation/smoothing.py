@@ -10,9 +10,11 @@ moment of h is therefore zero: h passes cubics unchanged, and the error of produ
 linear in the rates) is of fourth order in the width, not of second.
 
 Known limits: the kernel is centred, so a tick needs samples up to half a width after it (fixed-lag smoothing). It is 3
-dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
+dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s). Samples under a kernel and its values there are computed in
+``onboard/native/src/smoothing.c``.
 """
 
+import ctypes
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
+from onboard.native import library, structures
 
 CUTS_OFF = 2.2  # Hz, over the width in s: 3 dB
 ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed for h'', is smooth
@@ -77,16 +80,10 @@ class _Pieces(NamedTuple):
 
     def __call__(self, u: FloatArray) -> FloatArray:
         """The functions at ``u``, (functions, ...)."""
-        place = (np.asarray(u, np.float64) + 0.5) * ORDER
-        interval = np.minimum(np.maximum(place, 0.0), ORDER - 1.0).astype(np.intp)
-        place -= interval
-        coefficients = self.coefficients.take(interval, axis=2)
-        value: FloatArray = coefficients[-1]
-        for coefficient in coefficients[-2::-1]:  # Horner; element by element, so the same bits in every replay
-            value *= place
-            value += coefficient
-        inside = (place >= 0.0) & (place <= 1.0)
-        return value if inside.all() else np.where(inside, value, 0.0)
+        u, (powers, functions, intervals) = library.given(u, *u.shape), self.coefficients.shape
+        coefficients = library.given(self.coefficients, powers, functions, intervals)
+        numbers = library.address(coefficients), powers, functions, intervals, library.address(u), u.size
+        return library.call("heft_pieces", *numbers, out=np.empty((functions, *u.shape)))
 
     def derived(self) -> "_Pieces":
         """Their derivatives."""
@@ -179,29 +176,17 @@ class SmoothingWindow:
         low, high = times.searchsorted(begin, side="right"), times.searchsorted(end, side="left")
         count = high - low
         self.valid: BoolArray = count * kernel.reach >= _MIN_SAMPLES  # (n,)
-        length = int(count.max(initial=1))
-        index = low[:, None] + np.arange(max(length, 1))  # (n, l)
-        whole = bool(count.min(initial=length) == length)  # every window has as many
-        inside = None if whole else index < high[:, None]
-        self._index = index if whole else np.minimum(index, max(times.size - 1, 0))
+        length = max(int(count.max(initial=1)), 1)
+        self._index = np.minimum(low[:, None] + np.arange(length), max(times.size - 1, 0))  # (n, l)
         if not self.valid.any():  # it changes below
             return
-        t = times[self._index]
-        cell = np.empty_like(times)
-        cell[1:-1] = 0.5 * (times[2:] - times[:-2])
-        cell[0], cell[-1] = spacing[0], spacing[-1]
-        self._u = (t - at[:, None]) / width_s  # (n, l)
-        self._cell = cell[self._index] / width_s  # (n, l) quadrature weights
-        steps = t[:, 1:] - t[:, :-1]
-        if inside is None:
-            last = t[:, -1]
-        else:
-            self._u, self._cell = np.where(inside, self._u, 0.0), np.where(inside, self._cell, 0.0)
-            last = t[np.arange(at.size), np.maximum(count, 1) - 1]
-            steps = np.where(inside[:, 1:], steps, 0.0)
-        within = steps.max(axis=1, initial=0.0)
-        edges = np.maximum(t[:, 0] - begin, end - last)
-        self.valid &= np.maximum(within, edges) <= gap * (1.0 + 1e-9)
+        given = library.given(times, times.size), library.given(at, at.size), low, high
+        windows = structures.UnderKernel(times.size, at.size, length, *given)
+        out = np.empty(at.size * (2 * length + 1))
+        library.call("heft_under", ctypes.byref(windows), width_s, gap * (1.0 + 1e-9), out=out)
+        # (n, l) places in widths, and quadrature weights
+        self._u, self._cell, near = library.carved(out, [(at.size, length), (at.size, length), (at.size,)])
+        self.valid &= near != 0.0
 
     def weights(self, derivative: int = 0) -> FloatArray:
         """Weights, (n, l), of the samples under each window; rows of invalid ticks are zero.
@@ -252,18 +237,16 @@ class SmoothingWindow:
             weights per moment error (v, l, 3).
         """
         u, cell = (self._u, self._cell) if self._whole else (self._u[self.valid], self._cell[self.valid])
-        powers = np.empty((*u.shape, 3))
-        powers[..., 0], powers[..., 1], powers[..., 2] = 1.0, u, u * u
         if self.kernel is SPLINE:
-            near, *shapes = _SPLINE_TOGETHER(u)
+            shapes = _SPLINE_TOGETHER(u)
         else:
             about = (u - self.kernel.first_moment) / self.kernel.reach
             near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
-            shapes = [part(u) for part in self.kernel.parts]
-        kernels = np.empty((len(u), 3, u.shape[1]))
-        for order, shape in enumerate(shapes):
-            np.multiply(shape, -cell if order == 1 else cell, out=kernels[:, order])  # the first derivative by parts
-        weighted = powers * (near * cell)[..., None]
+            shapes = np.stack([near, *(part(u) for part in self.kernel.parts)])
+        n, length = u.shape
+        given = (library.address(part) for part in (u, cell, shapes))
+        out = library.call("heft_kernels", n, length, *given, out=np.empty(9 * u.size))
+        kernels, powers, weighted = library.carved(out, [(n, 3, length), (n, length, 3), (n, length, 3)])
         correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
         return kernels, powers, correctors
 

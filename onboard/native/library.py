@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.native import build
 from onboard.native.errors import ArrayError, NativeError
 
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
 _INT, _FLOAT, _ARRAY = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _WORDS = {1: "an array's length is not that of the results", 2: "no memory"}
 _SIGNATURES = {  # all end with the results and their number
@@ -42,6 +44,9 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
     "heft_moments": (_INT, _ARRAY),
     "heft_tick_means": (_ARRAY, _FLOAT, _FLOAT),
+    "heft_under": (_ARRAY, _FLOAT, _FLOAT),
+    "heft_pieces": (_ARRAY, _INT, _INT, _INT, _ARRAY, _INT),
+    "heft_kernels": (_INT, _INT, *[_ARRAY] * 3),
     "heft_predict_table": (_ARRAY,),
     "heft_scaled": (_INT, *[_ARRAY] * 3),
     "heft_scaled_derive": (_INT, *[_ARRAY] * 4, _INT),

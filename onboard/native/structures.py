@@ -3,8 +3,7 @@
 import ctypes
 from typing import Any, ClassVar
 
-from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.native.library import address
+from onboard.native.library import FloatArray, IndexArray, address
 
 
 class _Structure(ctypes.Structure):
@@ -95,6 +94,13 @@ class Samples(_Structure):
 
     NUMBERS = 4
     _fields_ = _fields("count ticks columns gap", "times_s at_s values delays_s noise wrong")
+
+
+class UnderKernel(_Structure):
+    """``heft_windows``."""
+
+    NUMBERS = 3
+    _fields_ = _fields("samples ticks length", "times_s at_s low high")
 
 
 class AirBearingRun(_Structure):

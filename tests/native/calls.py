@@ -22,6 +22,8 @@ from onboard.dynamics.joint_errors import EncoderReadings, ErrorsAlong
 from onboard.dynamics.kinematics import Bodies, Frames, chain_motion
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
+from onboard.estimation.errors import RowError
+from onboard.estimation.smoothing import SmoothingWindow
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import TickPrediction
@@ -30,7 +32,7 @@ from onboard.native.errors import ArrayError
 from onboard.timebase import polygon
 from tests.native.vehicles import PERIOD_s, on_table, random_case
 
-REFUSALS = ArrayError, SignalError, ValueError, IndexError, MemoryError
+REFUSALS = ArrayError, RowError, SignalError, ValueError, IndexError, MemoryError
 
 
 def outcomes(seed):
@@ -60,6 +62,7 @@ def outcomes(seed):
     )
     more = plus.plus(rng.normal(size=7), np.array([0, 3]))
     table = predict_planar(*on_table(case, seed))
+    window = SmoothingWindow(np.cumsum(rng.uniform(0.5, 1.5, 60)), rng.uniform(0.0, 60.0, 9), 20.0)
     slid = table.velocity, table.base.specific_force, table.base.along
     parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
     return [
@@ -74,6 +77,7 @@ def outcomes(seed):
         wide,
         *polygon.moments(wide),
         *more,
+        *window._correction[:2],
     ]
 
 
@@ -135,6 +139,8 @@ def fuzz_once(seed):
     attempt(imu_reading, lines[..., :1], lines[..., :1], np.ones(3), own)
     attempt(imu_reading, *(spoiled(np.ones((5, 6))) for _ in range(2)), spoiled(np.ones(5)), own)
     attempt(gain_of, own)
+    times = spoiled(np.cumsum(rng.uniform(0.5, 1.5, 60)))
+    attempt(lambda: SmoothingWindow(times, spoiled(np.linspace(0.0, 60.0, 9)), 20.0).apply(spoiled(times), 2))
     source = other if rng.random() < 0.3 else case
     cut = CutWrench(
         source.vehicle, source.vehicle.joints[-1].name, np.ones(6), source.free, source.errors.of_cyclic.tolist()

@@ -9,12 +9,14 @@ from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
 from onboard.dynamics.kinematics import Bodies, chain_motion
 from onboard.dynamics.spatial import Columns
+from onboard.estimation import kinematics, smoothing
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import imu as of_imu
+from tests.native.oracle import smoothing as of_smoothing
 from tests.native.oracle import table as of_table
 from tests.native.oracle.bodies import Bodies as OracleBodies
 from tests.native.oracle.chain import chain_motion as oracle_chain
@@ -170,6 +172,31 @@ def test_errors_of_bodies_in_the_drawing(bodies):
     ours = by.copy()
     scaled.derive(ours, state)
     same(ours, of_errors.derived(at, drawn, by, state))
+
+
+@pytest.mark.parametrize("kernel", [smoothing.SPLINE, kinematics.filter_kernel()])
+@pytest.mark.parametrize("seed", range(6))
+def test_samples_under_a_kernel(seed, kernel):
+    rng, width_s, gap_s = np.random.default_rng(seed), 0.1, 0.0015
+    times = np.cumsum(rng.uniform(0.0002, 0.0005, 1500) * rng.choice([1.0, 8.0], 1500, p=[0.997, 0.003]))
+    at = rng.uniform(times[0] - 0.02, times[-1] + 0.02, 40)
+    window = smoothing.SmoothingWindow(times, at, width_s, gap_s, kernel)
+    low, high = times.searchsorted(at - 0.5 * width_s, "right"), times.searchsorted(at + 0.5 * width_s, "left")
+    u, cell, whole = of_smoothing.under(times, at, low, high, width_s, gap_s * (1.0 + 1e-9))
+    assert (window.valid == (whole & ((high - low) * kernel.reach >= 5))).all()
+    assert 0 < window.valid.sum() < len(at)
+    u, cell = u[window.valid], cell[window.valid]
+    if kernel is smoothing.SPLINE:
+        shapes = of_smoothing.pieces(smoothing._SPLINE_TOGETHER.coefficients, u)
+        np.testing.assert_array_equal(smoothing._SPLINE_TOGETHER(u), shapes)
+        assert not smoothing._SPLINE_TOGETHER(np.array([-0.51, 0.6, np.inf, np.nan])).any()
+    else:
+        about = np.clip((u - kernel.first_moment) / kernel.reach, -0.5, 0.5)
+        shapes = np.stack([smoothing._BASE(about), *(part(u) for part in kernel.parts)])
+    kernels, powers, weighted = of_smoothing.kernels(u, cell, shapes)
+    correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
+    for found, true in zip(window._correction, (kernels, powers, correctors), strict=True):
+        np.testing.assert_array_equal(found, true)
 
 
 def test_sine_cosine_and_exponential_are_those_of_the_processor_to_rounding(case):
