@@ -16,6 +16,8 @@ from bench.architecture_picture import floors, imports
 from hil_sim.devices import vehicle_file
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard.cli import main, parser
+from onboard.ground.campaign import plan_file
+from onboard.ground.campaign.design import items
 from tests.flight.missions import SHORT, Result
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,12 +67,20 @@ def test_every_command_shown_exists_with_its_options(page: Path) -> None:
         assert path.is_file() or path.is_dir() or path.with_suffix(".py").is_file(), path
 
 
-def test_recipes_are_scenarios_that_differ_from_the_vehicles_own() -> None:
+def test_recipes_are_plans_or_scenarios_that_differ_from_the_vehicles_own(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8"), re.DOTALL)
     usual = scenario_of("dymaflex", {})
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     for block in blocks:
-        assert scenario_of("dymaflex", tomllib.loads(block)) != usual, block
+        scenarios = [tomllib.loads(block)]
+        if "campaign" in scenarios[0]:
+            plan = tmp_path / "plan.toml"
+            plan.write_text(block)
+            flights = items(plan_file.read(plan))
+            assert len({str(flight.scenario) for flight in flights}) > 1
+            scenarios = [flight.scenario for flight in flights]
+        for scenario in scenarios:
+            assert scenario_of("dymaflex", scenario) != usual, block
 
 
 def test_the_changelog_is_what_a_user_notices() -> None:
