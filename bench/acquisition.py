@@ -34,7 +34,7 @@ import can
 import numpy as np
 
 from bench.pumps.can_bus import slcan_case, socket_case, virtual_case
-from bench.pumps.case import CAPACITY, Case, Rings, push_one_by_one
+from bench.pumps.case import CAPACITY, PumpCase, Rings, push_one_by_one
 from bench.pumps.streams import mpu6050_cases, node_case, qsb_case
 from drivers import records
 from onboard.ring import RingWriter
@@ -49,7 +49,7 @@ ROOMS = (
 )
 
 
-class Line(NamedTuple):
+class MeasuredCase(NamedTuple):
     """A case measured, us a record."""
 
     name: str
@@ -59,7 +59,7 @@ class Line(NamedTuple):
     to_ring: float
 
 
-def measured(case: Case, rounds: int, ring: RingWriter) -> Line:
+def measured(case: PumpCase, rounds: int, ring: RingWriter) -> MeasuredCase:
     """Medians over ``rounds`` of the mean of ``PUMPS``, us a record.
 
     Raises:
@@ -86,7 +86,7 @@ def measured(case: Case, rounds: int, ring: RingWriter) -> Line:
         if number >= 2:  # two to warm up
             for total_ns, figure in zip((ours_ns, objects_ns, objects_ns + pushes_ns), figures, strict=True):
                 figure.append(1e-3 * total_ns / (PUMPS * case.records))
-    return Line(case.name, case.bar, *map(statistics.median, figures))
+    return MeasuredCase(case.name, case.bar, *map(statistics.median, figures))
 
 
 def import_seconds(modules: str) -> tuple[float, float]:

@@ -27,7 +27,7 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 DATASETS: Final = Path(os.environ.get("HEFT_DATASETS", ROOT.parent / "shared/datasets"))
 
 
-class Bench(NamedTuple):
+class Job(NamedTuple):
     """A command, and its arguments for a short run and for the whole one."""
 
     module: str
@@ -43,36 +43,36 @@ class Bench(NamedTuple):
 
 
 BENCHES: Final = (
-    Bench("acquisition", "--rounds 7", "--rounds 21"),
-    Bench("recording", "--records 100000"),
-    Bench("reading", "--records 100000 --minutes 1"),
-    Bench("kill_recorder", "--kills 10", "--kills 200"),
-    Bench("timebase", "--seeds 4 --hour 120 --field 1", "--real"),
-    Bench("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
-    Bench("speed", "--only hil-rocksat --rounds 1"),
-    Bench("flight", "--quick", "--minutes 1"),
-    Bench("page", "--seconds 10", "--vehicle dymaflex --seconds 30"),
-    Bench("page_drawing", "--seconds 3", "--seconds 10"),
-    Bench("restarts", "--kills 1", "--kills 50 --load 4 --nice -10"),
-    Bench("mission_accuracy", "rocksat --first 501 --seeds 2", "rocksat --first 501 --seeds 6", label="rocksat"),
-    Bench("mission_accuracy", "dymaflex --first 1101 --seeds 2", "dymaflex --first 1101 --seeds 8", label="dymaflex"),
-    Bench("mission_accuracy", "noise --seeds 2", "noise", label="noise"),
-    Bench("mission_accuracy", "recursive --seeds 1", "recursive --seeds 40", label="recursive"),
-    Bench("captures", "--seeds 2"),
-    Bench(
+    Job("acquisition", "--rounds 7", "--rounds 21"),
+    Job("recording", "--records 100000"),
+    Job("reading", "--records 100000 --minutes 1"),
+    Job("kill_recorder", "--kills 10", "--kills 200"),
+    Job("timebase", "--seeds 4 --hour 120 --field 1", "--real"),
+    Job("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
+    Job("speed", "--only hil-rocksat --rounds 1"),
+    Job("flight", "--quick", "--minutes 1"),
+    Job("page", "--seconds 10", "--vehicle dymaflex --seconds 30"),
+    Job("page_drawing", "--seconds 3", "--seconds 10"),
+    Job("restarts", "--kills 1", "--kills 50 --load 4 --nice -10"),
+    Job("mission_accuracy", "rocksat --first 501 --seeds 2", "rocksat --first 501 --seeds 6", label="rocksat"),
+    Job("mission_accuracy", "dymaflex --first 1101 --seeds 2", "dymaflex --first 1101 --seeds 8", label="dymaflex"),
+    Job("mission_accuracy", "noise --seeds 2", "noise", label="noise"),
+    Job("mission_accuracy", "recursive --seeds 1", "recursive --seeds 40", label="recursive"),
+    Job("captures", "--seeds 2"),
+    Job(
         "mission_accuracy",
         "tools --seeds 1 --first 101",
         "tools --seeds 3 --first 101",
         recordings="workshop_tools",
         label="tools",
     ),
-    Bench("mission_accuracy", "planar --seeds 1", "planar --seeds 33", label="planar"),
-    Bench("resync", "--seeds 2", "--seeds 100"),
-    Bench("tudelft_accuracy", "{recordings} --offsets 1", "{recordings}", "tudelft_tumbling"),
-    Bench("arms", "", "", "staubli_tx40"),
-    Bench("bodies", "planar --seeds 1 --seconds 30", "planar", label="planar_bodies"),
-    Bench("bodies", "spherical --seeds 1", "spherical", label="spherical_bearing"),
-    Bench(
+    Job("mission_accuracy", "planar --seeds 1", "planar --seeds 33", label="planar"),
+    Job("resync", "--seeds 2", "--seeds 100"),
+    Job("tudelft_accuracy", "{recordings} --offsets 1", "{recordings}", "tudelft_tumbling"),
+    Job("arms", "", "", "staubli_tx40"),
+    Job("bodies", "planar --seeds 1 --seconds 30", "planar", label="planar_bodies"),
+    Job("bodies", "spherical --seeds 1", "spherical", label="spherical_bearing"),
+    Job(
         "faults",
         "--flights 4 --first 7601 --without-estimator",
         "--flights 40 --first 7601 --without-estimator",
@@ -91,7 +91,7 @@ class BenchResult(NamedTuple):
     cpu_s: float = 0.0
 
 
-def run(bench: Bench, quick: bool, out: Path) -> BenchResult:
+def run(bench: Job, quick: bool, out: Path) -> BenchResult:
     """Run one; what it prints goes to the terminal and into a file."""
     recordings = DATASETS / bench.recordings
     arguments = (bench.quick if quick else bench.whole).format(recordings=recordings)

@@ -38,7 +38,7 @@ AS_IT_IS: Final = WEIGHED | {
 EDITS: Final = {"as init writes it": {}, "mass weighed": WEIGHED, "all as it is": AS_IT_IS}
 
 
-class Told(NamedTuple):
+class ScoredAnswer(NamedTuple):
     """An answer beside the truth, SI."""
 
     name: str
@@ -53,7 +53,7 @@ class Run(NamedTuple):
 
     seed: int
     verdict: str  # its level
-    told: tuple[Told, ...]
+    told: tuple[ScoredAnswer, ...]
 
 
 class Bar(NamedTuple):
@@ -88,7 +88,7 @@ def spherical(seed: int, directory: Path) -> Run:
         seed,
         worst.split(":", maxsplit=1)[0],
         tuple(
-            Told(
+            ScoredAnswer(
                 name := row["quantity"],
                 row["value"] - row["truth"],
                 row["sigma"],
@@ -101,7 +101,7 @@ def spherical(seed: int, directory: Path) -> Run:
     )
 
 
-def planar(bed: floating_bed.Bed, seed: int, directory: Path, edits: dict[str, str]) -> Run:
+def planar(bed: floating_bed.RecordedBed, seed: int, directory: Path, edits: dict[str, str]) -> Run:
     """One identification by the three commands of the page, the vehicle file edited by ``edits``."""
     floating_bed.write(bed, directory)
     lab, out = directory / "lab", directory / "told.json"
@@ -124,7 +124,7 @@ def planar(bed: floating_bed.Bed, seed: int, directory: Path, edits: dict[str, s
         seed,
         found["verdict"]["level"],
         tuple(
-            Told(
+            ScoredAnswer(
                 one["name"],
                 one["value"] - (true := bed.truth[one["name"]]),
                 one["sigma"],

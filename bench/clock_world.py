@@ -147,7 +147,7 @@ class Errors:
         return error[which] * 1e-3, sigma[which] * 1e-3
 
 
-class World:
+class ClockWorld:
     """Devices, drivers and a timebase.
 
     Args:
@@ -272,9 +272,9 @@ class World:
 CHANNELS = ("imu", "pulse", "sync", "shoulder", "tip", "elbow", "elbow_mark", "cell", "wrist_angle", "wrist_mark")
 
 
-def fly(seed: int, seconds: float, *, everything: bool = False, **options: Any) -> World:
+def fly(seed: int, seconds: float, *, everything: bool = False, **options: Any) -> ClockWorld:
     """One flight."""
     with ExitStack() as stack:
-        world = World(stack, seed, everything, **options)
+        world = ClockWorld(stack, seed, everything, **options)
         world.run(seconds, 1 if everything else options.get("poll_ms", 10))
         return world

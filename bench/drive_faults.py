@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.records import Batch
-from hil_sim.arm_rig import BUS, START_NS, ArmRig, Motor
+from hil_sim.arm_rig import BUS, START_NS, ArmRig, RigMotor
 from hil_sim.faults import Fault, FaultKind
 from onboard import config
 from onboard.flight.acquire.acquisition import Acquisition
@@ -44,10 +44,10 @@ HOST = ("kill", "restart", "sigterm", "stall")
 COUNTS = (4_000, 20_000, 500_000, 1_048_576)
 
 
-class Joint(NamedTuple):
+class MotorJoint(NamedTuple):
     """One joint as the URDF has it, and its motor."""
 
-    motor: Motor
+    motor: RigMotor
     low: float
     high: float
     rate: float
@@ -169,12 +169,12 @@ def _drive(rig: ArmRig, directory: Path, host: list[tuple[str, int, int]], end_n
 # What is drawn
 
 
-def _joints(rng: np.random.Generator) -> list[Joint]:
+def _joints(rng: np.random.Generator) -> list[MotorJoint]:
     joints = []
     for k in range(int(rng.integers(2, 4))):
         low, high = -rng.uniform(0.2, 2.0), rng.uniform(0.2, 2.0)
         torque = 10.0 ** rng.uniform(0.7, 1.7)
-        motor = Motor(
+        motor = RigMotor(
             f"joint_{k + 1}",
             k + 1,
             0.0,
@@ -184,11 +184,11 @@ def _joints(rng: np.random.Generator) -> list[Joint]:
             float(torque),
             float(torque / rng.uniform(10.0, 40.0)),
         )
-        joints.append(Joint(motor, float(low), float(high), float(rng.uniform(0.3, 1.0))))
+        joints.append(MotorJoint(motor, float(low), float(high), float(rng.uniform(0.3, 1.0))))
     return joints
 
 
-def _motion(rng: np.random.Generator, joints: list[Joint], seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def _motion(rng: np.random.Generator, joints: list[MotorJoint], seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and angles (n, joints): swings that begin and end at rest, within range, rate and acceleration."""
     time_s = np.linspace(0.0, seconds, 150)
     window = np.sin(np.pi * time_s / seconds) ** 2
@@ -210,7 +210,7 @@ def _motion(rng: np.random.Generator, joints: list[Joint], seconds: float) -> tu
 
 
 def _faults(
-    rng: np.random.Generator, joints: list[Joint], until_s: float
+    rng: np.random.Generator, joints: list[MotorJoint], until_s: float
 ) -> tuple[list[Fault], list[tuple[str, int, int]]]:
     faults: list[Fault] = []
     host: list[tuple[str, int, int]] = []
@@ -247,7 +247,7 @@ def _value(rng: np.random.Generator, kind: FaultKind) -> float:
     return float(values.get(kind, 0.0))
 
 
-def _write(directory: Path, joints: list[Joint], mode: str, time_s: np.ndarray, q: np.ndarray) -> None:
+def _write(directory: Path, joints: list[MotorJoint], mode: str, time_s: np.ndarray, q: np.ndarray) -> None:
     """Vehicle file, URDF and CSV."""
     links, devices, inertial = (
         "",

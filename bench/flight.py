@@ -40,7 +40,7 @@ from onboard import config
 from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 
 LOOK_S = 0.002
 WARM_UP_S = 4.0
@@ -90,7 +90,7 @@ class Ground:
 
     def told(self, apids: dict[str, int]) -> str:
         """Packets by kind, and bytes a second."""
-        stream, series = Stream(apids), Series()
+        stream, series = Splitter(apids), Series()
         found = stream.feed(self.data) + stream.finish()
         kinds = Counter(packet.kind.name for packet in found if series.place(packet).new)
         of = ", ".join(f"{name} {count}" for name, count in sorted(kinds.items()))

@@ -24,7 +24,7 @@ THRUSTERS = {  # place and direction of the force on the body, drawn: two at eac
 }
 
 
-class Bed(NamedTuple):
+class RecordedBed(NamedTuple):
     """What is true, and what was recorded."""
 
     mass_kg: float
@@ -71,7 +71,7 @@ def commands(rng: np.random.Generator, seconds: float, period_s: float = 0.02) -
 
 
 @dataclass(frozen=True)
-class Wrong:
+class UnstatedErrors:
     """What nobody stated."""
 
     force: Floats = field(default_factory=lambda: np.ones(8))  # factor of each thruster
@@ -84,9 +84,9 @@ def fly(
     seed: int,
     seconds: float = 60.0,
     delay_s: float | None = None,
-    wrong: Wrong | None = None,
+    wrong: UnstatedErrors | None = None,
     period_s: float = 0.02,
-) -> Bed:
+) -> RecordedBed:
     """A run; forces off by 2 %, directions by 0.01 rad, places by 2 mm, valves late by 0 to 0.5 s and shut below 20 to
     70 ms, the table tilted by 0.5 mrad; poses with noise of 0.3 mm and 0.6 mrad.
 
@@ -97,7 +97,7 @@ def fly(
         wrong: besides.
         period_s: of the commands; poses come every 10 ms.
     """  # noqa: D205
-    wrong = wrong or Wrong()
+    wrong = wrong or UnstatedErrors()
     rng = np.random.default_rng(seed)
     mass, inertia = rng.uniform(8.0, 14.0), rng.uniform(0.12, 0.3)
     centre = rng.uniform(-0.02, 0.02, 2)
@@ -134,7 +134,7 @@ def fly(
     shown += rng.normal(0.0, 1.0, shown.shape) * [3e-4, 3e-4, 6e-4]
     time_s = np.arange(n)[::10] * STEP_s
     time = np.arange(len(levels)) * period_s
-    return Bed(
+    return RecordedBed(
         float(mass),
         (float(centre[0]), float(centre[1])),
         inertia,
@@ -204,7 +204,7 @@ def urdf(mass_kg: float) -> str:
     )
 
 
-def write(bed: Bed, directory: Path) -> None:
+def write(bed: RecordedBed, directory: Path) -> None:
     """``run.csv``: commands at the poses' times, as a laboratory's logger has them; ``body.urdf``, mass to 0.5 %."""
     at = np.searchsorted(bed.time_s, bed.pose_s, side="right") - 1
     keep = (at >= 0) & (bed.pose_s <= bed.time_s[-1])

@@ -28,7 +28,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.fuzzing import NAMES, atheris_engine, own_engine, target
-from bench.fuzzing.findings import FOLDER, ROOT, Findings, Result
+from bench.fuzzing.findings import FOLDER, ROOT, FuzzFindings, Result
 
 
 def fuzz(name: str, engine: str, seed: int, seconds: float) -> Result:
@@ -47,7 +47,7 @@ def fuzz(name: str, engine: str, seed: int, seconds: float) -> Result:
 def child(name: str, seed: int, seconds: float) -> None:
     """One decoder by our own engine, in this process; one JSON line."""
     fuzzed = target(name)
-    findings = Findings(fuzzed.call, FOLDER / name)
+    findings = FuzzFindings(fuzzed.call, FOLDER / name)
     result = own_engine.fuzz(fuzzed, seed, findings, None, seconds)
     print(json.dumps([*result[:3], *map(str, result.files)]))
 

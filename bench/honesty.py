@@ -35,7 +35,7 @@ from onboard.ground.campaign.store import Store
 from onboard.identification.standing import Level
 
 
-class Flight(NamedTuple):
+class FlightRows(NamedTuple):
     """A flight's rows."""
 
     rows: list[dict[str, Any]]
@@ -82,7 +82,7 @@ class Flight(NamedTuple):
         return all(device in where for _, device, *_ in self.faults)
 
 
-def counts(flights: list[Flight]) -> list[str]:
+def counts(flights: list[FlightRows]) -> list[str]:
     """The numbers of random flights, a line each."""
     unseen = [one for one in flights if one.rows[0]["unseen"]]
     nonsense = [one for one in flights if one.has(Outcome.NONSENSE)]
@@ -131,7 +131,7 @@ def _share(part: int, whole: int) -> str:
     return f"{part} of {whole}, {share_of(part, whole).text}"
 
 
-class Campaign(NamedTuple):
+class CampaignRows(NamedTuple):
     """What lies in the directories of one."""
 
     rows: list[dict[str, Any]]
@@ -139,7 +139,7 @@ class Campaign(NamedTuple):
     revisions: tuple[str, ...]
 
 
-def read(directories: list[Path]) -> Campaign:
+def read(directories: list[Path]) -> CampaignRows:
     """The rows of all flights that are done."""
     rows, failures = list[dict[str, Any]](), 0
     for directory in directories:
@@ -147,7 +147,7 @@ def read(directories: list[Path]) -> Campaign:
         items = store.content().items
         failures += len(store.failures(items))
         rows += store.rows(items)
-    return Campaign(rows, failures, tuple(sorted({row["revision"] for row in rows})))
+    return CampaignRows(rows, failures, tuple(sorted({row["revision"] for row in rows})))
 
 
 def _at_all_instants(rows: list[dict[str, Any]]) -> str:
@@ -196,10 +196,10 @@ wrong; *another blamed*: flights that say of something else that it contradicts.
 """
 
 
-def _random(own: Campaign) -> int:
-    flights: dict[str, Flight] = {}
+def _random(own: CampaignRows) -> int:
+    flights: dict[str, FlightRows] = {}
     for row in own.rows:
-        flights.setdefault(row["flight"], Flight([])).rows.append(row)
+        flights.setdefault(row["flight"], FlightRows([])).rows.append(row)
     print("\n".join(counts(list(flights.values()))))
     print(f"failed programs: {own.failures}")
     return int(any(one.has(Outcome.NONSENSE) for one in flights.values()))

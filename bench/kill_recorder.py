@@ -39,7 +39,7 @@ RATES_HZ = {"imu_0": 1000, "imu_1": 1000, **{f"joint_{n}": 500 for n in range(1,
 STORAGE = manifest.Storage(200_000_000, 5_000_000_000, 64 << 20, 1 << 20)  # segments of 5 s, to change them often
 
 
-class Campaign(NamedTuple):
+class KillCounts(NamedTuple):
     """What came of a campaign; all but ``kills``, ``rows`` and ``segments`` should be 0."""
 
     kills: int
@@ -113,7 +113,7 @@ class _Killable:
         self._pipe.close()
 
 
-def campaign(folder: Path, kills: int, seed: int, longest_s: float = 0.8) -> Campaign:
+def campaign(folder: Path, kills: int, seed: int, longest_s: float = 0.8) -> KillCounts:
     """Fly, kill ``kills`` times, kill all, harvest, compare.
 
     Args:
@@ -154,7 +154,7 @@ def _published(directory: Path) -> dict[str, int]:
     return {name: RingReader(directory / f"{name}.ring").published for name in RATES_HZ}
 
 
-def _compare(log: LogReader, pushed: dict[str, int], kills: int) -> Campaign:
+def _compare(log: LogReader, pushed: dict[str, int], kills: int) -> KillCounts:
     lost = doubled = altered = 0
     for name, count in pushed.items():
         rows = log.read(name)
@@ -165,7 +165,7 @@ def _compare(log: LogReader, pushed: dict[str, int], kills: int) -> Campaign:
         altered += sum(int((rows[field] != made[field]).any()) for field in rows.dtype.names or ())
     gaps = log.read("recorder_gap")
     told = int((gaps["last_missing"] - gaps["first_missing"] + 1).sum())
-    return Campaign(kills, sum(pushed.values()), len(log.segments), lost, doubled, altered, told, len(log.damage))
+    return KillCounts(kills, sum(pushed.values()), len(log.segments), lost, doubled, altered, told, len(log.damage))
 
 
 def main() -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 from PIL import Image
 
 from onboard.cli import main
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.recording.reader import LogReader
 from tests.page.browser import browser, opened
 
@@ -29,7 +29,7 @@ def take(log: Path, output: Path) -> None:
         output: is made.
     """
     output.mkdir(parents=True, exist_ok=True)
-    source = Recorded(LogReader(log))
+    source = LogFrames(LogReader(log))
     with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as tab, opened(tab, source):
         tab.wait("document.querySelector('.answer[data-name]') !== null")
         steps = source.about()["steps"]

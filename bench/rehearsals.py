@@ -27,7 +27,7 @@ SECTIONS = ("masses", "centres", "inertias", "parameters")
 FAR = 4.0  # sigmas
 
 
-class Case(NamedTuple):
+class Setup(NamedTuple):
     """A vehicle by the options of ``heft init``, and what its scenario file says."""
 
     init: tuple[str, ...]
@@ -35,15 +35,15 @@ class Case(NamedTuple):
 
 
 CASES = {
-    "planar_arm": Case(("--base", "free", "--urdf", str(OWN / "planar_arm.urdf"))),
-    "six_joints": Case(("--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf"))),
-    "spinner": Case(("--base", "free", "--urdf", str(OWN / "spinner.urdf")), "release.spin_rad_s = [0.1, -0.05, 1.2]"),
-    "free": Case(("--base", "free", "--joints", "3")),
-    "free_1_kg": Case(("--base", "free", "--joints", "3"), "payload.mass_kg = [1.0, 1.0]"),
-    "planar": Case(("--base", "planar", "--joints", "2")),
-    "prescribed": Case(("--base", "prescribed", "--joints", "2", "--load-cell", "cia404")),
-    "fixed": Case(("--base", "fixed", "--joints", "2", "--load-cell", "cia404")),
-    "from_rocksat": Case(("--from", "rocksat")),
+    "planar_arm": Setup(("--base", "free", "--urdf", str(OWN / "planar_arm.urdf"))),
+    "six_joints": Setup(("--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf"))),
+    "spinner": Setup(("--base", "free", "--urdf", str(OWN / "spinner.urdf")), "release.spin_rad_s = [0.1, -0.05, 1.2]"),
+    "free": Setup(("--base", "free", "--joints", "3")),
+    "free_1_kg": Setup(("--base", "free", "--joints", "3"), "payload.mass_kg = [1.0, 1.0]"),
+    "planar": Setup(("--base", "planar", "--joints", "2")),
+    "prescribed": Setup(("--base", "prescribed", "--joints", "2", "--load-cell", "cia404")),
+    "fixed": Setup(("--base", "fixed", "--joints", "2", "--load-cell", "cia404")),
+    "from_rocksat": Setup(("--from", "rocksat")),
 }
 
 

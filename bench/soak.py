@@ -29,7 +29,7 @@ WARM_UP_S = 120.0
 GROWTH_MB_H = 5.0
 
 
-class Look(NamedTuple):
+class ProcessLoad(NamedTuple):
     """Of all processes of a flight at one instant."""
 
     at_s: float
@@ -41,7 +41,7 @@ class Look(NamedTuple):
     kinds_mb: dict[str, float]  # PSS by process and kind: a ring counts for who has touched it, at most once round
 
 
-def look(flight: RealFlight, at_s: float) -> Look:
+def look(flight: RealFlight, at_s: float) -> ProcessLoad:
     """Now."""
     pss: dict[str, float] = {}
     kinds: dict[str, float] = {}
@@ -59,7 +59,7 @@ def look(flight: RealFlight, at_s: float) -> Look:
             continue  # it has just ended
         processes += 1
     shared = sum(path.stat().st_blocks * 512 for path in flight.rings.rglob("*") if path.is_file())
-    return Look(at_s, pss, files, threads, processes, shared, kinds)
+    return ProcessLoad(at_s, pss, files, threads, processes, shared, kinds)
 
 
 class Growth(NamedTuple):
@@ -78,7 +78,7 @@ def growth(at_s: np.ndarray, values: np.ndarray) -> Growth:
     return Growth(float(slope * (at_s[-1] - at_s[0])), scatter, float(values[0]), float(values[-1]))
 
 
-def judge(looks: list[Look]) -> tuple[list[str], dict[str, Growth]]:
+def judge(looks: list[ProcessLoad]) -> tuple[list[str], dict[str, Growth]]:
     """What grows, and by how much each quantity does."""
     at_s = np.array([one.at_s for one in looks])
     hours = (at_s[-1] - at_s[0]) / 3600.0
@@ -109,7 +109,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as directory:
         place = Path(directory)
         over = longer(options.vehicle, seconds + 60.0, place)
-        looks: list[Look] = []
+        looks: list[ProcessLoad] = []
         with flying(options.vehicle, place, name="soak", over=over) as flight:
             began_s = time.monotonic()
             while (now_s := time.monotonic() - began_s) < seconds and flight.process.poll() is None:

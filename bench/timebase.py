@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.clock_sensors import START_NS, Floats
-from bench.clock_world import World, fly
+from bench.clock_world import ClockWorld, fly
 from drivers.sync_pulse import code
 from hil_sim.mission import open_in_process
 from onboard import config
@@ -28,7 +28,7 @@ from onboard.timebase.clock import ClockState, DeviceClock, Mark
 from onboard.timebase.pulse_train import PulseTrain
 
 
-def quantisation_limit_ns(world: World) -> float:
+def quantisation_limit_ns(world: ClockWorld) -> float:
     """Error at the last edge of the best there is: all that the flags say, the rate unknown and known not to drift."""
     imu = world.imu.times_s
     period_ns, phase_ns = 1e9 * float(np.mean(np.diff(imu[-2000:]))), 1e9 * float(imu[-1])
@@ -41,7 +41,7 @@ def quantisation_limit_ns(world: World) -> float:
     return float(clock.time_ns(np.array([tick]))[0]) - phase_ns - tick * period_ns
 
 
-class Line(NamedTuple):
+class Figure(NamedTuple):
     """A line of the table."""
 
     what: str
@@ -51,7 +51,7 @@ class Line(NamedTuple):
     passed: bool | None = None
 
 
-def show(line: Line) -> None:
+def show(line: Figure) -> None:
     """Print a line."""
     verdict = {True: "yes", False: "NO", None: ""}[line.passed]
     print(f"{line.what:58}{line.found:>24}{line.bar:>16}{verdict:>5}  {line.limit}", flush=True)
@@ -69,7 +69,7 @@ def imu(seeds: int, hour_s: float) -> None:
     limit = rms(np.array([quantisation_limit_ns(world) for world in worlds])) * 1e-3
     text = f"these flags, rate unknown, no drift: {limit:.1f} us rms"
     show(
-        Line(
+        Figure(
             f"IMU, 1 kHz, FSYNC, 1 % off, after 10 s: rms of {seeds} seeds",
             f"{found:.1f} us",
             "60 us",
@@ -77,11 +77,11 @@ def imu(seeds: int, hour_s: float) -> None:
             found <= 60,
         )
     )
-    show(Line("  against the quantisation limit", f"{found / limit:.2f}", "1.5", "", found <= 1.5 * limit))
+    show(Figure("  against the quantisation limit", f"{found / limit:.2f}", "1.5", "", found <= 1.5 * limit))
     long, sigma = fly(1000, hour_s, poll_ms=16).errors["imu"].of(10.0)
     worst = float(np.abs(long).max())
     show(
-        Line(
+        Figure(
             f"  worst of {hour_s:.0f} s from then on",
             f"{worst:.1f} us",
             "200 us",
@@ -89,7 +89,9 @@ def imu(seeds: int, hour_s: float) -> None:
             worst <= 200,
         )
     )
-    show(Line("  inside 3 sigma", f"{100 * np.mean(np.abs(long) < 3 * sigma):.2f} %", "", f"sigma {rms(sigma):.0f} us"))
+    show(
+        Figure("  inside 3 sigma", f"{100 * np.mean(np.abs(long) < 3 * sigma):.2f} %", "", f"sigma {rms(sigma):.0f} us")
+    )
 
 
 def field_devices(seeds: int, seconds: float = 40.0) -> None:
@@ -108,12 +110,12 @@ def field_devices(seeds: int, seconds: float = 40.0) -> None:
     ):
         error, sigma = gathered(channel)
         stated = f"{limit}; sigma {rms(sigma):.1f} us, worst {np.abs(error).max():.0f} us"
-        show(Line(what, f"{rms(error):.1f} us", f"{bar:.0f} us", stated, rms(error) <= bar))
+        show(Figure(what, f"{rms(error):.1f} us", f"{bar:.0f} us", stated, rms(error) <= bar))
     error, sigma = gathered("tip")
-    show(Line("nIMU, by arrival alone: mean, spread about it", f"{error.mean():.0f}, {error.std():.0f} us", "",
+    show(Figure("nIMU, by arrival alone: mean, spread about it", f"{error.mean():.0f}, {error.std():.0f} us", "",
               f"the device's delay before sending is unknown; sigma {rms(sigma):.0f} us"))  # fmt: skip
     error, sigma = gathered("cell")
-    show(Line("Modbus cell, by question and answer: mean, spread", f"{error.mean():.0f}, {error.std():.0f} us", "",
+    show(Figure("Modbus cell, by question and answer: mean, spread", f"{error.mean():.0f}, {error.std():.0f} us", "",
               f"bracket's sigma {rms(sigma):.0f} us; on top its own conversion, 0-3.3 ms old"))  # fmt: skip
 
 
@@ -129,7 +131,7 @@ def cut_line(seeds: int) -> None:
         share = 100 * float(np.mean(np.abs(error) < 3 * sigma))
         stated = f"{limit}; worst seen {np.abs(error).max():.0f} us, sigma {sigma.max():.0f} us then"
         what = f"line cut for 60 s, {channel} inside 3 sigma, {len(parts)} seeds"
-        show(Line(what, f"{share:.2f} %", "99 %", stated, share >= 99))
+        show(Figure(what, f"{share:.2f} %", "99 %", stated, share >= 99))
 
 
 def code_names(trials: int = 400) -> None:
@@ -149,7 +151,7 @@ def code_names(trials: int = 400) -> None:
             after.append(next((n for n, name in enumerate(names, 1) if name is not None), 99))
         found = " / ".join(f"{100 * np.mean(np.array(after) <= edges):.1f}" for edges in (4, 5, 6))
         what = f"edges named by the 4th / 5th / 6th seen, {missed:.0%} missed"
-        show(Line(what, f"{found} %", "", f"named wrongly: {wrong}", None if missed else found.startswith("100.0")))
+        show(Figure(what, f"{found} %", "", f"named wrongly: {wrong}", None if missed else found.startswith("100.0")))
 
 
 def solution_errors_us(log: Path, truth: dict[str, Any], channel: str, clock: str, grid_ns: float) -> Floats:
@@ -181,7 +183,7 @@ def real_processes(seed: int = 1) -> None:
     for channel, bar in (("imu_base", 60.0), ("can_sync", 20.0)):
         virtual, real = (rms(found[tier, channel]) for tier in ("T0", "T1"))
         what = f"RockSat, {channel}, solutions, rms: in one process, in real ones"
-        show(Line(what, f"{virtual:.1f}, {real:.1f} us", f"{2 * bar:.0f} us", "twice the bar above", real <= 2 * bar))
+        show(Figure(what, f"{virtual:.1f}, {real:.1f} us", f"{2 * bar:.0f} us", "twice the bar above", real <= 2 * bar))
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.faults import NEVER, DeviceFaults, Fault, FaultPlan
-from hil_sim.plants.drives.servo_axis import Axis, ServoAxis
+from hil_sim.plants.drives.servo_axis import DriveJoint, ServoAxis
 from hil_sim.scenario.bus_tables import CanBusTable
 from hil_sim.sensing.sensors import DriftingClock
 
@@ -24,7 +24,7 @@ _RATED_N_M = 10.0  # of a motor, at the joint
 _RATE_ERROR = 3e-5  # of the SYNC producer
 
 
-class Motor(NamedTuple):
+class RigMotor(NamedTuple):
     """One joint of the rig.
 
     Attributes:
@@ -51,7 +51,7 @@ class Motor(NamedTuple):
 
 
 class Wired(NamedTuple):
-    """A drive and the joint of a vehicle that it moves; its other fields are those of :class:`Motor`."""
+    """A drive and the joint of a vehicle that it moves; its other fields are those of :class:`RigMotor`."""
 
     name: str
     joint: str
@@ -62,13 +62,13 @@ class Wired(NamedTuple):
     gear_ratio: float = 1.0
 
 
-def _alone(motor: Motor | Wired) -> Axis:
-    assert isinstance(motor, Motor), "a drive of a vehicle moves an axis of the vehicle"
+def _alone(motor: RigMotor | Wired) -> DriveJoint:
+    assert isinstance(motor, RigMotor), "a drive of a vehicle moves an axis of the vehicle"
     torque = motor.torque_n_m
     return ServoAxis(motor.angle_rad, inertia_kg_m2=motor.inertia_kg_m2, torque_n_m=torque, brake_n_m=torque)
 
 
-def drive_of(motor: Motor | Wired, axis: Axis, start_ns: int, faults: DeviceFaults) -> ServoDrive402:
+def drive_of(motor: RigMotor | Wired, axis: DriveJoint, start_ns: int, faults: DeviceFaults) -> ServoDrive402:
     """The drive of a motor that moves ``axis``.
 
     Raises:
@@ -90,7 +90,7 @@ def drive_of(motor: Motor | Wired, axis: Axis, start_ns: int, faults: DeviceFaul
 class ServoOnBus(Protocol):
     """A drive, of whatever kind, and the axis that it moves."""
 
-    axis: Axis
+    axis: DriveJoint
 
     @property
     def drive_state(self) -> int:
@@ -133,15 +133,15 @@ class Arm:
 
     def __init__(
         self,
-        motors: Sequence[Motor | Wired],
+        motors: Sequence[RigMotor | Wired],
         plan: FaultPlan,
         start_ns: int,
         period_ns: int,
         end_ns: int = NEVER,
-        axes: Mapping[str, Axis] | None = None,
+        axes: Mapping[str, DriveJoint] | None = None,
     ) -> None:
         self.start_ns, self.now_ns, self.end_ns = start_ns, start_ns, end_ns
-        self.axes: dict[str, Axis] = {}
+        self.axes: dict[str, DriveJoint] = {}
         self.drives: dict[str, ServoDrive402] = {}
         for motor in motors:
             axis = self.axes[motor.name] = _alone(motor) if axes is None else axes[motor.name]
@@ -194,12 +194,12 @@ class ArmRig(Arm):
 
     def __init__(
         self,
-        motors: Sequence[Motor | Wired],
+        motors: Sequence[RigMotor | Wired],
         faults: Iterable[Fault] = (),
         *,
         period_ns: int = 5_000_000,
         seed: int = 0,
-        axes: Mapping[str, Axis] | None = None,
+        axes: Mapping[str, DriveJoint] | None = None,
     ) -> None:
         plan = FaultPlan(faults, START_NS)
         super().__init__(motors, plan, START_NS, period_ns, axes=axes)

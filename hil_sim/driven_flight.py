@@ -19,7 +19,7 @@ from hil_sim.buses.media import Bus, CanBus
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.mission import VIRTUAL_START_NS, Mission
 from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenJoint, DrivenVehicle
-from hil_sim.plants.drives.servo_axis import STEP_S, Axis, Controller
+from hil_sim.plants.drives.servo_axis import STEP_S, Controller, DriveJoint
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario
@@ -154,10 +154,10 @@ class DrivenFlight(Mission):
     def _plant(self) -> Plant:
         return DrivenPlant(self.scenario, self._rng("vehicle"))
 
-    def _axes(self) -> Mapping[str, Axis]:
+    def _axes(self) -> Mapping[str, DriveJoint]:
         return {name: self._axis(joint) for name, joint in self._driven.items()}
 
-    def _axis(self, joint: str) -> Axis:
+    def _axis(self, joint: str) -> DriveJoint:
         assert isinstance(self.plant, DrivenPlant)
         assert self.plant.vehicle is not None
         return self.plant.vehicle.axes[joint]

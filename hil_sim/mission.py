@@ -18,7 +18,7 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import NEVER, Fault, FaultError, FaultKind, FaultPlan
-from hil_sim.plants.drives.servo_axis import Axis
+from hil_sim.plants.drives.servo_axis import DriveJoint
 from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
@@ -141,7 +141,7 @@ class Mission:
         can, lines = ([b for b in buses.values() if isinstance(b, kind)] for kind in (CanBus, PulseLine))
         self._buses = [*can, *lines, *(b for b in buses.values() if not isinstance(b, CanBus | PulseLine))]
 
-    def _axes(self) -> Mapping[str, Axis]:
+    def _axes(self) -> Mapping[str, DriveJoint]:
         """Joints of the drives that the flight computer commands, by device."""
         return {}
 

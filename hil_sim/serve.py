@@ -161,7 +161,7 @@ class PseudoTerminal(Port):
         self._terminal.close()
 
 
-class NetworkPort(Port):
+class ServedPort(Port):
     """A port of this computer; kernel tier and this one share it.
 
     Args:
@@ -212,7 +212,7 @@ def open_sockets(tables: Mapping[str, bus_tables.BusTable], directory: Path, see
             case bus_tables.SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
             case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
-                return NetworkPort(table)
+                return ServedPort(table)
 
     return open_ports(tables, open_port, seed)
 

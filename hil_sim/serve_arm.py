@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil_sim.arm_rig import Arm, Motor, travels
+from hil_sim.arm_rig import Arm, RigMotor, travels
 from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.faults import FaultPlan, parse
@@ -31,7 +31,7 @@ _BIT_RATE = 1_000_000
 _EFFORT_N_M, _PER_EFFORT = 30.0, 0.1
 
 
-def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor]:
+def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[RigMotor]:
     """The driven joints of a vehicle file.
 
     Args:
@@ -55,7 +55,7 @@ def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor
         counts, zero = int(device["counts_per_revolution"]), int(device.get("zero_count", 0))
         reverse = device.get("gain", 1.0) < 0.0
         angle = stands.get(joint.name, 0.0)
-        joints.append(Motor(name, int(device["node"]), angle, counts, zero, reverse, effort, _PER_EFFORT * effort))
+        joints.append(RigMotor(name, int(device["node"]), angle, counts, zero, reverse, effort, _PER_EFFORT * effort))
     if not joints:
         raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
     return joints

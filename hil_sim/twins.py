@@ -15,7 +15,7 @@ from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
 from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.faults import DeviceFaults, FaultError
-from hil_sim.plants.drives.servo_axis import Axis
+from hil_sim.plants.drives.servo_axis import DriveJoint
 from hil_sim.plants.world import Plant
 from hil_sim.scenario import sensor_tables
 from hil_sim.scenario.bus_tables import CanBusTable, PulseLineTable
@@ -110,7 +110,7 @@ class Twins:
         faults: Callable[[str], DeviceFaults],
         start_ns: int,
         seed: int,
-        axes: Mapping[str, Axis],
+        axes: Mapping[str, DriveJoint],
     ) -> None:
         self._scenario = scenario
         self._buses = buses

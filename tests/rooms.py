@@ -322,12 +322,12 @@ def table(tree: Mapping[str, str]) -> str:
 
 
 def shared_names(tree: Mapping[str, str]) -> dict[str, list[str]]:
-    """Public classes of a package that have a name in common, by that name: the files that define them."""
+    """Public classes that have a name in common, by that name: the files that define them."""
     found: dict[str, list[str]] = {}
     for path, source in tree.items():
         for name in (node.name for node in nodes(path, source) if isinstance(node, ast.ClassDef)):
             if not name.startswith("_"):
-                found.setdefault(f"{path.split('/')[0]}: {name}", []).append(path)
+                found.setdefault(name, []).append(path)
     return {name: paths for name, paths in found.items() if len(paths) > 1}
 
 

@@ -13,7 +13,7 @@ import tempfile
 import warnings
 from pathlib import Path
 
-from bench.fuzzing.findings import FOLDER, HANG_S, ROOT, Findings, Result
+from bench.fuzzing.findings import FOLDER, HANG_S, ROOT, FuzzFindings, Result
 
 LEG_S = 60.0
 
@@ -61,7 +61,7 @@ def run_leg(name: str, corpus: Path, seed: int, seconds: int) -> None:
 
     with atheris.instrument_imports(include=["drivers", "onboard"], enable_loader_override=False):
         target = of(name)
-    findings = Findings(target.call, FOLDER / name)
+    findings = FuzzFindings(target.call, FOLDER / name)
     warnings.simplefilter("error")
 
     def one(data: bytes) -> None:

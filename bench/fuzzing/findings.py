@@ -43,7 +43,7 @@ class Result(NamedTuple):
     files: list[Path]
 
 
-class Findings:
+class FuzzFindings:
     """Runs a target and keeps what it raises, one input for a place.
 
     Args:

@@ -14,7 +14,7 @@ ERRNOS = (5, 6, 16, 19)  # EIO, ENXIO, EBUSY, ENODEV
 HIGH_NS = (2_000, 40_000, 60_000, 3_000_000)
 
 
-class Lines:
+class FuzzedLines:
     """Two lines (``drivers.ports.ClockedPort``), low after a time that the bytes say, with bits that they say."""
 
     def __init__(self, clock: peers.Clock) -> None:
@@ -57,7 +57,7 @@ def hx711_chip(data: bytes) -> None:
     (which, rate), body = leading(data, 2)
     with contextlib.suppress(FrameError):
         hx711.decode_reading(int.from_bytes(body[:4], "big"), which % 30)
-    lines = Lines(peers.Clock())
+    lines = FuzzedLines(peers.Clock())
     config = hx711.Hx711Config(sample_rate_hz=(10, 80)[rate & 1], amplifier=(128, 64, 32)[which % 3])
     lines.period_ns = round(config.period_ns * (1.0 + (rate / 255.0 - 0.5) / 2.0))
 

@@ -9,7 +9,7 @@ from types import CodeType, FrameType
 from typing import Any
 
 from bench.fuzzing import Target
-from bench.fuzzing.findings import OURS, Findings, Result
+from bench.fuzzing.findings import OURS, FuzzFindings, Result
 
 INTERESTING = (b"\0", b"\xff", b"\x7f", b"\x80", b"\r", b"\n", b"!", b" ", b"+", b"0", b"\xff\xff\xff\xff", bytes(4))
 
@@ -85,7 +85,7 @@ def mutated(rng: random.Random, corpus: Sequence[bytes], most_bytes: int) -> byt
     return bytes(data[:most_bytes])
 
 
-def fuzz(target: Target, seed: int, findings: Findings, executions: int | None, seconds: float) -> Result:
+def fuzz(target: Target, seed: int, findings: FuzzFindings, executions: int | None, seconds: float) -> Result:
     """Run for so many executions, or for so long when that is None."""
     rng = random.Random(seed)
     seeds = target.seeds

@@ -21,7 +21,7 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, SampledSignals, sample
 from onboard import config
 from onboard.dynamics.model.inertia import elements
 from onboard.flight import hil
@@ -70,7 +70,7 @@ def _without(vehicle: config.Vehicle, device: str) -> config.Vehicle:
     return config.parse_tree(vehicle.tree | {"device": devices}, vehicle.path, config.Origin(f"without {device}"))
 
 
-class Columns:
+class Spoilt:
     """Channels of a recording, spoilt as drawn.
 
     Args:
@@ -131,11 +131,11 @@ def _table(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, floa
     velocity = rng.standard_normal(3) * [planar.VELOCITY_m_s, planar.VELOCITY_m_s, planar.RATE_rad_s]
     world = planar_bed.world(BOX, base, arm, planar.TILT_m_s2 * rng.standard_normal(2))
     read = sample(planar_bed.fly(world, motion, velocity, drags, TABLE_S), bench_flyer.ERRORS, rng)
-    _write(path, _of_table(read, Columns(read.time_s, drawn), over.get("zero_rad", 1e-3) * rng.standard_normal(5)))
+    _write(path, _of_table(read, Spoilt(read.time_s, drawn), over.get("zero_rad", 1e-3) * rng.standard_normal(5)))
     return _truth(BOX, "payload", ("m", "c_x", "c_y", "I_zz"))
 
 
-def _of_table(read: Samples, columns: Columns, zeros: Floats) -> dict[str, Rows]:
+def _of_table(read: SampledSignals, columns: Spoilt, zeros: Floats) -> dict[str, Rows]:
     both = columns.spoilt("imu_base", np.hstack([read.rate_rad_s, read.specific_force_m_s2]))
     there = np.flatnonzero(np.isfinite(both).all(axis=1))
     imu = np.zeros(len(there), IMU)

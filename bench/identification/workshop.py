@@ -16,7 +16,7 @@ import numpy as np
 from bench.identification.free_flyer import tools
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from onboard import config
 from onboard.dynamics.model.inertia import elements
 from onboard.flight import hil
@@ -26,7 +26,7 @@ from onboard.ground.identify.kinds.identified import Identified
 from onboard.identification.quantities import BODY
 
 
-def payload(tool: Body) -> dict[str, Any]:
+def payload(tool: Solid) -> dict[str, Any]:
     """The scenario's table of a tool: the solid box that has its mass, centre and inertia."""
     moments, axes = np.linalg.eigh(tool.inertia_kg_m2)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -41,7 +41,7 @@ def payload(tool: Body) -> dict[str, Any]:
     }
 
 
-def weigh(tool: Body, seed: int) -> Identified:
+def weigh(tool: Solid, seed: int) -> Identified:
     """One run from MuJoCo to the answer."""
     scenario = scenario_of("workshop", {"payload": payload(tool)})
     vehicle = config.load(config.packaged("workshop"))

@@ -12,7 +12,7 @@ import can
 from can.interfaces.socketcan import SocketcanBus, socketcan
 
 from bench import peers
-from bench.pumps.case import MS, Case, Rings, Sample, nothing
+from bench.pumps.case import MS, NaiveSample, PumpCase, Rings, nothing
 from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConfig
 from drivers.ports import CanPort
 from drivers.transports import open_can
@@ -53,9 +53,9 @@ def can_case(
     send: Callable[[CanFrames], None],
     receive: Callable[[], CanFrames],
     naive: Callable[[], None],
-    samples: deque[Sample],
+    samples: deque[NaiveSample],
     naive_fill: Callable[[], None],
-) -> Case:
+) -> PumpCase:
     """A CANopen bus behind ``port``.
 
     Args:
@@ -91,14 +91,14 @@ def can_case(
         fill()
         bus.pump(clock())
     text = f"CAN frame, {name}, {traffic.frames} a pump"
-    return Case(text, 15.0, traffic.frames, 3 * rounds, fill, pumped, naive, samples, naive_fill)
+    return PumpCase(text, 15.0, traffic.frames, 3 * rounds, fill, pumped, naive, samples, naive_fill)
 
 
-def virtual_case(rings: Rings, rounds: int) -> Case:
+def virtual_case(rings: Rings, rounds: int) -> PumpCase:
     """python-can's in-process bus; its receive is counted, the other end's send is not."""
     clock = peers.Clock()
     traffic = CanTraffic(rounds)
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
 
     def joined(channel: str) -> can.BusABC:
         bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True, ignore_config=True)
@@ -119,7 +119,7 @@ def virtual_case(rings: Rings, rounds: int) -> Case:
 
     def naive() -> None:
         while (message := loop_in.recv(0.0)) is not None:
-            samples.append(Sample(round(message.timestamp * 1e9), message.arbitration_id, tuple(message.data)))
+            samples.append(NaiveSample(round(message.timestamp * 1e9), message.arbitration_id, tuple(message.data)))
 
     port = open_can(f"can+virtual://ours_{rounds}?timestamps=monotonic", clock)
     atexit.register(port.close)
@@ -137,7 +137,7 @@ def virtual_case(rings: Rings, rounds: int) -> Case:
     )
 
 
-def slcan_case(rings: Rings, rounds: int) -> Case:
+def slcan_case(rings: Rings, rounds: int) -> PumpCase:
     """Our slcan port on a tty in memory."""
     clock = peers.Clock()
     sent: list[bytes] = []
@@ -147,7 +147,7 @@ def slcan_case(rings: Rings, rounds: int) -> Case:
         return b""
 
     tty = peers.MemorySerial(answer)
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
 
     def send(frames: CanFrames) -> None:
         tty.waiting += b"".join(encode_line(*frame) for frame in frames)
@@ -161,13 +161,13 @@ def slcan_case(rings: Rings, rounds: int) -> Case:
 
     def naive() -> None:
         for line in data.split(b"\r")[:-1]:
-            samples.append(Sample(0, int(line[1:4], 16), tuple(bytes.fromhex(line[5:].decode()))))
+            samples.append(NaiveSample(0, int(line[1:4], 16), tuple(bytes.fromhex(line[5:].decode()))))
 
     port = SlcanPort(tty, clock, lambda _: None)
     return can_case("our slcan port", rings, rounds, port, clock, send, receive, naive, samples, nothing)
 
 
-def socket_case(rings: Rings, rounds: int) -> Case:
+def socket_case(rings: Rings, rounds: int) -> PumpCase:
     """Our SocketCAN port on a datagram pair of the kernel's, which stamps as a CAN socket does."""
 
     def pair() -> tuple[socket.socket, socket.socket]:
@@ -182,7 +182,7 @@ def socket_case(rings: Rings, rounds: int) -> Case:
     with mock.patch.multiple(socketcan, create_socket=lambda: ours, bind_socket=lambda sock, channel: None):
         bus = SocketcanBus("can0")
     traffic = CanTraffic(rounds)
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
 
     def put(end: socket.socket, frames: CanFrames) -> None:
         for identifier, data in frames:
@@ -201,7 +201,7 @@ def socket_case(rings: Rings, rounds: int) -> Case:
         for _ in range(traffic.frames):
             data, _, _, _ = loop_in.recvmsg(16, 64)
             identifier, size, payload = _KERNEL_FRAME.unpack(data)
-            samples.append(Sample(0, identifier, tuple(payload[:size])))
+            samples.append(NaiveSample(0, identifier, tuple(payload[:size])))
 
     return can_case(
         "our socketcan port, datagram pair",

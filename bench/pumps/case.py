@@ -20,7 +20,7 @@ def nothing() -> None:
     """Nothing is to be made ready."""
 
 
-class Case(NamedTuple):
+class PumpCase(NamedTuple):
     """One line of the table.
 
     Attributes:
@@ -42,12 +42,12 @@ class Case(NamedTuple):
     fill: Callable[[], None]
     ours: Callable[[], int]
     naive: Callable[[], None]
-    samples: "deque[Sample]"
+    samples: "deque[NaiveSample]"
     naive_fill: Callable[[], None] = nothing
 
 
 @dataclass
-class Sample:
+class NaiveSample:
     """What the naive loop makes of a record."""
 
     host_ns: int
@@ -84,7 +84,7 @@ class Rings:
         return count
 
 
-def push_one_by_one(samples: "deque[Sample]", ring: RingWriter) -> None:
+def push_one_by_one(samples: "deque[NaiveSample]", ring: RingWriter) -> None:
     """A row for each object, and a push for each row."""
     while samples:
         sample = samples.popleft()

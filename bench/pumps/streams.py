@@ -8,7 +8,7 @@ import numpy as np
 from cobs import cobs  # type: ignore[import-untyped]  # it ships no type hints
 
 from bench import peers
-from bench.pumps.case import MS, Case, Rings, Sample, nothing
+from bench.pumps.case import MS, NaiveSample, PumpCase, Rings, nothing
 from drivers.mpu6050 import Mpu6050, Mpu6050Config, decode_packets
 from drivers.node_frame import NodeFrame, NodeFrameConfig
 from drivers.qsb import Qsb
@@ -16,7 +16,7 @@ from drivers.qsb import Qsb
 _NODE = struct.Struct("<BBHIIIIB")
 
 
-def mpu6050_cases(rings: Rings) -> list[Case]:
+def mpu6050_cases(rings: Rings) -> list[PumpCase]:
     """Decoder and ring alone, and the whole device on a chip in memory."""
     count = 100
     config = Mpu6050Config(poll_period_ms=18.0)
@@ -28,7 +28,7 @@ def mpu6050_cases(rings: Rings) -> list[Case]:
     for _ in range(2):  # out of reset, awake
         clock.now_ns += 200 * MS
         device.pump(clock())
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
 
     def fill() -> None:
         clock.now_ns += count * MS
@@ -45,16 +45,16 @@ def mpu6050_cases(rings: Rings) -> list[Case]:
 
     def naive() -> None:
         for number, words in enumerate(struct.iter_unpack(">7h", data)):
-            samples.append(Sample(0, number, words))
+            samples.append(NaiveSample(0, number, words))
 
     name = f"MPU-6050 FIFO, {count} samples"
     return [
-        Case(f"{name}, decode and push", 1.5, count, count, nothing, decoded, naive, samples),
-        Case(f"{name}, whole drain of the device", 1.5, count, count, fill, drained, naive, samples),
+        PumpCase(f"{name}, decode and push", 1.5, count, count, nothing, decoded, naive, samples),
+        PumpCase(f"{name}, whole drain of the device", 1.5, count, count, fill, drained, naive, samples),
     ]
 
 
-def node_case(rings: Rings, count: int, channels: int) -> Case:
+def node_case(rings: Rings, count: int, channels: int) -> PumpCase:
     """COBS frames, ``count`` of them a pump."""
     names = tuple(f"value_{place}" for place in range(channels))
     clock, port = peers.Clock(), peers.MemorySerial()
@@ -62,7 +62,7 @@ def node_case(rings: Rings, count: int, channels: int) -> Case:
     device = NodeFrame(f"node_{count}_{channels}", lambda: port, clock, config)
     descriptor = peers.node_descriptor(names, 0, clock() // 1000)
     schema = peers.node_schema(descriptor)
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
     sent = 0
 
     def wire() -> bytes:
@@ -91,19 +91,19 @@ def node_case(rings: Rings, count: int, channels: int) -> Case:
             if not binascii.crc_hqx(payload, 0xFFFF):
                 _, _, _, number, *_ = _NODE.unpack_from(payload)
                 values = struct.unpack_from(f"<{channels}i", payload, _NODE.size)
-                samples.append(Sample(0, number, values))
+                samples.append(NaiveSample(0, number, values))
 
     name = f"COBS node frames of {channels} channel{'s' * (channels > 1)}, {count} a pump"
-    return Case(name, 3.0, count, count * channels, fill, pumped, naive, samples)
+    return PumpCase(name, 3.0, count, count * channels, fill, pumped, naive, samples)
 
 
-def qsb_case(rings: Rings, count: int) -> Case:
+def qsb_case(rings: Rings, count: int) -> PumpCase:
     """QSB lines, ``count`` of them a pump."""
     clock = peers.Clock()
     tick = clock() // peers.QSB_TICK_NS
     port = peers.MemorySerial(lambda command: peers.qsb_answer(command, clock() // peers.QSB_TICK_NS))
     device = Qsb(f"qsb_{count}", lambda: port, clock)
-    samples: deque[Sample] = deque()
+    samples: deque[NaiveSample] = deque()
 
     def wire() -> bytes:
         nonlocal tick
@@ -126,6 +126,6 @@ def qsb_case(rings: Rings, count: int) -> Case:
         for line in data.split(b"\r\n")[:-1]:
             kind, register, value, stamp, end = line.split()
             if kind == b"s" and end == b"!" and register == b"0E":
-                samples.append(Sample(0, int(stamp, 16), (int(value, 16),)))
+                samples.append(NaiveSample(0, int(stamp, 16), (int(value, 16),)))
 
-    return Case(f"QSB lines, {count} a pump", 3.0, count, count, fill, pumped, naive, samples)
+    return PumpCase(f"QSB lines, {count} a pump", 3.0, count, count, fill, pumped, naive, samples)

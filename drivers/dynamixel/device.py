@@ -27,7 +27,7 @@ from drivers.serial_poll import PolledDevice, Value
 from drivers.serial_stream import MS, Clock, OpenPort
 
 if TYPE_CHECKING:
-    from drivers.dynamixel.drive import DynamixelAxisConfig, ServoAxis
+    from drivers.dynamixel.drive import DynamixelAxis, DynamixelAxisConfig
     from drivers.dynamixel.driven import DrivenLine
     from drivers.play.player import Player, PlayerConfig
 
@@ -107,7 +107,7 @@ class DynamixelBus(PolledDevice):
         self._rest, self._now = rest, clock
 
     @property
-    def player(self) -> "Player[ServoAxis] | None":
+    def player(self) -> "Player[DynamixelAxis] | None":
         """What drives the servos; None where they are only read."""
         return None if self._driven is None else self._driven.player
 

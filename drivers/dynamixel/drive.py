@@ -96,7 +96,7 @@ class RequestRounds:
         self._asked_ns, self.host_ns = asked_ns, host_ns
 
 
-class ServoAxis(Axis):
+class DynamixelAxis(Axis):
     """One servo, as its master has it.
 
     Args:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from drivers.dynamixel.drive import DynamixelAxisConfig, RequestRounds, ServoAxis
+from drivers.dynamixel.drive import DynamixelAxis, DynamixelAxisConfig, RequestRounds
 from drivers.dynamixel.packet import Block, sync_write_request
 from drivers.dynamixel.registers import DrivenState, DynamixelTiming
 from drivers.errors import ConfigurationError
@@ -33,7 +33,7 @@ class DrivenLine:
             raise ConfigurationError(f"timeout_ms = {timing.timeout_ms:g}: give {half}: a stop may wait so long")
         self._rounds = RequestRounds(round(1e6 * timing.sample_period_ms), round(1e6 * play.sync_limit_ms))
         own = self._rounds, play.heartbeat_ms, play.is_profile, report
-        self._axes = {axis.drive.id: ServoAxis(axis, *own) for axis in play.axes}
+        self._axes = {axis.drive.id: DynamixelAxis(axis, *own) for axis in play.axes}
         self.player = Player(play, list(self._axes.values()), self._rounds, report)
         self._turn = 0  # whose transfer is next
 

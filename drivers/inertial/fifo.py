@@ -4,7 +4,7 @@ import errno
 from abc import ABC, abstractmethod
 
 from drivers.i2c.bus import NOT_ACKNOWLEDGED, explain
-from drivers.inertial.packet import PACKET_BYTES, Order, Sampling, decode_words, first_misaligned
+from drivers.inertial.packet import PACKET_BYTES, Sampling, WordOrder, decode_words, first_misaligned
 from drivers.inertial.sample_clock import Onset
 from drivers.inertial.stream import SampleStream
 from drivers.ports import I2cReply
@@ -28,7 +28,7 @@ class Fifo(ABC):
         running: Samples are counted.
     """
 
-    order: Order
+    order: WordOrder
     largest_count: int | None = None  # that it can show, where that is more than its size
 
     def __init__(self, config: Sampling, stream: SampleStream, report: Reporter) -> None:

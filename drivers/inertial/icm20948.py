@@ -17,7 +17,7 @@ from drivers.errors import ConfigurationError, WrongDeviceError
 from drivers.i2c.banked import BankedBus
 from drivers.i2c.sensor import MS, I2cSensor, Watched
 from drivers.inertial.fifo import Fifo
-from drivers.inertial.packet import PACKET_BYTES, Order, decode_words
+from drivers.inertial.packet import PACKET_BYTES, WordOrder, decode_words
 from drivers.inertial.stream import MARKED, SampleStream
 from drivers.ports import I2cPort, I2cReply
 from drivers.records import Batch, Rows, Severity
@@ -53,7 +53,7 @@ ACCEL_NOISE_G, GYRO_NOISE_DEG_S = 60e-6, 0.0075  # per sqrt(Hz): a quarter and h
 
 RESET_NS, WAKE_NS, SILENCE_NS = 100 * MS, 100 * MS, 100 * MS  # start-up of registers 100 ms at most, of the gyro 35 ms
 LAST_DRAINS = 8
-ORDER = Order(slice(0, 3), 6, slice(3, 6))
+ORDER = WordOrder(slice(0, 3), 6, slice(3, 6))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ TEMPERATURE_JUMP = 400  # counts, 1.2 degC at 330 counts/K: above any die's chan
 _HIGHEST, _LOWEST = b"\x7f\xff", b"\x80\x00"  # words, as they are sent
 
 
-class Order(NamedTuple):
+class WordOrder(NamedTuple):
     """Words of a packet."""
 
     accel: slice
@@ -54,7 +54,7 @@ class Sampling(Protocol):
         """Longest single read."""
 
 
-def decode_words(data: bytes, order: Order, config: Sampling) -> Rows:
+def decode_words(data: bytes, order: WordOrder, config: Sampling) -> Rows:
     """Whole packets as IMU rows; ``sequence``, ``host_ns`` and ``tick`` are 0 and set by the device.
 
     Args:

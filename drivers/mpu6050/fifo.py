@@ -2,7 +2,7 @@
 
 from drivers.i2c.bus import RegisterBus
 from drivers.inertial.fifo import Fifo
-from drivers.inertial.packet import Order, decode_words
+from drivers.inertial.packet import WordOrder, decode_words
 from drivers.inertial.stream import SampleStream
 from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.registers import Mpu6050Config
@@ -10,7 +10,7 @@ from drivers.ports import I2cReply
 from drivers.records import Rows
 from drivers.reporter import Reporter
 
-ORDER = Order(slice(0, 3), 3, slice(4, 7))  # RM 4.32, FIFO_R_W
+ORDER = WordOrder(slice(0, 3), 3, slice(4, 7))  # RM 4.32, FIFO_R_W
 
 
 def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:

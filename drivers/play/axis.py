@@ -16,7 +16,7 @@ RATE_WINDOW_NS: Final = 25_000_000
 _WRAP, _HALF = 1 << 32, 1 << 31
 
 
-class Ticks(Protocol):
+class DriveTicks(Protocol):
     """What numbers the instants at which drives answer, and are sent something: SYNCs, or rounds of requests.
 
     Attributes:
@@ -105,7 +105,7 @@ class Axis(ABC):
     ANSWERS: ClassVar[str] = ""  # what it has not answered, for messages
     SHOWS: ClassVar[str]  # what ``shown`` is
 
-    def __init__(self, config: AxisConfig, ticks: Ticks) -> None:
+    def __init__(self, config: AxisConfig, ticks: DriveTicks) -> None:
         self.config, self.name = config, config.drive.name
         self.position: int | None = None
         self.now_ns = 0

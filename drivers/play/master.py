@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from enum import Enum, auto
 from typing import ClassVar, Final, Generic, Protocol, TypeVar
 
-from drivers.play.axis import Axis, Ticks
+from drivers.play.axis import Axis, DriveTicks
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -22,7 +22,7 @@ BEATS: Final = 4  # heartbeats in the time that a drive does without
 Axis_co = TypeVar("Axis_co", bound=Axis, covariant=True)
 
 
-class State(Enum):
+class MasterState(Enum):
     """Of a master."""
 
     IDLE = auto()  # not armed, or waiting for the drives' set-up
@@ -33,7 +33,7 @@ class State(Enum):
     STOPPED = auto()  # for good
 
 
-DRIVING: Final = (State.ENABLING, State.PLAYING, State.HOLDING)
+DRIVING: Final = (MasterState.ENABLING, MasterState.PLAYING, MasterState.HOLDING)
 
 
 class MasterConfig(Protocol):
@@ -66,8 +66,8 @@ class DriveMaster(ABC, Generic[Axis_co]):
     SENDS: ClassVar[str]  # what it sends once a tick
     STOPPED_AS: ClassVar[Severity]  # of the event of a quick stop
 
-    def __init__(self, config: MasterConfig, axes: Sequence[Axis_co], ticks: Ticks, report: Reporter) -> None:
-        self.state, self.stopped_by = State.IDLE, ""
+    def __init__(self, config: MasterConfig, axes: Sequence[Axis_co], ticks: DriveTicks, report: Reporter) -> None:
+        self.state, self.stopped_by = MasterState.IDLE, ""
         self.axes = axes
         self._ticks, self._report = ticks, report
         self._heartbeat_ms = config.heartbeat_ms
@@ -79,12 +79,12 @@ class DriveMaster(ABC, Generic[Axis_co]):
     @property
     def is_active(self) -> bool:
         """Whether it sends: then frames are not gathered."""
-        return self._armed and self.state is not State.STOPPED
+        return self._armed and self.state is not MasterState.STOPPED
 
     @property
     def is_moving(self) -> bool:
         """Whether drives are, or may be, enabled."""
-        return self.state in (*DRIVING, State.STOPPING)
+        return self.state in (*DRIVING, MasterState.STOPPING)
 
     def arm(self) -> None:
         """From now on the drives are enabled as soon as all are ready; may be called by another thread."""
@@ -97,7 +97,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
             self._was_armed, self._since_ns = True, now_ns
         if self._was_armed:
             self._beat()
-        if self.state is State.IDLE and self._was_armed:
+        if self.state is MasterState.IDLE and self._was_armed:
             self._begin()
         elif self.state in DRIVING:
             wrong = self._wrong()
@@ -105,7 +105,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
                 self.stop(wrong)
             else:
                 self._go_on()
-        if self.state is State.STOPPING:
+        if self.state is MasterState.STOPPING:
             self._stop_on()
         self.hand_over()
 
@@ -122,10 +122,10 @@ class DriveMaster(ABC, Generic[Axis_co]):
 
     def stop(self, why: str) -> None:
         """Quick stop of all drives, for good."""
-        if self.state is State.IDLE and self._was_armed:
+        if self.state is MasterState.IDLE and self._was_armed:
             self._end(Severity.ERROR, "drive_refused", why)
         elif self.state in DRIVING:
-            self.state, self._since_ns, self._told_ns = State.STOPPING, self._now_ns, -REPEAT_NS
+            self.state, self._since_ns, self._told_ns = MasterState.STOPPING, self._now_ns, -REPEAT_NS
             self.stopped_by = why
             self._report.event(self._now_ns, self.STOPPED_AS, "drive_stopped", f"quick stop: {why}")
 
@@ -142,7 +142,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
             if why:
                 self.stop(f"{axis.name} {why}")
                 return
-        self.state, self._since_ns, self._told_ns = State.ENABLING, self._now_ns, 0
+        self.state, self._since_ns, self._told_ns = MasterState.ENABLING, self._now_ns, 0
         self._report.event(self._now_ns, Severity.WARNING, "drive_armed", self._get_ready())
 
     def _not_to_be_armed(self, place: int, axis: Axis) -> str:
@@ -155,7 +155,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
 
     def _enable(self) -> None:
         if all(axis.is_enabled for axis in self.axes):
-            self.state = State.PLAYING
+            self.state = MasterState.PLAYING
             self._started()
             return
         if self._now_ns - self._since_ns > ENABLE_NS:
@@ -191,7 +191,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
         for place, axis in enumerate(self.axes):
             if wrong := axis.unwell(self._now_ns, self._limit_ns):
                 return f"{axis.name} {wrong}"
-            for wrong in self._astray(place, axis) if self.state is not State.ENABLING else ():
+            for wrong in self._astray(place, axis) if self.state is not MasterState.ENABLING else ():
                 return f"{axis.name} {wrong}"
         return ""
 
@@ -216,7 +216,7 @@ class DriveMaster(ABC, Generic[Axis_co]):
             self._end(Severity.ERROR, "drive_unheard", f"no answer to quick stop: {left}; commanded to cut the current")
 
     def _end(self, severity: Severity, code: str, text: str) -> None:
-        self.state, self.stopped_by = State.STOPPED, self.stopped_by or text
+        self.state, self.stopped_by = MasterState.STOPPED, self.stopped_by or text
         self._report.event(self._now_ns, severity, code, text)
 
     def _beat(self) -> None:

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from drivers.play.axis import Axis, AxisConfig, Ticks
-from drivers.play.master import Axis_co, DriveMaster, State
+from drivers.play.axis import Axis, AxisConfig, DriveTicks
+from drivers.play.master import Axis_co, DriveMaster, MasterState
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -77,7 +77,7 @@ class Player(DriveMaster[Axis_co]):
     STOPPED_AS: ClassVar = Severity.ERROR
 
     def __init__(
-        self, config: PlayerConfig[AxisConfig], axes: Sequence[Axis_co], ticks: Ticks, report: Reporter
+        self, config: PlayerConfig[AxisConfig], axes: Sequence[Axis_co], ticks: DriveTicks, report: Reporter
     ) -> None:
         super().__init__(config, axes, ticks, report)
         self.config = config
@@ -94,12 +94,12 @@ class Player(DriveMaster[Axis_co]):
     def request(self, name: str) -> None:
         """Play a segment from where the arm is held; refused, with an event, while it is not held there."""
         counts = self.config.segments.get(name)
-        if counts is None or self.state is not State.HOLDING:
+        if counts is None or self.state is not MasterState.HOLDING:
             why = "there is none of this name" if counts is None else f"the player is {self.state.name.lower()}"
             self._report.event(self._now_ns, Severity.WARNING, "segment_refused", f"{name}: {why}")
             return
         self._counts, self._name, self._lead, self._offsets = counts, name, 0, [0] * len(self.axes)
-        self.state = State.PLAYING
+        self.state = MasterState.PLAYING
         self._begin_motion()
         self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{name} is played")
 
@@ -142,7 +142,7 @@ class Player(DriveMaster[Axis_co]):
         tick = self._ticks.tick
         if tick is None or tick == self._sent_tick:
             return
-        if self.state is State.ENABLING:
+        if self.state is MasterState.ENABLING:
             if not self.config.is_profile:
                 self._aim(tick, self._row_at(0))  # where they stand
             self._enable()
@@ -171,7 +171,7 @@ class Player(DriveMaster[Axis_co]):
             self._pace = 0.0
         self._pace += (1.0 - self._pace) * self._gain
         self._played += self._pace
-        if self._played - self._lead >= len(self._counts) and self.state is State.PLAYING:
+        if self._played - self._lead >= len(self._counts) and self.state is MasterState.PLAYING:
             self._finish()
         self._aim(tick, self._row_at(self._played))
 
@@ -211,13 +211,13 @@ class Player(DriveMaster[Axis_co]):
                 if abs(axis.distance(target)) > axis.config.following_error:
                     self.stop(f"{axis.name} says that its target is reached, and is elsewhere")
                     return
-            if self.state is State.PLAYING:
+            if self.state is MasterState.PLAYING:
                 self._finish()
         elif self._now_ns - self._told_ns > ARRIVE_NS:
             self.stop("the last way point was not reached")
 
     def _finish(self) -> None:
-        self.state = State.HOLDING
+        self.state = MasterState.HOLDING
         far = (
             ""
             if self.config.is_profile

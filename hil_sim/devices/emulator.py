@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import Pin
 from hil_sim.faults import DeviceFaults
-from hil_sim.plants.drives.servo_axis import Axis
+from hil_sim.plants.drives.servo_axis import DriveJoint
 from hil_sim.scenario.bus_tables import SerialBusTable
 from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
 from hil_sim.scenario.sheets import Sheets
@@ -57,7 +57,7 @@ class Bench(NamedTuple):
     start_ns: int
     seed: int
     bus: Table | None
-    axis: Axis | None = None
+    axis: DriveJoint | None = None
 
     @property
     def clock(self) -> ChipClock:

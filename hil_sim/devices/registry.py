@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from hil_sim import devices
 from hil_sim.devices.emulator import Emulator
 from hil_sim.scenario.bus_tables import DeviceTable
-from hil_sim.scenario.tables import Files, Refused, ScenarioError
+from hil_sim.scenario.tables import BadTable, Files, ScenarioError
 
 GROUP = "heft.emulators"
 
@@ -97,7 +97,7 @@ def read(tables: Mapping[str, DeviceTable], files: Files = ()) -> dict[str, Emul
             unknown = True
         except ValidationError as error:
             problems += [f"device.{name}.{'.'.join(map(str, e['loc'])) or 'table'}: {e['msg']}" for e in error.errors()]
-            refused.append(Refused(error, model, given, ("device", name)))
+            refused.append(BadTable(error, model, given, ("device", name)))
     if problems:
         told = () if unknown else tuple(refused)
         raise ScenarioError(f"{'; '.join(problems)}. Correct these keys", told, files=files)

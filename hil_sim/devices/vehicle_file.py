@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from hil_sim.devices import registry
 from hil_sim.plants import urdf_drawing
-from hil_sim.plants.urdf_drawing import Drawing
+from hil_sim.plants.urdf_drawing import PlantDrawing
 from hil_sim.scenario import bed
 from hil_sim.scenario.load import load, merged, names, parse
 from hil_sim.scenario.sheets import Sheets, sheet
@@ -131,7 +131,7 @@ def _laid_over(table: Table, over: Over) -> Table:
     return table
 
 
-def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
+def _tables(file: Table, said: Table, drawing: PlantDrawing) -> Table:
     """All tables but the vehicle's own."""
     estimation = file.get("estimation", {})
     phases = estimation.get("phases", {})
@@ -234,7 +234,7 @@ def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]
     raise ScenarioError(f"bus.{name}: {scheme} can not be rehearsed; i2c, spi, can, serial, tcp, udp and gpio can")
 
 
-def _as_built(estimation: Table, drawing: Drawing) -> Table:
+def _as_built(estimation: Table, drawing: PlantDrawing) -> Table:
     """How far each link is from its drawing, by what the file states of it."""
     found: Table = {}
     prior = estimation.get("prior", {})
@@ -255,7 +255,7 @@ def _is_imu(device: Table) -> bool:
     return "frame" in device and "gyro_noise_rad_s" in device
 
 
-def _displace(found: Table, estimation: Table, drawing: Drawing, imus: list[str]) -> None:
+def _displace(found: Table, estimation: Table, drawing: PlantDrawing, imus: list[str]) -> None:
     """How far joints and IMUs are from where they are drawn, by what the file states or by :data:`_PLACE_M`."""
     stated = estimation.get("prior", {}).get("joint", {})
     places = {joint.child: stated.get(name, {}).get("position_m", _PLACE_M) for name, joint in drawing.joints.items()}
@@ -266,7 +266,7 @@ def _displace(found: Table, estimation: Table, drawing: Drawing, imus: list[str]
             found[link] = (found.get(link) or found["default"]) | {"place_mm": 1e3 * sigma_m}
 
 
-def _add_mission(out: Table, said: Table, estimation: Table, drawing: Drawing) -> None:
+def _add_mission(out: Table, said: Table, estimation: Table, drawing: PlantDrawing) -> None:
     """Payload, capture or ejection, and the sequence, in the phases that the file names."""
     phases = estimation.get("phases", {})
     taken, gone = phases.get("payload_taken"), phases.get("payload_gone")
@@ -313,7 +313,7 @@ def _hold(phase: int, duration_s: float) -> Table:
     return {"phase": phase, "action": "hold", "duration_s": duration_s}
 
 
-def _masses(drawing: Drawing, payload: str) -> list[float]:
+def _masses(drawing: PlantDrawing, payload: str) -> list[float]:
     """A payload of 0.2 to 1 times what moves with the joints; within a quarter of the drawing where that has one."""
     masses = dict(_weighed(drawing))
     own = masses.pop(payload, 0.0)
@@ -323,7 +323,7 @@ def _masses(drawing: Drawing, payload: str) -> list[float]:
     return [0.2 * arm, arm]
 
 
-def _weighed(drawing: Drawing) -> Iterator[tuple[str, float]]:
+def _weighed(drawing: PlantDrawing) -> Iterator[tuple[str, float]]:
     for link in urdf_drawing.elements(drawing, "link"):
         mass = link.find("inertial/mass")
         if mass is not None:

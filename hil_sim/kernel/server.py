@@ -26,7 +26,7 @@ from hil_sim.faults import NEVER
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.scenario import bus_tables
-from hil_sim.serve import WIRES, NetworkPort, PseudoTerminal
+from hil_sim.serve import WIRES, PseudoTerminal, ServedPort
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
 _REMOTE: Final = 0x4000_0000
@@ -197,7 +197,7 @@ def open_nodes(
             case bus_tables.SerialBusTable():
                 return PseudoTerminal(directory / bus, table, seed)
             case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
-                return NetworkPort(table)
+                return ServedPort(table)
 
     return open_ports(tables, open_port, seed)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.motions.motion import PhaseSpan, Program
 from hil_sim.scenario.tables import ScenarioError
 
@@ -44,7 +44,7 @@ class _Bench(Program):
 
 
 @dataclass
-class Signals:
+class BenchTruth:
     """True signals on the grid, rows (n, ...); what a bench does not move is at rest."""
 
     specific_force_m_s2: FloatArray | None = None  # (n, 3)
@@ -65,7 +65,7 @@ class BenchPlant(world.Plant):
     """
 
     def __init__(
-        self, signals: Signals, axis: FloatArray, turn: Callable[[str], FloatArray] = lambda at: np.eye(3)
+        self, signals: BenchTruth, axis: FloatArray, turn: Callable[[str], FloatArray] = lambda at: np.eye(3)
     ) -> None:
         arrays = [one for one in vars(signals).values() if isinstance(one, np.ndarray)]
         given = len(arrays[0])
@@ -123,7 +123,7 @@ class _Move(NamedTuple):
 
 def turntable(
     rng: np.random.Generator, rest_s: float = 10.0, turn_s: float = 8.0, long_rest_s: float = 0.0, faces: str = "xyz"
-) -> Signals:
+) -> BenchTruth:
     """Each face up in turn, and on it a whole turn each way; at the end a long rest for the Allan deviation.
 
     Args:
@@ -150,7 +150,7 @@ def turntable(
     if long_rest_s:
         moves.append(_Move(long_rest_s, none, 0.0))
     force, rate = _attitude(moves, held[0])
-    return Signals(specific_force_m_s2=force, rate_rad_s=rate, truth={"latitude_deg": LATITUDE_deg})
+    return BenchTruth(specific_force_m_s2=force, rate_rad_s=rate, truth={"latitude_deg": LATITUDE_deg})
 
 
 def _sides(axes: str) -> Iterator[FloatArray]:
@@ -225,7 +225,7 @@ def _levels(levels: Sequence[float], rest_s: float, between_s: float = 2.0) -> F
 
 def masses(
     rng: np.random.Generator, masses_kg: Sequence[float], sigma_kg: float, arm_m: float | None, rest_s: float = 12.0
-) -> Signals:
+) -> BenchTruth:
     """Masses hung on a cell one after the other; each sways until it hangs still.
 
     Args:
@@ -244,13 +244,13 @@ def masses(
         sway = 0.03 * np.exp(-t / 1.2) * np.cos(2.0 * np.pi * 1.3 * t + rng.uniform(0.0, 2.0 * np.pi))
         force[rows] *= 1.0 + sway[: rows.stop - rows.start]
     told = {"masses_kg": true_kg}
-    return Signals(force_n=force, truth=told) if arm_m is None else Signals(moment_n_m=force * arm_m, truth=told)
+    return BenchTruth(force_n=force, truth=told) if arm_m is None else BenchTruth(moment_n_m=force * arm_m, truth=told)
 
 
-def stops(rng: np.random.Generator, angles_rad: Sequence[float], rest_s: float = 5.0) -> Signals:
+def stops(rng: np.random.Generator, angles_rad: Sequence[float], rest_s: float = 5.0) -> BenchTruth:
     """A joint pushed against its stops, one after the other."""
     held = [float(angle + STOP_rad * rng.standard_normal()) for angle in angles_rad]
-    return Signals(angle_rad=_levels(held, rest_s), truth={"angles_rad": held})
+    return BenchTruth(angle_rad=_levels(held, rest_s), truth={"angles_rad": held})
 
 
 # Bifilar pendulum
@@ -265,14 +265,14 @@ class Strings(NamedTuple):
 
 def bifilar(
     rng: np.random.Generator,
-    body: Body,
+    body: Solid,
     strings: Strings,
     axes: FloatArray = HANGS,
     amplitude_rad: float = np.deg2rad(25.0),
     swing_s: float = 30.0,
     drag: tuple[float, float] = (5.0, 15.0),
     scale_sigma_kg: float = 0.005,
-) -> Signals:
+) -> BenchTruth:
     """The body hung by each of its axes in turn, still, then let go to swing about the vertical.
 
     Energy: ``T = (I w^2 + m z'^2) / 2``, ``V = m g z``, the string's end ``h^2 = (h - z)^2 + D^2 (1 - cos th) / 2``
@@ -310,7 +310,7 @@ def bifilar(
         sway_rate = np.gradient(sway, STEP_s)
         rates.append(np.outer(w, up) + np.outer(sway_rate, side))
         forces.append(np.tile(g * up, (len(w), 1)) + np.outer(g * sway, np.cross(up, side)))
-    return Signals(
+    return BenchTruth(
         rate_rad_s=np.concatenate(rates),
         specific_force_m_s2=np.concatenate(forces),
         truth={
@@ -346,7 +346,7 @@ def _swing(
 # Balance
 
 
-def balance(rng: np.random.Generator, body: Body, rig: Sequence[Mapping[str, Any]], rest_s: float = 6.0) -> Signals:
+def balance(rng: np.random.Generator, body: Solid, rig: Sequence[Mapping[str, Any]], rest_s: float = 6.0) -> BenchTruth:
     """A body on a hinge, held by a cell, in several orientations: the force that MuJoCo's inverse dynamics asks for.
 
     Args:
@@ -370,10 +370,10 @@ def balance(rng: np.random.Generator, body: Body, rig: Sequence[Mapping[str, Any
     force = _levels(levels, rest_s)
     period = 2 * round((rest_s + 2.0) / STEP_s)
     up_rows = np.repeat(np.array(ups), period, axis=0)[: len(force)]
-    return Signals(force_n=force, specific_force_m_s2=g * up_rows, truth={"forces_N": held, "mass_kg": body.mass_kg})
+    return BenchTruth(force_n=force, specific_force_m_s2=g * up_rows, truth={"forces_N": held, "mass_kg": body.mass_kg})
 
 
-def part(rng: np.random.Generator, body: Body, rig: Mapping[str, Any]) -> dict[str, Any]:
+def part(rng: np.random.Generator, body: Solid, rig: Mapping[str, Any]) -> dict[str, Any]:
     """A part on knife edges and on scales: the rig with what was read.
 
     Args:
@@ -412,7 +412,7 @@ def _askew(rng: np.random.Generator, up: Sequence[float]) -> FloatArray:
     return np.asarray(np.array(up) / np.linalg.norm(up) @ _small(2e-4 * rng.standard_normal(3)), np.float64)
 
 
-def _hinge_torque(body: Body, gravity: FloatArray, pivot: FloatArray, hinge: FloatArray) -> float:
+def _hinge_torque(body: Solid, gravity: FloatArray, pivot: FloatArray, hinge: FloatArray) -> float:
     """Torque about the hinge that holds the body."""
     I = body.inertia_kg_m2  # noqa: E741
     full = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])

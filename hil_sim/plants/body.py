@@ -10,7 +10,7 @@ from hil_sim.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Body:
+class Solid:
     """Inertial parameters in the body's frame."""
 
     mass_kg: float
@@ -18,20 +18,20 @@ class Body:
     inertia_kg_m2: FloatArray  # (3, 3) about the centre of mass
 
     @staticmethod
-    def box(mass_kg: float, size_m: Sequence[float], centre_of_mass_m: Sequence[float]) -> "Body":
+    def box(mass_kg: float, size_m: Sequence[float], centre_of_mass_m: Sequence[float]) -> "Solid":
         """A solid box along the frame's axes."""
         squares = np.square(np.asarray(size_m, np.float64))
         inertia = np.diag(mass_kg / 12.0 * (squares.sum() - squares))
-        return Body(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
+        return Solid(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
 
-    def grown(self, mass_kg: float) -> "Body":
+    def grown(self, mass_kg: float) -> "Solid":
         """The body scaled about its frame's origin to another mass at the same density."""
         factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
-        return Body(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
+        return Solid(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
 
-    def turned(self, R: FloatArray) -> "Body":
+    def turned(self, R: FloatArray) -> "Solid":
         """The body with its inertia turned about its centre of mass by ``R`` (3, 3)."""
-        return Body(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
+        return Solid(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
 
     def as_truth(self) -> dict[str, Any]:
         """For the truth of a flight."""
@@ -54,8 +54,8 @@ class Body:
 
 
 def built(
-    drawn: Body, mass_relative: float, centre_m: float, inertia_relative: float, rng: np.random.Generator
-) -> Body:
+    drawn: Solid, mass_relative: float, centre_m: float, inertia_relative: float, rng: np.random.Generator
+) -> Solid:
     """A part with its as-built errors.
 
     Args:
@@ -70,4 +70,4 @@ def built(
     mass_kg = drawn.mass_kg * (1.0 + mass_relative * rng.standard_normal())
     centre = drawn.centre_of_mass_m + centre_m * rng.standard_normal(3)
     change[np.triu_indices(3)] = inertia_relative * half_trace * rng.standard_normal(6)
-    return Body(mass_kg, centre, drawn.inertia_kg_m2 + change + np.triu(change, 1).T)
+    return Solid(mass_kg, centre, drawn.inertia_kg_m2 + change + np.triu(change, 1).T)

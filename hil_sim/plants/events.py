@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.parts.contact import Contact
 from hil_sim.plants.parts.exchange import Jolt, Released
 from hil_sim.plants.servo_flight import ServoFlight
@@ -47,7 +47,7 @@ class Event(NamedTuple):
 
 
 def events(
-    scenario: Scenario, payload: Body | None, step_s: float, steps: int, rng: np.random.Generator
+    scenario: Scenario, payload: Solid | None, step_s: float, steps: int, rng: np.random.Generator
 ) -> list[Event]:
     """Of a mission, in their order.
 

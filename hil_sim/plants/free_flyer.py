@@ -20,7 +20,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants import body as bodies
 from hil_sim.plants.parts.actuators import NO_ACTUATORS, Actuators, Wheel
 
-Body = bodies.Body
+Body = bodies.Solid
 JOINTS = 5
 _STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
 
@@ -73,7 +73,7 @@ class JointMotion:
         return q, (a * w * cosine).sum(axis=2), -(a * w * w * sine).sum(axis=2)
 
 
-class Motion(Protocol):
+class JointPath(Protocol):
     """Prescribed joint motion."""
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -102,7 +102,7 @@ class IsotropicSlosh(NamedTuple):
     damping_ratio: float = 0.005
 
 
-class Jump(NamedTuple):
+class CaptureJump(NamedTuple):
     """Step changes at a capture, in the IMU's axes and the last link's."""
 
     velocity_m_s: FloatArray  # (3,) of the IMU
@@ -172,7 +172,7 @@ def world(
 
 
 def fly(
-    model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray, duration_s: float
+    model: mujoco.MjModel, motion: JointPath, rate_rad_s: Sequence[float] | FloatArray, duration_s: float
 ) -> FreeFlightSignals:
     """One flight: released with an initial rate of the base, then the arm moves.
 
@@ -211,7 +211,7 @@ class FreeFlight:
 
     def __init__(
         self,
-        motion: Motion,
+        motion: JointPath,
         rate_rad_s: Sequence[float] | FloatArray,
         payload: Body | None = None,
         base: Body = BASE,
@@ -249,7 +249,7 @@ class FreeFlight:
 
     def capture(
         self, payload: Body, velocity_m_s: Sequence[float] | FloatArray, rate_rad_s: Sequence[float] | FloatArray
-    ) -> Jump:
+    ) -> CaptureJump:
         """Capture a payload at the gripper.
 
         Args:
@@ -291,7 +291,7 @@ class FreeFlight:
         mujoco.mj_forward(model, data)
         through = _momentum(model, data, "link_5", wrist) + _momentum(model, data, "payload", wrist) - before
         force, moment = through.reshape(2, 3) @ data.site("wrist").xmat.reshape(3, 3)
-        return Jump(self.impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
+        return CaptureJump(self.impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
 
     def release(self) -> None:
         """Release the payload without an impulse.
@@ -330,7 +330,7 @@ def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) ->
     return flight.history
 
 
-def _released(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray) -> mujoco.MjData:
+def _released(model: mujoco.MjModel, motion: JointPath, rate_rad_s: Sequence[float] | FloatArray) -> mujoco.MjData:
     data = mujoco.MjData(model)
     q, dq, _ = motion.at(np.zeros(1))
     data.qpos[7 : 7 + JOINTS], data.qvel[6 : 6 + JOINTS] = q[0], dq[0]
@@ -357,7 +357,7 @@ def _momentum(model: mujoco.MjModel, data: mujoco.MjData, body: str, about: Floa
 def _advance(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    motion: Motion,
+    motion: JointPath,
     first: int,
     samples: int,
     actuators: Actuators = NO_ACTUATORS,

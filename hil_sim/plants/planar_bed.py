@@ -14,7 +14,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import free_flyer
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY
-from hil_sim.plants.parts.pucks import Puck, drag_wrench
+from hil_sim.plants.parts.pucks import AirPuck, drag_wrench
 
 PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
 _STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
@@ -65,7 +65,7 @@ def world(
 
 def fly(
     model: mujoco.MjModel,
-    motion: free_flyer.Motion,
+    motion: free_flyer.JointPath,
     velocity: Sequence[float] | FloatArray,
     drags: Sequence[Drag],
     duration_s: float,
@@ -85,7 +85,7 @@ def fly(
     data.qpos[3:], data.qvel[3:], data.qvel[:3] = q[0], dq[0], velocity
     M = np.zeros((model.nv, model.nv))
     each = zip(PUCKS_m, drags, strict=True)
-    pucks = [Puck(np.array([*place, 0.0]), drag.viscous_N_s_m, drag.coulomb_N) for place, drag in each]
+    pucks = [AirPuck(np.array([*place, 0.0]), drag.viscous_N_s_m, drag.coulomb_N) for place, drag in each]
 
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil_sim.arrays import BoolArray, FloatArray, IndexArray
 from hil_sim.plants import urdf_drawing
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.motions.carrier import carried
 from hil_sim.plants.motions.joint_swings import JointSwings
 from hil_sim.plants.urdf_model import rotation
@@ -47,7 +47,7 @@ class Planned(NamedTuple):
     bases: tuple[BaseReadings, ...]  # of a prescribed base: motions that it may make
     rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
     velocity_m_s: FloatArray  # (3,)
-    payload: Body | None  # in its link's frame; None: nothing is held
+    payload: Solid | None  # in its link's frame; None: nothing is held
     drawn_shape: bool  # the payload has the shape of its link in the URDF, where that has one
     drag: tuple[float, float]  # of each puck: N s/m, N
 
@@ -67,7 +67,7 @@ def default_plan(scenario: Scenario, period_s: float) -> Planned:
     return planned(scenario, program, tuple(joint.name for joint in joints), period_s)
 
 
-class Room(NamedTuple):
+class SwingRoom(NamedTuple):
     """Where in a rehearsal another motion of the joints fits: its longest swing with the payload held at its start."""
 
     scenario: Scenario  # with the swing as long as was asked for
@@ -75,7 +75,7 @@ class Room(NamedTuple):
     end_s: float
 
 
-def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
+def room_for_motion(scenario: Scenario, duration_s: float | None) -> SwingRoom:
     """Find the swing that another motion is to replace, and make it ``duration_s`` long where that is given.
 
     Args:
@@ -99,7 +99,7 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
     )
     sequence = (*scenario.sequence[:at], step, *scenario.sequence[at + 1 :])
     start_s = float(starts[at])
-    return Room(scenario.model_copy(update={"sequence": sequence}), start_s, start_s + length)
+    return SwingRoom(scenario.model_copy(update={"sequence": sequence}), start_s, start_s + length)
 
 
 def with_segments(scenario: Scenario, segments: Path, duration_s: float) -> Scenario:
@@ -165,7 +165,7 @@ def _held(scenario: Scenario, time_s: FloatArray) -> BoolArray:
     return np.asarray((time_s >= from_s) & (time_s < until_s))
 
 
-def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
+def _payload(table: PayloadTable | None) -> tuple[Solid | None, bool]:
     if table is None:
         return None, False
     mass = float(np.sqrt(np.prod(table.mass_kg)))
@@ -176,7 +176,7 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
     if table.centre_of_mass_mm is not None:
         centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
     turn = rotation(np.radians(table.roll_pitch_yaw_deg or (0.0, 0.0, 0.0)))
-    body = Body.box(mass, size.tolist(), centre.tolist()).turned(turn)
+    body = Solid.box(mass, size.tolist(), centre.tolist()).turned(turn)
     return body, table.size_mm is None and table.centre_of_mass_mm is None
 
 

@@ -22,9 +22,9 @@ import numpy as np
 from mujoco import rollout
 
 from hil_sim.arrays import FloatArray, cross
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.drives.servos import Servo, install, of_all, stiffen
-from hil_sim.plants.motions.carrier import Carrier, turned
+from hil_sim.plants.motions.carrier import CarrierMaker, turned
 from hil_sim.plants.parts.exchange import Jolt, Momenta, Released
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import FlownJoints, Rows
@@ -75,7 +75,7 @@ class ServoFlight:
         chunk: int,
         far: int,
         make: Callable[[FloatArray], list[Servo]],
-        path: Carrier | None = None,
+        path: CarrierMaker | None = None,
         drag: Sequence[DragTable] = (),
         stops: Sequence[StopTable] = (),
     ) -> None:
@@ -88,7 +88,7 @@ class ServoFlight:
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np, self._nj = vehicle.freedom, vehicle.pose, len(vehicle.joints)
         self.count = 0
-        self.caught: Body | None = None
+        self.caught: Solid | None = None
         self.spring: Spring | None = None
         self.momenta = Momenta(vehicle, self.data, places)
         self._inertia = np.zeros((self.model.nv, self.model.nv))
@@ -106,7 +106,7 @@ class ServoFlight:
         if path is not None:
             root = vehicle.body(vehicle.root)
             self._heavy_kg = _HEAVIER * max(1.0, float(model.body_mass.sum() - model.body_mass[root]))
-            vehicle.build({vehicle.root: Body(self._heavy_kg, np.zeros(3), self._heavy_kg * np.eye(3))})
+            vehicle.build({vehicle.root: Solid(self._heavy_kg, np.zeros(3), self._heavy_kg * np.eye(3))})
         q, dq, _ = motion.at(np.zeros(1))
         self._q, self._dq = q[0].copy(), dq[0].copy()
         self._stand()

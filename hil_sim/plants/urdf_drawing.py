@@ -35,7 +35,7 @@ class DrawnJoint(NamedTuple):
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
 
-class Drawing(NamedTuple):
+class PlantDrawing(NamedTuple):
     """A URDF.
 
     Attributes:
@@ -64,7 +64,7 @@ class Drawing(NamedTuple):
         raise ScenarioError(f"the URDF has no link or joint {frame!r}; its links are {', '.join(self.links)}")
 
 
-def read(text: str, label: str) -> Drawing:
+def read(text: str, label: str) -> PlantDrawing:
     """A drawing from the text of a URDF; messages call it ``label``.
 
     Raises:
@@ -101,10 +101,10 @@ def read(text: str, label: str) -> Drawing:
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         raise ScenarioError(f"{label} hangs on {', '.join(roots) or 'nothing'}; a vehicle has a single root")
-    return Drawing(roots[0], links, joints, ET.tostring(robot, encoding="unicode"))
+    return PlantDrawing(roots[0], links, joints, ET.tostring(robot, encoding="unicode"))
 
 
-def elements(drawing: Drawing, tag: str) -> list[ET.Element]:
+def elements(drawing: PlantDrawing, tag: str) -> list[ET.Element]:
     """The elements of one tag, as MuJoCo reads them."""
     return ET.fromstring(drawing.plain).findall(tag)
 

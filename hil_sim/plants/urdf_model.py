@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
-from hil_sim.plants.urdf_drawing import PREFIX, Drawing
+from hil_sim.plants.body import Solid
+from hil_sim.plants.urdf_drawing import PREFIX, PlantDrawing
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import Scenario
 
@@ -38,7 +38,7 @@ class Places(NamedTuple):
     tracked: tuple[str, ...] = ()
 
 
-def places(scenario: Scenario, drawing: Drawing) -> Places:
+def places(scenario: Scenario, drawing: PlantDrawing) -> Places:
     """Links at which the devices measure motion or loads."""
     imus: dict[str, None] = {}
     cells: dict[str, None] = {}
@@ -78,7 +78,7 @@ class UrdfModel:
     """
 
     def __init__(
-        self, drawing: Drawing, base: str, gravity_m_s2: Sequence[float], places: Places, fit: Fit | None = None
+        self, drawing: PlantDrawing, base: str, gravity_m_s2: Sequence[float], places: Places, fit: Fit | None = None
     ) -> None:
         try:
             spec = mujoco.MjSpec.from_string(drawing.plain)
@@ -104,17 +104,17 @@ class UrdfModel:
         self.joints = tuple(self.model.joint(index).name for index in range(_JOINTS[base], self.model.njnt))
         self._drawn = {link: self._read(link) for link in drawing.links}
 
-    def _read(self, link: str) -> Body:
+    def _read(self, link: str) -> Solid:
         body = self.model.body(PREFIX + link)
         R = matrix_of(body.iquat)
-        return Body(float(body.mass[0]), np.array(body.ipos), R @ np.diag(body.inertia) @ R.T)
+        return Solid(float(body.mass[0]), np.array(body.ipos), R @ np.diag(body.inertia) @ R.T)
 
     @property
-    def drawn(self) -> dict[str, Body]:
+    def drawn(self) -> dict[str, Solid]:
         """Every link that has a mass, as drawn, in its own frame."""
         return {link: body for link, body in self._drawn.items() if body.mass_kg > 0.0}
 
-    def build(self, bodies: Mapping[str, Body]) -> None:
+    def build(self, bodies: Mapping[str, Solid]) -> None:
         """Give links other inertias."""
         for link, own in bodies.items():
             body = self.model.body(PREFIX + link)
@@ -131,14 +131,14 @@ class UrdfModel:
             self.model.body(PREFIX + link).pos += by
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
-    def empty(self, link: str) -> Body:
+    def empty(self, link: str) -> Solid:
         """Take a link's inertia away, which is that of the payload it holds; returns it as drawn."""
         own = self._drawn[link]
-        self._drawn[link] = Body(0.0, np.zeros(3), np.zeros((3, 3)))
+        self._drawn[link] = Solid(0.0, np.zeros(3), np.zeros((3, 3)))
         self.build({link: self._drawn[link]})
         return own
 
-    def hold(self, link: str, payload: Body | None) -> None:
+    def hold(self, link: str, payload: Solid | None) -> None:
         """Weld a payload to a link, or take it off: the link has its own inertia besides."""
         own = self._drawn[link]
         self.build({link: own if payload is None else _together(own, payload)})
@@ -195,7 +195,7 @@ def _instrument(spec: mujoco.MjSpec, places: Places) -> None:
     add(("position", "attitude"), places.tracked)
 
 
-def _together(one: Body, other: Body) -> Body:
+def _together(one: Solid, other: Solid) -> Solid:
     """Two bodies in one frame, welded."""
     mass = one.mass_kg + other.mass_kg
     centre = (one.mass_kg * one.centre_of_mass_m + other.mass_kg * other.centre_of_mass_m) / mass
@@ -203,7 +203,7 @@ def _together(one: Body, other: Body) -> Body:
     for part in (one, other):
         d = part.centre_of_mass_m - centre
         inertia += part.inertia_kg_m2 + part.mass_kg * (d @ d * np.eye(3) - np.outer(d, d))
-    return Body(mass, centre, inertia)
+    return Solid(mass, centre, inertia)
 
 
 def matrix_of(quaternion: FloatArray) -> FloatArray:

@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray, solved
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.motions.attitude import Wheels
-from hil_sim.plants.motions.carrier import Carrier
+from hil_sim.plants.motions.carrier import CarrierMaker
 from hil_sim.plants.parts.cabin import Cabin
 from hil_sim.plants.parts.coasting import Coasting, Told, mean, moved
 from hil_sim.plants.parts.contact import Contact
@@ -80,7 +80,7 @@ class VehicleFlight:
         link: str | None,
         step_s: float,
         velocity: FloatArray,
-        path: Carrier | None = None,
+        path: CarrierMaker | None = None,
         pucks: Drag = (),
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
@@ -110,7 +110,7 @@ class VehicleFlight:
         self._soft_rates, self._spin_rates = np.zeros_like(self._soft.state), np.zeros_like(self._spin)
         self.momenta = Momenta(vehicle, self.data, places)
         self.contact: Contact | None = None
-        self.caught: Body | None = None
+        self.caught: Solid | None = None
         self._push = np.zeros(self.model.nv)  # generalised, of the contact's spring on the vehicle
         self._touched_rates = self._touched
         if soft is not None:

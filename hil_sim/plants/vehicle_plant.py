@@ -16,12 +16,12 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray, Track
 from hil_sim.plants import draws, urdf_drawing, world
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.drives import servos
 from hil_sim.plants.drives.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.events import events
 from hil_sim.plants.motions.attitude import holding
-from hil_sim.plants.motions.carrier import Carrier
+from hil_sim.plants.motions.carrier import CarrierMaker
 from hil_sim.plants.motions.joint_swings import JointSwings, wheels
 from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.parts.cabin import Cabin
@@ -124,7 +124,7 @@ class VehiclePlant(world.Plant):
         scenario, every = self._scenario, self._every
         self._coarse_s, self._steps = every * self.step_s, -(-self.rows // every) + 1
         prescribed = scenario.vehicle.base == "prescribed"
-        path = Carrier(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
+        path = CarrierMaker(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
         link = scenario.vehicle.payload_link
         if self.payload is not None and scenario.capture is None and link is not None:
             self._model.hold(link, self.payload)
@@ -312,7 +312,7 @@ class VehiclePlant(world.Plant):
         return self._made(lambda rows: np.hstack([sensors[rows, where], sensors[rows, how]]), 7)
 
     @property
-    def base(self) -> Body:
+    def base(self) -> Solid:
         """The base's body, as built."""
         return self.bodies[self._scenario.vehicle.base_link]
 

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil_sim.scenario import bed
-from hil_sim.scenario.tables import Files, Refused, ScenarioError
+from hil_sim.scenario.tables import BadTable, Files, ScenarioError
 from hil_sim.scenario.vehicle_tables import Scenario
 
 __all__ = ["Scenario", "ScenarioError", "load", "merged", "names", "parse"]
@@ -99,7 +99,7 @@ def parse(table: Mapping[str, Any], label: str = "scenario", files: Files = ()) 
         problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors())
         raise ScenarioError(
             f"{label} cannot be used: {problems}. Correct these keys",
-            (Refused(error, Scenario, dict(table)),),
+            (BadTable(error, Scenario, dict(table)),),
             label,
             files,
         ) from error

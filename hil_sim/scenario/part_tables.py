@@ -62,7 +62,7 @@ class ConingTable(Table):
     centre_of_mass_to_base_m: Vector = (0.0, 0.0, 0.0)
 
 
-class Mode(Table):
+class StructuralMode(Table):
     """A structural mode: lightly damped, driven by noise; ``rms`` by axis, in the unit of its list."""
 
     frequency_Hz: PositiveFloat
@@ -75,8 +75,8 @@ class Vibration(Table):
 
     broadband_mg: Vector = (0.0, 0.0, 0.0)
     broadband_band_Hz: tuple[PositiveFloat, PositiveFloat] = (5.0, 150.0)
-    linear_mode_mg: tuple[Mode, ...] = ()
-    angular_mode_mrad_s: tuple[Mode, ...] = ()
+    linear_mode_mg: tuple[StructuralMode, ...] = ()
+    angular_mode_mrad_s: tuple[StructuralMode, ...] = ()
 
     @property
     def highest_Hz(self) -> float:  # noqa: N802

@@ -9,7 +9,7 @@ from hil_sim.scenario.sensor_tables import Table
 Files = tuple[tuple[str, str], ...]  # path and text of each, laid over those before it
 
 
-class Refused(NamedTuple):
+class BadTable(NamedTuple):
     """A table that a class did not take: pydantic's error, the class, the table, and where it stands."""
 
     error: ValidationError
@@ -27,7 +27,7 @@ class ScenarioError(ValueError):
         files: that it was made of.
     """
 
-    def __init__(self, message: str, refused: tuple[Refused, ...] = (), label: str = "", files: Files = ()) -> None:
+    def __init__(self, message: str, refused: tuple[BadTable, ...] = (), label: str = "", files: Files = ()) -> None:
         super().__init__(message)
         self.refused, self.label, self.files = refused, label, files
 

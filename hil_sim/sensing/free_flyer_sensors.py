@@ -48,7 +48,7 @@ class ImuErrors:
     delay_s: float = 0.0  # IMU samples carry times this much too late
 
 
-class Samples(NamedTuple):
+class SampledSignals(NamedTuple):
     """Sampled signals on one grid."""
 
     time_s: FloatArray  # (n,)
@@ -59,7 +59,7 @@ class Samples(NamedTuple):
     specific_force_sigma_m_s2: float
 
 
-def sample(flight: Moved, errors: ImuErrors, rng: np.random.Generator) -> Samples:
+def sample(flight: Moved, errors: ImuErrors, rng: np.random.Generator) -> SampledSignals:
     """Samples a flight at its own grid; noise at the datasheet's density, white up to half the sample rate."""
     t, n = flight.time_s, len(flight.time_s)
     period_s = float(t[1] - t[0])
@@ -89,4 +89,4 @@ def sample(flight: Moved, errors: ImuErrors, rng: np.random.Generator) -> Sample
         np.hypot(d * half_band, s / np.sqrt(12.0))
         for d, s in ((GYRO_DENSITY_rad_s, GYRO_STEP_rad_s), (ACCELEROMETER_DENSITY_m_s2, ACCELEROMETER_STEP_m_s2))
     ]
-    return Samples(t, angle, readings[0], readings[1], float(sigma[0]), float(sigma[1]))
+    return SampledSignals(t, angle, readings[0], readings[1], float(sigma[0]), float(sigma[1]))

@@ -12,12 +12,12 @@ from onboard.cli import common
 if TYPE_CHECKING:
     from onboard import config
     from onboard.ground.calibrate.guide import GuideStep
-    from onboard.ground.calibrate.readings import Span
+    from onboard.ground.calibrate.readings import LogSpan
     from onboard.ground.calibrate.result import Calibration
     from onboard.ground.calibrate.supports import PartRig
     from onboard.recording.reader import LogReader
 
-    Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[Span]], Calibration]
+    Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[LogSpan]], Calibration]
 
 _WEIGHED_SIGMA_KG = 0.005
 
@@ -301,7 +301,7 @@ def _place(arguments: argparse.Namespace) -> Any:
     return place(arguments.latitude_deg, arguments.height_m)
 
 
-def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[LogSpan]") -> Any:
     import math
 
     from onboard.ground.calibrate import allan
@@ -319,7 +319,9 @@ def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: s
     return found
 
 
-def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+def _load_cell(
+    a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[LogSpan]"
+) -> Any:
     from onboard.ground.calibrate.load_cell import HungMasses, calibrate_load_cell
     from onboard.ground.calibrate.readings import readings
 
@@ -330,7 +332,7 @@ def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", dev
     return calibrate_load_cell(readings(log, v, channel), v, device, hung, at)
 
 
-def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[LogSpan]") -> Any:
     import math
 
     from onboard.ground.calibrate import steps
@@ -342,7 +344,7 @@ def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
     return calibrate_encoder(readings(log, v, device), v, device, stops, at)
 
 
-def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[LogSpan]") -> Any:
     from onboard.estimation.calibration.bifilar import Suspension
     from onboard.ground.calibrate.bifilar import calibrate_bifilar
     from onboard.ground.calibrate.readings import readings
@@ -357,7 +359,7 @@ def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
     return calibrate_bifilar(read, v, device, suspension, at, g.sigma_m_s2 / g.gravity_m_s2)[0]
 
 
-def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[LogSpan]") -> Any:
     from onboard.flight.estimate.readings.roles import roles_of
     from onboard.ground.calibrate.balance import calibrate_balance, rig
     from onboard.ground.calibrate.readings import readings

@@ -10,7 +10,7 @@ from onboard.cli.common import FAILED, OK, Commands, add_json, complain, console
 
 if TYPE_CHECKING:
     from onboard.ground.campaign.design import Item
-    from onboard.ground.campaign.results import Done
+    from onboard.ground.campaign.results import Returned
     from onboard.ground.campaign.store import Content, Store
 
 _REPORT = Path("report")
@@ -101,7 +101,7 @@ def _check_missions(items: Mapping[str, "Item"]) -> None:
         raise ValueError(f"heft campaign simulates with MuJoCo ({error}): pip install mujoco") from error
 
 
-def fly(item: "Item", revision: str) -> "Done":
+def fly(item: "Item", revision: str) -> "Returned":
     """What a worker does with an item."""
     from onboard.ground.campaign.flights import done
 
@@ -134,7 +134,7 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
     with progress() as bar:
         task = bar.add_task(content.name, total=len(items), completed=len(items) - len(left))
 
-        def count(item: "Item", done: "Done") -> None:
+        def count(item: "Item", done: "Returned") -> None:
             nonlocal wrong
             wrong += done.result is not None and done.result.nonsense
             bar.update(

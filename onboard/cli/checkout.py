@@ -101,7 +101,7 @@ def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     def dry_run() -> "CheckResult":
         return _dry_run(vehicle, arguments.dry_run)
 
-    bench = checkout.Bench(time.monotonic_ns, time.sleep, lambda: datetime.now(UTC), workers.run_for, dry_run)
+    bench = checkout.CheckHost(time.monotonic_ns, time.sleep, lambda: datetime.now(UTC), workers.run_for, dry_run)
     lengths = checkout.Lengths(arguments.seconds, arguments.move, 60.0 * arguments.minutes)
     record = checkout.checkout(vehicle, Estimator(vehicle), bench, _Console(), lengths)
     common.show(checkout.render(record))

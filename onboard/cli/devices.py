@@ -8,7 +8,7 @@ from onboard.cli import common
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.flight.check.scan import Bus
+    from onboard.flight.check.scan import ScannedBus
 
 
 def add(commands: common.Commands) -> None:
@@ -61,10 +61,10 @@ def _devices(arguments: argparse.Namespace) -> int:
     return common.OK
 
 
-def _scanned(urls: list[str]) -> "list[Bus]":
+def _scanned(urls: list[str]) -> "list[ScannedBus]":
     from onboard.flight.check import scan
 
-    buses: list[Bus] = []
+    buses: list[ScannedBus] = []
     for url in urls or scan.urls():
         with common.busy(f"looking at {url}"):
             buses.append(scan.scan(url, time.monotonic_ns, time.sleep))

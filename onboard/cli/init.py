@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from onboard.cli.common import OK, Commands, bus_and_url, busy
 
 if TYPE_CHECKING:
-    from onboard.ground.before.init.drawing import Drawn
+    from onboard.ground.before.init.drawing import DrawnUrdf
     from onboard.ground.before.init.vehicle import NewVehicle
 
 _QUESTIONS = (
@@ -124,7 +124,7 @@ def _bed(arguments: argparse.Namespace) -> int:
             raise ValueError(f"the URDF has no link {link!r}")
     imu = arguments.imu_frame or (drawn.imus[0] if len(drawn.imus) == 1 else "imu_base")
     name = arguments.name or arguments.directory.resolve().name
-    files = bed.write(bed.Bed(name, drawn, imu, arguments.payload_link or ""), arguments.directory)
+    files = bed.write(bed.NewBed(name, drawn, imu, arguments.payload_link or ""), arguments.directory)
     proof = () if arguments.payload_link else (_NO_PROOF,)
     return _written(files, (*drawn.notes, *_of_imu(drawn, imu), *proof))
 
@@ -148,7 +148,7 @@ def _written(files: "list[Path]", notes: tuple[str, ...]) -> int:
     return OK
 
 
-def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
+def _of_payload(drawn: "DrawnUrdf", link: str) -> tuple[str, ...]:
     """Which link stands for what is held, and which others could be meant."""
     if link in drawn.links:
         return (
@@ -161,7 +161,7 @@ def _of_payload(drawn: "Drawn", link: str) -> tuple[str, ...]:
     return (f"what is held is estimated in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
-def _of_imu(drawn: "Drawn", link: str) -> tuple[str, ...]:
+def _of_imu(drawn: "DrawnUrdf", link: str) -> tuple[str, ...]:
     """Where the IMU is taken to be."""
     if link in drawn.frames:
         return (f"the IMU has the axes and the place of link {link}",)

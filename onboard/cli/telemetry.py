@@ -86,7 +86,7 @@ def watch(arguments: argparse.Namespace) -> int:
 
 
 def _page(vehicle: "config.Vehicle | None", arguments: argparse.Namespace, shown: str) -> int:
-    from onboard.page.follow import Recorded
+    from onboard.page.follow import LogFrames
     from onboard.page.received import PacketFile, Received
 
     link, apids = _link(arguments.decode), _settings(vehicle).apids
@@ -97,7 +97,7 @@ def _page(vehicle: "config.Vehicle | None", arguments: argparse.Namespace, shown
         source.close()
         return common.OK
     file = PacketFile(Path(link.path), apids)
-    common.show_page(arguments, shown, Recorded(file))
+    common.show_page(arguments, shown, LogFrames(file))
     return common.OK if file.is_whole else common.DAMAGED
 
 
@@ -149,10 +149,10 @@ def _decode(vehicle: "config.Vehicle | None", arguments: argparse.Namespace) -> 
     from onboard.telemetry.board import PacketBoard
     from onboard.telemetry.link import received
     from onboard.telemetry.packets import Packet, plain
-    from onboard.telemetry.stream import Series, Stream
+    from onboard.telemetry.stream import Series, Splitter
 
     address = _link(arguments.decode)
-    stream, series = Stream(_settings(vehicle).apids), Series()
+    stream, series = Splitter(_settings(vehicle).apids), Series()
     board = PacketBoard(stream, series)
     commander, out = _commander(vehicle, arguments)
     duration_s = arguments.duration or (_COMMANDS_S if arguments.asked else None)

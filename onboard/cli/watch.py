@@ -12,7 +12,7 @@ from onboard.cli import common
 if TYPE_CHECKING:
     from onboard.flight.store.manifest import Manifest
     from onboard.ground.log.views.watch import Board
-    from onboard.page.follow import Followed, Recorded
+    from onboard.page.follow import Followed, LogFrames
     from onboard.recording.reader import LogReader
     from onboard.ring import RingReader
 
@@ -68,13 +68,13 @@ def _log_or_link(text: str) -> Path | str:
     return text if "://" in text else Path(text)
 
 
-def _recorded(path: Path) -> "tuple[LogReader, Recorded]":
-    from onboard.page.follow import Recorded
+def _recorded(path: Path) -> "tuple[LogReader, LogFrames]":
+    from onboard.page.follow import LogFrames
     from onboard.recording.reader import LogReader
 
     log = LogReader(path)
     with common.busy(f"{path.name} is read") as told:
-        return log, Recorded(log, lambda done: told(f"{path.name} is read, {100 * done // max(1, log.size)} %"))
+        return log, LogFrames(log, lambda done: told(f"{path.name} is read, {100 * done // max(1, log.size)} %"))
 
 
 def _followed() -> "Followed":

@@ -55,7 +55,7 @@ class Law(Protocol):
         """Joint torques (n,) N m; errors (n,) are reference less measured, rad and rad/s, at SYNC ``step``."""
 
 
-class Reference(NamedTuple):
+class SyncedMotion(NamedTuple):
     """A motion at the SYNCs of a trial, and at the times that their torques are in force; (m, n) each."""
 
     q: FloatArray
@@ -64,10 +64,10 @@ class Reference(NamedTuple):
     ddq_acting: FloatArray
 
     @staticmethod
-    def of(motion: Motion, period_s: float) -> "Reference":
+    def of(motion: Motion, period_s: float) -> "SyncedMotion":
         """Of a whole trial."""
         time_s = period_s * np.arange(round(motion.seconds / period_s), dtype=np.float64)
-        return Reference(motion.at(time_s)[0], *motion.at(time_s + AHEAD * period_s))
+        return SyncedMotion(motion.at(time_s)[0], *motion.at(time_s + AHEAD * period_s))
 
 
 class FeedForward(NamedTuple):
@@ -87,7 +87,7 @@ class ComputedTorque(NamedTuple):
 
     space: JointSpace
     drives: Drives
-    reference: Reference
+    reference: SyncedMotion
 
     def torque(self, step: int, error: FloatArray, error_rate: FloatArray) -> FloatArray:
         """See :class:`Law`."""
@@ -98,7 +98,7 @@ class ComputedTorque(NamedTuple):
         return u
 
 
-def feed_forward(space: JointSpace, drives: Drives, reference: Reference) -> FloatArray:
+def feed_forward(space: JointSpace, drives: Drives, reference: SyncedMotion) -> FloatArray:
     """Torques of a motion by a model, (m, n): inverse dynamics and drives, without feedback."""
     _, q, dq, ddq = reference
     rigid = np.array([space.torque(*row) for row in zip(q, dq, ddq, strict=True)])

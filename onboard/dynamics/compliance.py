@@ -50,7 +50,7 @@ class Springs(NamedTuple):
     damping: FloatArray  # (f,) N m s/rad
 
 
-class Moved(NamedTuple):
+class BentVehicle(NamedTuple):
     """The vehicle as it moves with some bends."""
 
     bodies: Bodies
@@ -145,7 +145,7 @@ class Compliance:
         return np.asarray(each.max(axis=0), np.float64)
 
     def follow(
-        self, start: FloatArray, springs: Springs, period_s: float, ticks: int, move: Callable[[Bend], Moved]
+        self, start: FloatArray, springs: Springs, period_s: float, ticks: int, move: Callable[[Bend], BentVehicle]
     ) -> Bend:
         """The bends along a motion.
 

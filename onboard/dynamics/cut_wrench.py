@@ -86,7 +86,7 @@ class CutWrench:
         self._require(base)
         frames, own = bodies.frames, (bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench)
         R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
-        moving = structures.Moving(n, frames.p.shape[1], total, R, p, *own, screws, functions)
+        moving = structures.MovingStruct(n, frames.p.shape[1], total, R, p, *own, screws, functions)
         work, out = np.empty(6 * self._errors.columns), np.empty(n * (1 + total))
         given = ctypes.byref(moving), ctypes.byref(self._compiled), None if errors is None else ctypes.byref(errors)
         library.call("heft_cut_wrench", *given, library.address(work), out=out)

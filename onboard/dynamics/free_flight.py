@@ -81,7 +81,7 @@ class BasePrediction(NamedTuple):
         twist[:, 3:] = self.rate
         return _sensitivity(-self.by_wrench, self.momentum, twist, forcing, start, period_s)[:, :, 3:]
 
-    def compiled(self) -> structures.Base:
+    def compiled(self) -> structures.BaseStruct:
         """The motion for the compiled core.
 
         Raises:
@@ -91,7 +91,7 @@ class BasePrediction(NamedTuple):
         fields = self.rate, self.acceleration, self.specific_force, self.by_rate, self.by_wrench, self.along
         shapes = (n, 3), (n, 3), (n, 3), (n, 6, 3), (n, 6, 6), (n, 9, total)
         given = (library.given(part, *shape) for part, shape in zip(fields, shapes, strict=True))
-        return structures.Base(n, total, *given)
+        return structures.BaseStruct(n, total, *given)
 
     @property
     def d_rate(self) -> FloatArray:

@@ -114,7 +114,7 @@ class JointErrors:
         each = np.arange(joints)
         self._of = np.concatenate([each, each, self.of_cyclic])  # joint of each error that is a function
         stays = np.where(displaces, 0.0, 1.0)
-        self.compiled = structures.Errors(joints, len(self._of), self.beyond_links, stays, self._of)
+        self.compiled = structures.ErrorsStruct(joints, len(self._of), self.beyond_links, stays, self._of)
 
     def along(self, chain: Chain, functions: FloatArray, local: int = 0) -> "ErrorsAlong":
         """The errors along one motion of the vehicle's chain; see :class:`ErrorsAlong`."""

@@ -84,10 +84,12 @@ class Columns:
         each = [np.eye(10)] * len(links) if bases is None else bases
         self.bases = library.given(np.array(each, np.float64).reshape(-1, 10, 10), len(links), 10, 10)
 
-    def compiled(self, count: int) -> structures.Unknown:
+    def compiled(self, count: int) -> structures.ColumnsStruct:
         """The columns for the compiled core, of a vehicle with so many links.
 
         Raises:
             ArrayError: it has fewer links than these are of.
         """
-        return structures.Unknown(len(self.links), library.indices(np.array(self.links, np.intp), count), self.bases)
+        return structures.ColumnsStruct(
+            len(self.links), library.indices(np.array(self.links, np.intp), count), self.bases
+        )

@@ -18,7 +18,7 @@ from drivers.canopen_pdo.profiles.cia402 import Cia402Config
 from drivers.canopen_pdo.sync import SyncConfig
 from drivers.records import EVENT, Batch, Severity
 from drivers.transports import open_can
-from onboard.control.laws import SLOW_RAD_S, WINDOW, Gains, Law, Reference
+from onboard.control.laws import SLOW_RAD_S, WINDOW, Gains, Law, SyncedMotion
 from onboard.control.motion import JointLimits
 from onboard.control.watch import astray
 from onboard.estimation.arrays import FloatArray
@@ -107,7 +107,7 @@ class _Running:
     """A trial that is being flown."""
 
     law: Law
-    reference: Reference
+    reference: SyncedMotion
     first: int | None = None
     error: list[FloatArray] = field(default_factory=list)
     measured: list[FloatArray] = field(default_factory=list)
@@ -172,7 +172,7 @@ class Trials:
         assert self._hold is not None
         return self._hold
 
-    def fly(self, law: Law, reference: Reference) -> FlownTrial:
+    def fly(self, law: Law, reference: SyncedMotion) -> FlownTrial:
         """One trial, from the posture back to it."""
         trial = self._running = _Running(law, reference)
         steps = len(reference.q)

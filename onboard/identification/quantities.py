@@ -28,7 +28,7 @@ SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's wei
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
 
 
-class Tolerance(NamedTuple):
+class DrawingTolerance(NamedTuple):
     """How far a link may be from its drawing, one sigma each."""
 
     mass: float = 0.03  # relative
@@ -143,7 +143,7 @@ def mass_quantities(
     base: BaseParameters,
     joint: str,
     arm_link: str,
-    tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
+    tolerances: Mapping[str, DrawingTolerance] = MappingProxyType({}),
 ) -> tuple[Quantity, ...]:
     """Inertias about the joint, and the masses that follow with the nominal geometry (Limparis 4.6).
 
@@ -156,7 +156,7 @@ def mass_quantities(
         base: their base parameters.
         joint: about which the inertias are.
         arm_link: the link that stays.
-        tolerances: of the drawing, by link; :class:`Tolerance`'s own where not given.
+        tolerances: of the drawing, by link; :class:`DrawingTolerance`'s own where not given.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -180,13 +180,13 @@ def mass_quantities(
         padded[: parts.shape[1]] = parts[index]
         functionals.append(base.weights(padded))
         masses.append((mass, inertia))
-        tolerance = tolerances.get(link, Tolerance())
+        tolerance = tolerances.get(link, DrawingTolerance())
         leanings.append(_gyration_sigma(parts[index], vehicle.chi[10 * index : 10 * index + 10], 10 * index, tolerance))
     (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
     of_arm = _leaning(arm_link, arm * m_arm / zz_arm, leanings[0])
     of_tip = _leaning(payload, tip * m_tip / zz_tip, leanings[1])
     drawn = "radii of gyration from the drawing"
-    known = m_arm, m_arm * tolerances.get(arm_link, Tolerance()).mass
+    known = m_arm, m_arm * tolerances.get(arm_link, DrawingTolerance()).mass
     return (
         Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
         Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
@@ -198,7 +198,7 @@ def mass_quantities(
     )
 
 
-def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: Tolerance) -> dict[str, float]:
+def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: DrawingTolerance) -> dict[str, float]:
     """Relative sigma of a link's inertia about a joint at a given mass, by cause.
 
     Args:

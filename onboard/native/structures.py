@@ -47,21 +47,21 @@ class Pushed(_Structure):
     _fields_ = _fields("count", "of_each gain")
 
 
-class Unknown(_Structure):
+class ColumnsStruct(_Structure):
     """``heft_columns``."""
 
     NUMBERS = 1
     _fields_ = _fields("count", "links bases")
 
 
-class Errors(_Structure):
+class ErrorsStruct(_Structure):
     """``heft_errors``."""
 
     NUMBERS = 2
     _fields_ = _fields("joints functions", "beyond stays of")
 
 
-class Moving(_Structure):
+class MovingStruct(_Structure):
     """``heft_moving``."""
 
     NUMBERS = 3
@@ -75,7 +75,7 @@ class Cut(_Structure):
     _fields_ = _fields("carried_by columns", "group is_beyond R p projection")
 
 
-class Base(_Structure):
+class BaseStruct(_Structure):
     """``heft_base``."""
 
     NUMBERS = 2
@@ -89,7 +89,7 @@ class Read(_Structure):
     _fields_ = _fields("n joints functions taken", "q dq ddq cyclic of errors multiples")
 
 
-class Samples(_Structure):
+class SamplesStruct(_Structure):
     """``heft_samples``."""
 
     NUMBERS = 4

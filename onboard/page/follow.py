@@ -210,7 +210,7 @@ class PlayedLog(Protocol):
         """Rows in the order of their times, nearly."""
 
 
-class Recorded:
+class LogFrames:
     """Frames of a log. Reads it once, from begin to end.
 
     Args:

@@ -18,7 +18,7 @@ from onboard.page.state import PageState
 from onboard.telemetry.board import SILENT_S, reported
 from onboard.telemetry.link import Address, received
 from onboard.telemetry.packets import LEVELS, Packet
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 from onboard.telemetry.values import OF_HEALTH
 
 _LEVELS = {word: number for number, word in LEVELS}
@@ -38,7 +38,7 @@ class AsRows:
         series: that places them.
     """
 
-    def __init__(self, stream: Stream, series: Series) -> None:
+    def __init__(self, stream: Splitter, series: Series) -> None:
         self._stream, self._series = stream, series
         self._why: dict[str, tuple[str, str]] = {}  # level, reason
         self._newest_ns: dict[str, int] = {}
@@ -126,7 +126,7 @@ class Received:
     def __init__(self, address: Address, apids: Mapping[str, int], payload: str, clock: Callable[[], float]) -> None:
         self._address, self._payload, self._clock = address, payload, clock
         self.state = PageState(f"{address.text}: no flight is known yet", payload, live=True)
-        self._stream, self._series = Stream(apids), Series()
+        self._stream, self._series = Splitter(apids), Series()
         self._rows = AsRows(self._stream, self._series)
         self._flight = ""
         self._waiting: list[Batch] = []  # before it is known of which flight
@@ -208,7 +208,7 @@ class PacketFile:
 
     def __init__(self, path: Path, apids: Mapping[str, int]) -> None:
         self.path, self.position = path, 0
-        self.stream, self.series = Stream(apids), Series()
+        self.stream, self.series = Splitter(apids), Series()
         data = path.read_bytes()
         self._packets = [*self.stream.feed(data), *self.stream.finish()]
         vehicle = next((one.values["vehicle"] for one in self._packets if one.kind.name == "flight"), "")

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from onboard.flight.health.status import CAUTION, NO_HEALTH, standing
 from onboard.telemetry.packets import Packet
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 
 SILENT_S = 5.0  # without a packet, of which some come every second
 _EVENTS = 8
@@ -29,7 +29,7 @@ class PacketBoard:
         series: that places them.
     """
 
-    def __init__(self, stream: Stream, series: Series) -> None:
+    def __init__(self, stream: Splitter, series: Series) -> None:
         self._stream, self._series = stream, series
         self._last: dict[str, Packet] = {}
         self._answers: dict[str, Packet] = {}

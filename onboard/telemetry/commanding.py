@@ -15,7 +15,7 @@ from onboard.channels import Order, Refusal
 from onboard.flight.store.orders import UPLINK, OrderBook, order_row
 from onboard.telemetry.downlink import Downlink
 from onboard.telemetry.span import TOO_MANY
-from onboard.telemetry.uplink import WHY, Command, Uplink
+from onboard.telemetry.uplink import WHY, Telecommand, Uplink
 
 REPLY_NS = 3_000_000_000  # the supervisor looks ten times a second
 SPAN_NS = 120_000_000_000  # that reading a span may take
@@ -24,7 +24,7 @@ _WANTED = {_ACCEPTED: 8, _BEGUN: 4, _COMPLETED: 1}  # acknowledgement flags of a
 
 
 class _Given(NamedTuple):
-    command: Command
+    command: Telecommand
     since_ns: int
 
 
@@ -71,7 +71,7 @@ class Commanding:
             file.close()
         self._book.close()
 
-    def _take(self, command: Command, origin: str, now_ns: int) -> None:
+    def _take(self, command: Telecommand, origin: str, now_ns: int) -> None:
         asks = any(given.command.order == Order.SPAN for given in self._given.values()) or self._span is not None
         refused = command.refused or (Refusal.BUSY if asks and command.order == Order.SPAN else Refusal.NONE)
         count = int.from_bytes(command.request[2:], "big") & 0x3FFF
@@ -121,11 +121,11 @@ class Commanding:
         file.close()
         self._reading = None
 
-    def _report(self, command: Command, subtype: int) -> None:
+    def _report(self, command: Telecommand, subtype: int) -> None:
         if command.acknowledge & _WANTED[subtype]:
             self._downlink.report(subtype, command.request, command.source)
 
-    def _fail(self, command: Command, subtype: int, code: Refusal, why: str = "") -> None:
+    def _fail(self, command: Telecommand, subtype: int, code: Refusal, why: str = "") -> None:
         self._downlink.report(subtype, command.request, command.source, code=int(code), why=why or WHY[code])
 
 

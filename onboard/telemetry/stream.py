@@ -1,6 +1,6 @@
 """Bytes to packets, whatever happened to the bytes on the way, and which packets are missing.
 
-``Stream`` finds packets by what is fixed in them: APID, length of the kind, CRC. Bytes between them are counted and
+``Splitter`` finds packets by what is fixed in them: APID, length of the kind, CRC. Bytes between them are counted and
 left out; it returns whole packets, none for "need more", and never raises for bytes. ``Series`` tells by sequence
 counts what did not come, and refuses what came before.
 """
@@ -15,7 +15,7 @@ _WINDOW = COUNTS // 2  # counts that lie ahead; those behind are of packets that
 _SILENCE_NS = 60_000_000_000  # so much later than the newest: counts have gone round since
 
 
-class Stream:
+class Splitter:
     """Packets in bytes that come piece by piece.
 
     Args:

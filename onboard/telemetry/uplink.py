@@ -38,7 +38,7 @@ WHY = {
 }
 
 
-class Command(NamedTuple):
+class Telecommand(NamedTuple):
     """A command that came whole.
 
     Attributes:
@@ -95,9 +95,9 @@ class Uplink:
         self._waiting = b""
         self.skipped = self.left_out = 0
 
-    def feed(self, data: bytes, now_ns: int) -> list[Command]:
+    def feed(self, data: bytes, now_ns: int) -> list[Telecommand]:
         """Commands that are whole with ``data``, at ``now_ns``, CLOCK_MONOTONIC."""
-        found: list[Command] = []
+        found: list[Telecommand] = []
         data, at = self._waiting + data, 0
         while (match := self._head.search(data, at)) is not None:
             self.skipped += match.start() - at
@@ -125,13 +125,13 @@ class Uplink:
         self._waiting = data[at:]
         return found
 
-    def _judged(self, packet: PusTc, now_ns: int) -> Command:
+    def _judged(self, packet: PusTc, now_ns: int) -> Telecommand:
         count, data = packet.sp_header.seq_count, bytes(packet.app_data)
         known = packet.service == SERVICE and packet.message_subtype in set(Order)
         order = Order(packet.message_subtype) if known else 0
         request = RequestId.from_sp_header(packet.sp_header).pack()
         head = packet.pus_tc_sec_header
-        found = Command(order, Refusal.NONE, request, head.source_id, head.ack_flags)
+        found = Telecommand(order, Refusal.NONE, request, head.source_id, head.ack_flags)
         if not order or len(data) != LAYOUTS[Order(order)].size:
             return found._replace(refused=Refusal.MALFORMED if order else Refusal.UNKNOWN)
         order = Order(order)
@@ -145,7 +145,7 @@ class Uplink:
             return found._replace(number=arguments[0])
         return self._span(found, arguments, now_ns) if order is Order.SPAN else found
 
-    def _span(self, found: Command, seconds: list[int], now_ns: int) -> Command:
+    def _span(self, found: Telecommand, seconds: list[int], now_ns: int) -> Telecommand:
         later_ns = self._flight.monotonic_ns - self._flight.wall_clock_ns
         begin_ns, end_ns = (one * _SECOND_NS + later_ns for one in seconds)
         is_within = self._flight.monotonic_ns - _SECOND_NS <= begin_ns < end_ns <= now_ns + _SECOND_NS

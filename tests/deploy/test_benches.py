@@ -6,7 +6,7 @@ import pytest
 
 from bench import all as benches
 from bench import mutants
-from bench.all import BENCHES, ROOT, Bench, BenchResult, run
+from bench.all import BENCHES, ROOT, BenchResult, Job, run
 
 
 def test_every_bench_is_there_under_a_name_of_its_own() -> None:
@@ -27,11 +27,11 @@ def test_every_mutant_still_has_its_line_and_its_test() -> None:
 
 
 def test_what_a_bench_printed_is_kept_and_one_that_fails_is_told(tmp_path: Path) -> None:
-    done = run(Bench("acquisition", "--no-such-option"), True, tmp_path)
+    done = run(Job("acquisition", "--no-such-option"), True, tmp_path)
     assert done[:3] == ("acquisition", "python -m bench.acquisition --no-such-option", "2: failed, or missed a bar")
     assert "unrecognized arguments: --no-such-option" in (tmp_path / "acquisition.txt").read_text(encoding="utf-8")
     assert done.cpu_s > 0.0
-    assert run(Bench("acquisition", "--help", label="help"), True, tmp_path).said == "ok"
+    assert run(Job("acquisition", "--help", label="help"), True, tmp_path).said == "ok"
 
 
 def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_
 
 def test_one_without_its_recordings_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benches, "DATASETS", tmp_path)
-    assert run(Bench("arms", "", "", "no_arm"), True, tmp_path) == BenchResult(
+    assert run(Job("arms", "", "", "no_arm"), True, tmp_path) == BenchResult(
         "arms", "python -m bench.arms", f"not run: no {tmp_path / 'no_arm'}"
     )
     assert list(tmp_path.iterdir()) == []

@@ -3,12 +3,12 @@
 import pytest
 
 from bench import balanced, bodies
-from bench.bodies import COVERED, INERTIA_1, OFFSET, Run, Told, judged
+from bench.bodies import COVERED, INERTIA_1, OFFSET, Run, ScoredAnswer, judged
 
 
 def run(seed: int, error: float, inside: bool, centre: float = 1e-6) -> Run:
-    inertias = [Told(name, error if name == "I_xx" else 0.0, 0.01, inside, 2.0) for name in INERTIA_1.names]
-    return Run(seed, "good", (*inertias, *(Told(name, centre, 1e-6, True, 1.0) for name in OFFSET.names)))
+    inertias = [ScoredAnswer(name, error if name == "I_xx" else 0.0, 0.01, inside, 2.0) for name in INERTIA_1.names]
+    return Run(seed, "good", (*inertias, *(ScoredAnswer(name, centre, 1e-6, True, 1.0) for name in OFFSET.names)))
 
 
 def test_what_misses_a_bar_is_told() -> None:

@@ -45,7 +45,7 @@ def test_every_decoder_has_a_slice():
 @pytest.mark.parametrize("name", EXECUTIONS)
 def test_a_slice_finds_nothing(name):
     fuzzed = target(name)
-    found = findings.Findings(fuzzed.call, None)
+    found = findings.FuzzFindings(fuzzed.call, None)
     result = own_engine.fuzz(fuzzed, SEED, found, EXECUTIONS[name], 0.0)
     assert {place: data.hex() for place, data in found.places.items()} == {}
     assert result.executions == EXECUTIONS[name]
@@ -64,7 +64,7 @@ def planted(data):
 
 
 def slice_of(call, seed, folder=None):
-    found = findings.Findings(call, folder)
+    found = findings.FuzzFindings(call, folder)
     result = own_engine.fuzz(Target(call, [b"t08001\rt2812AABB\rt18201\r"], 1024), seed, found, 1500, 0.0)
     return found, result
 

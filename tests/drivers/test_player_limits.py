@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from drivers.canopen_pdo.play.drive_axis import Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.profiles.cia402 import MODE, POSITION, STATUS, Cia402Config
 from drivers.canopen_pdo.sync import SyncCounter
-from drivers.play.master import State
+from drivers.play.master import MasterState
 from drivers.play.player import Player, PlayerConfig
 from drivers.reporter import Reporter
 
@@ -117,14 +117,14 @@ def played(case: Case) -> Wire:
     late = {start + k for start, count in case.late for k in range(count)}
     for k in range(6000):
         wire.tick(k not in late, k not in case.lost)
-        if wire.player.state is State.HOLDING:
+        if wire.player.state is MasterState.HOLDING:
             break
-        assert wire.player.state is not State.STOPPED, wire.player.stopped_by
-    assert wire.player.state is State.HOLDING
+        assert wire.player.state is not MasterState.STOPPED, wire.player.stopped_by
+    assert wire.player.state is MasterState.HOLDING
     wire.player.request("again")
     for k in range(6000):
         wire.tick(k not in late, k not in case.lost)
-        if wire.player.state is State.HOLDING:
+        if wire.player.state is MasterState.HOLDING:
             break
     for _ in range(3):
         wire.tick()

@@ -14,7 +14,7 @@ from drivers.canopen_pdo.sync import SyncConfig
 from drivers.errors import ConfigurationError
 from drivers.records import EVENT
 from drivers.transports import open_can
-from hil_sim.arm_rig import ArmRig, Motor
+from hil_sim.arm_rig import ArmRig, RigMotor
 from hil_sim.faults import Fault
 
 MS = 1_000_000
@@ -34,7 +34,7 @@ class Bench:
 
     def __init__(self, law, faults=(), reversed_count=False, **limits):
         self.asked = []
-        self.rig = ArmRig([Motor("a", 1, reversed_count=reversed_count), Motor("b", 2)], faults)
+        self.rig = ArmRig([RigMotor("a", 1, reversed_count=reversed_count), RigMotor("b", 2)], faults)
 
         def keeping(tick, counts):
             self.asked.append((tick, list(counts)))

@@ -8,7 +8,7 @@ import numpy as np
 import onboard
 from bench.identification.momentum import momentum_columns
 from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, SampledSignals, sample
 from onboard.dynamics.kinematics import composite_inertia, link_motions
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
@@ -26,11 +26,11 @@ class Twin(NamedTuple):
     motion: free_flyer.JointMotion
     flight: free_flyer.FreeFlightSignals
 
-    def samples(self, rng, errors=ImuErrors(), noise=True) -> Samples:  # noqa: B008
+    def samples(self, rng, errors=ImuErrors(), noise=True) -> SampledSignals:  # noqa: B008
         if noise:
             return sample(self.flight, errors, rng)
         f = self.flight
-        return Samples(f.time_s, f.q_rad, f.rate_rad_s, f.specific_force_m_s2, 1e-3, 1e-2)
+        return SampledSignals(f.time_s, f.q_rad, f.rate_rad_s, f.specific_force_m_s2, 1e-3, 1e-2)
 
     def momentum(self, q, dq, rate_base):
         """Angular momentum about the centre of mass, base axes, when the base turns with this rate."""

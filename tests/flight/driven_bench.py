@@ -4,7 +4,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 
-from hil_sim.arm_rig import BUS, START_NS, ArmRig, Motor
+from hil_sim.arm_rig import BUS, START_NS, ArmRig, RigMotor
 from onboard import config
 from onboard.flight.acquire.acquisition import Acquisition
 from onboard.flight.acquire.arming import Arming
@@ -13,7 +13,7 @@ from onboard.flight.acquire.publisher import Publisher
 
 MS = 1_000_000
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-MOTORS = (Motor("shoulder", 1), Motor("elbow", 2, 0.2, 20_000, 777, True))
+MOTORS = (RigMotor("shoulder", 1), RigMotor("elbow", 2, 0.2, 20_000, 777, True))
 COUNTS = 500_000
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hil_sim.plants import planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, SampledSignals, sample
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.urdf import with_bodies
@@ -35,7 +35,7 @@ SWING = np.array([[1.0], [1.0], [1.0], [1.0], [3.0]])
 
 def fly(
     rng: np.random.Generator, seconds: float, swing: float = 1.0, drags: tuple[planar_bed.Drag, ...] = DRAGS
-) -> Samples:
+) -> SampledSignals:
     motion = JointMotion.draw(rng)
     amplitude = swing * SWING * motion.amplitude_rad
     motion = replace(motion, start_rad=np.array([0.0, 1.2, 0.0, -1.2, 0.0]), amplitude_rad=amplitude)
@@ -43,19 +43,19 @@ def fly(
     return sample(planar_bed.fly(world, motion, (0.02, -0.01, 0.05), drags, seconds), ERRORS, rng)
 
 
-def write(path: Path, read: Samples, imu_until_s: float = np.inf) -> Path:
+def write(path: Path, read: SampledSignals, imu_until_s: float = np.inf) -> Path:
     rows = sampled_rows(read, 10.0)
     rows["imu_base"] = rows["imu_base"][read.time_s < imu_until_s]
     return make_log(path, rows, overwrite=True)
 
 
 @pytest.fixture(scope="module")
-def read() -> Samples:
+def read() -> SampledSignals:
     return fly(np.random.default_rng(3), 10.0)
 
 
 @pytest.fixture(scope="module")
-def log(read: Samples, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(read: SampledSignals, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("table") / "table.mcap", read)
 
 
@@ -103,7 +103,7 @@ def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
     assert not found.usable
 
 
-def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: Samples, tmp_path: Path) -> None:
+def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: SampledSignals, tmp_path: Path) -> None:
     (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, 5.0)]).logs
     assert found.verdict.level is Level.WEAK
     assert "not checked on motion that was not used: half of the run determines too little (more" in found.verdict.text

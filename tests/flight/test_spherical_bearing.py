@@ -59,7 +59,7 @@ class Kept(NamedTuple):
 @pytest.fixture(scope="module")
 def kept(flown: Result) -> Kept:
     estimator = Estimator(config.load(config.packaged("spherical_bearing")), at_the_end=True)
-    places, taken = state.Places(estimator), b""
+    places, taken = state.UnwrittenParts(estimator), b""
     for count, _ in enumerate(feed(estimator, flown.log)):
         if count == 400:
             taken = state.to_bytes(estimator, places)
@@ -190,7 +190,7 @@ def test_a_proof_mass_checks_the_scale_to_half_a_per_cent(kept: Kept, mass_g: fl
 def test_its_state_is_written_as_values(kept: Kept) -> None:
     """A checkpoint in mid-flight has its answer."""
     vehicle = config.load(config.packaged("spherical_bearing"))
-    other = state.from_bytes(kept.state, state.Places(Estimator(vehicle, at_the_end=True)))
+    other = state.from_bytes(kept.state, state.UnwrittenParts(Estimator(vehicle, at_the_end=True)))
     assert isinstance(other, Estimator)
     assert isinstance(other.online, PivotRun)
     assert other.online.found is not None

@@ -9,14 +9,14 @@ import pytest
 
 from bench.identification.workshop import payload
 from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import cli, config
 from onboard.dynamics.model.inertia import elements
 from onboard.identification.quantities import BODY
 from tests.flight.missions import Result, fly
 
-TOOL = Body.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
+TOOL = Solid.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
 TRUTH = [TOOL.mass_kg, *TOOL.centre_of_mass_m, *elements(TOOL.inertia_kg_m2)]
 _SWING = {"action": "swing", "swing": 0.5}
 SHORT = [

@@ -23,7 +23,7 @@ from drivers.transports.clock import realtime_minus_monotonic
 from hil_sim.buses.slcan import SlcanAdapter
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry.process import sending
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 from tests.telemetry.test_process import Line, flight
 
 PPS_FETCH = 0xC008_70A4  # linux/pps.h, _IOWR('p', 0xa4, struct pps_fdata *)
@@ -228,7 +228,7 @@ def test_a_downlink_over_this_kernel_s_line_at_19200_baud(tmp_path: Path, monkey
     line.pull()
     assert speeds == [termios.B19200, termios.B19200]
     assert 0.5 * 1920 < carried <= 0.95 * 1920 + 100
-    stream, series = Stream(flood.apids), Series()
+    stream, series = Splitter(flood.apids), Series()
     found = stream.feed(line.data) + stream.finish()
     assert len(found) > 50
     assert all(series.place(packet) == (True, 0) for packet in found)

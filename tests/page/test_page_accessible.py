@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.recording.reader import LogReader
 from tests.page.browser import Tab, opened
 
@@ -19,7 +19,7 @@ SCREENS = [(*size, scheme) for size in ((1280, 800), (390, 844)) for scheme in (
 @pytest.fixture
 def page(tab: Tab, made_log: Path) -> Iterator[Tab]:
     """A log's last frame, everything unfolded."""
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait("document.querySelector('.answer[data-name]') !== null")
         tab.run("document.querySelectorAll('details').forEach(one => { one.open = true; })")
         yield tab

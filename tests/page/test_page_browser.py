@@ -13,7 +13,7 @@ from PIL import Image
 from drivers import records
 from onboard import channels
 from onboard.page import process
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.page.process import read
 from onboard.recording.reader import LogReader
 from tests.page.browser import CARD, Tab, opened
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.realtime
 
 
 def test_numbers_on_the_page_are_those_of_the_log_at_every_time(tab: Tab, made_log: Path) -> None:
-    found, rows = Recorded(LogReader(made_log)), LogReader(made_log).read("quantity")
+    found, rows = LogFrames(LogReader(made_log)), LogReader(made_log).read("quantity")
     rows = rows[rows["name"] == b"m_payload"]
     steps = found.about()["steps"]
     with opened(tab, found):
@@ -62,7 +62,7 @@ def test_the_plan_s_interval_stands_beside_the_answer_s(tab: Tab, made_log: Path
         {"name": "c_x_payload", "unit": "m", "sigma": np.inf},
     ]
     (tmp_path / "plan.json").write_text(json.dumps({"expected": wanted}))
-    with opened(tab, Recorded(LogReader(made_log)), read(tmp_path / "plan.json")):
+    with opened(tab, LogFrames(LogReader(made_log)), read(tmp_path / "plan.json")):
         tab.wait(f"{CARD} !== null")
         assert tab.run(f"{CARD}.querySelector('.plan').innerText") == "plan \u00b1 0.024 kg"
         assert tab.run("document.querySelectorAll('.plan:not([hidden])').length") == 1
@@ -77,7 +77,7 @@ def test_an_answer_that_is_lost_again_is_not_one_that_never_was(tab: Tab, tmp_pa
     rows["host_ns"], rows["supported"], rows["level"] = START + np.arange(3) * SECOND, [0, 1, 0], [1, 0, 1]
     rows["name"], rows["unit"], rows["value"], rows["high"] = b"m_payload", b"kg", 1.0, 2.0
     make_log(tmp_path / "lost.mcap", {"quantity": rows})
-    with opened(tab, Recorded(LogReader(tmp_path / "lost.mcap"))):
+    with opened(tab, LogFrames(LogReader(tmp_path / "lost.mcap"))):
         tab.wait(f"{CARD}?.querySelector('.number').innerText.trim() === 'no longer determined'")
         tab.run("document.getElementById('slider').value = 0; document.getElementById('slider').oninput()")
         tab.wait(f"{CARD}.querySelector('.number').innerText.trim() === 'not determined yet'")
@@ -90,7 +90,7 @@ def test_a_device_that_is_silent_after_the_flight_is_no_alarm(tab: Tab, tmp_path
     event["text"] = [b"run: ", b"", b"stopped: "]
     rows = {"health_stream": made["health_stream"], "joint_1": made["joint_1"][:400], "event": event}
     make_log(tmp_path / "over.mcap", rows)
-    found = Recorded(LogReader(tmp_path / "over.mcap"))
+    found = LogFrames(LogReader(tmp_path / "over.mcap"))
     with opened(tab, found):
         rate = "document.querySelector('#devices tr')?.children[1]"
         tab.wait(f"{rate}?.innerText === '0.00 / 100' && {rate}.className === 'n'")
@@ -100,7 +100,7 @@ def test_a_device_that_is_silent_after_the_flight_is_no_alarm(tab: Tab, tmp_path
 
 
 def test_nothing_of_a_log_is_markup(tab: Tab, made_log: Path) -> None:
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait("document.querySelectorAll('#events li').length === 3")
         assert MARKUP.decode() in tab.text("#events")
         assert "phase <b>1</b>" in tab.text("#phase")
@@ -109,7 +109,7 @@ def test_nothing_of_a_log_is_markup(tab: Tab, made_log: Path) -> None:
 
 
 def test_events_are_found(tab: Tab, made_log: Path) -> None:
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait("document.querySelectorAll('#events li').length === 3")
         search = "document.getElementById('search')"
         for words, count in (("ALL answered", 1), ("estimation", 1), ("nothing like it", 0), ("[", 0), ("", 3)):
@@ -123,7 +123,7 @@ def test_events_are_found(tab: Tab, made_log: Path) -> None:
 @pytest.mark.parametrize("size", [(1280, 800), (360, 740)])
 def test_on_a_screen(tab: Tab, made_log: Path, tmp_path: Path, size: tuple[int, int], scheme: str) -> None:
     tab.screen(*size, scheme)
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait(f"{CARD} !== null")
         assert tab.run("document.documentElement.scrollWidth") <= size[0]
         foot = f"{CARD}.getBoundingClientRect().bottom"
@@ -142,7 +142,7 @@ def test_many_reasons_and_long_texts_leave_room_for_what_is_held(tab: Tab, tmp_p
     event["host_ns"], event["code"], event["text"] = START, b"phase", b"W" * 160
     make_log(tmp_path / "long.mcap", {"quantity": rows, "event": event})
     tab.screen(360, 740)
-    with opened(tab, Recorded(LogReader(tmp_path / "long.mcap"))):
+    with opened(tab, LogFrames(LogReader(tmp_path / "long.mcap"))):
         tab.wait("document.querySelectorAll('.answer[data-name]').length === 40")
         assert tab.run("document.querySelectorAll('#reasons li').length") == 3
         assert tab.text("#further-count") == "37 more reasons"
@@ -153,7 +153,7 @@ def test_many_reasons_and_long_texts_leave_room_for_what_is_held(tab: Tab, tmp_p
 
 def test_reasons_that_come_and_go_move_nothing(tab: Tab, made_log: Path) -> None:
     top = "document.querySelector('.held').getBoundingClientRect().top"
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait(f"{CARD} !== null")
         said = tab.run("document.getElementById('reasons').replaceChildren()") or tab.run(top)
         told = tab.run(
@@ -165,7 +165,7 @@ def test_reasons_that_come_and_go_move_nothing(tab: Tab, made_log: Path) -> None
 def test_numbers_carry_their_power_of_ten(tab: Tab, made_log: Path) -> None:
     """The value too, which stands in a line of its own."""
     cases = [(0.003027, 2.8e-5), (3.027e-7, 2.8e-9), (-2.5e8, 1e6), (5.0132, 0.037), (0.0, 1.2e-9)]
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         script = (
             f"import('./format.js').then(({{withInterval}}) => {json.dumps(cases)}.map(one => withInterval(...one)))"
         )
@@ -199,7 +199,7 @@ def test_it_follows_a_flight_and_finds_the_next_one(tab: Tab, rings: Rings) -> N
 
 def test_an_hour_does_not_grow_in_the_browser(tab: Tab, made_log: Path) -> None:
     """A course of four points a second keeps its length, and its ends."""
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait(f"{CARD} !== null")
         script = """import('./course.js').then(({Course}) => {
             const course = new Course();

@@ -16,7 +16,7 @@ from onboard.dynamics.model.skeleton import skeleton
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.page import process
 from onboard.page.arm import tree_of
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.page.state import BODY
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -46,7 +46,7 @@ def test_the_arm_is_where_the_model_has_it(tab: Tab, made_log: Path, name: str, 
     model = VehicleModel(text, VehicleSpec(BaseKind.FIXED, tree["root"]))
     q = rng.uniform(-1.0, 1.0, len(model.joints))
     points = skeleton(model, q[None])
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         script = f"import('./arm.js').then(({{links}}) => links({json.dumps(tree)}, {json.dumps(q.tolist())}))"
         found = tab.run(script)
     child = {joint["name"]: joint["child"] for joint in tree["joints"]}
@@ -68,7 +68,7 @@ def test_the_ellipsoid_has_the_inertia_that_is_held(tab: Tab, made_log: Path, rn
         {"name": f"{kind}_x", "value": value, "low": value - 0.5, "high": value + 0.5, "supported": True}
         for kind, value in zip(BODY, numbers, strict=True)
     ]
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         call = f"import('./arm.js').then(({{bodyOf}}) => bodyOf({json.dumps(held)}, 'x'))"
         body = tab.run(call)
         assert tab.run(call.replace("true", "false")) is None
@@ -102,7 +102,7 @@ def test_what_is_drawn_of_the_payload_is_what_the_log_says(tab: Tab, tmp_path: P
         for name, content in (("quantity", quantity), ("row", row)):
             writer.register(name, content.dtype)
             writer.write(name, content)
-    found = Recorded(LogReader(tmp_path / "held.mcap"))
+    found = LogFrames(LogReader(tmp_path / "held.mcap"))
     script = f"""Promise.all([import('./arm.js'), fetch('flight'), fetch('frame/{len(found) - 1}')]).then(
         async ([{{Arm, links}}, flight, frame]) => {{
             const arm = new Arm(document.getElementById('arm')), {{joints, held}} = await frame.json(), lines = [];
@@ -128,7 +128,7 @@ def test_what_is_drawn_of_the_payload_is_what_the_log_says(tab: Tab, tmp_path: P
 
 
 def test_the_arm_is_drawn_and_turns(tab: Tab, made_log: Path) -> None:
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait(f"{CARD} !== null")
         picture = "document.querySelector('#arm canvas').toDataURL()"
         tab.wait("!document.getElementById('arm').hidden && document.querySelector('#arm canvas').width > 100")
@@ -159,14 +159,14 @@ def test_no_part_of_the_arm_is_cut_off(tab: Tab, made_log: Path, name: str, rng:
             return [inked(0, 0, width, height), edges.some(edge => inked(...edge))];
         }});
     }})"""
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait("!document.getElementById('arm').hidden")
         assert tab.run(script) == [[True, False]] * len(poses)
 
 
 def test_a_signal_below_the_screen_is_drawn_when_it_is_scrolled_to(tab: Tab, made_log: Path) -> None:
     tab.screen(360, 740)
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait(f"{CARD} !== null && document.getElementById('signal').value === 'joint_1'")
         tab.run("new Promise(later => setTimeout(later, 500)).then(() => 1)")
         tab.run("document.getElementById('signals').scrollIntoView()")
@@ -183,7 +183,7 @@ def test_a_signal_of_a_log_is_zoomed(tab: Tab, made_log: Path) -> None:
             tab.run(f"document.getElementById('signal-{name}').click()")
 
     tab.screen(1280, 2000)
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         tab.wait("!!document.querySelector('.bands path')")
         assert tab.run(ends) == [0, 10]
         click("in")
@@ -226,7 +226,7 @@ def test_signals_of_a_flight_pause_and_go_on(tab: Tab, rings: Rings) -> None:
 
 def test_whole_times_stand_under_the_plot(tab: Tab, made_log: Path, tmp_path: Path) -> None:
     cases = [[0.0, 10.0, 5], [3.31, 3.62, 4], [55.0, 190.0, 6], [0.0, 7200.0, 8], [5.0, 5.0, 4], [0.0, 200000.0, 3]]
-    with opened(tab, Recorded(LogReader(made_log))):
+    with opened(tab, LogFrames(LogReader(made_log))):
         found = tab.run(f"import('./format.js').then(({{ticks}}) => {json.dumps(cases)}.map(one => ticks(...one)))")
         times = [[round(t, 6) for t, _ in one] for one in found]
         words = [[text for _, text in one] for one in found]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from onboard import cli
 from onboard.page import meshes
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.page.meshes import meshes_of, read
 from onboard.recording.reader import LogReader
 from tests.page.browser import Tab, opened
@@ -203,7 +203,7 @@ def test_the_server_has_those_of_the_file_that_is_given_or_of_the_log_without_it
 ) -> None:
     (tmp_path / "box.stl").write_bytes(stl(BOX))
     (tmp_path / "made.urdf").write_bytes(urdf(base="box.stl"))
-    source = Recorded(LogReader(made_log))
+    source = LogFrames(LogReader(made_log))
     assert source.urdf == URDF
 
     def told(given: str = "") -> dict[str, Any]:
@@ -244,7 +244,7 @@ def test_in_a_browser_they_move_with_their_links(
     )
     (tmp_path / "made.urdf").write_bytes(text)
     tab.screen(width, height, scheme)
-    with opened(tab, Recorded(LogReader(made_log)), urdf=tmp_path / "made.urdf"):
+    with opened(tab, LogFrames(LogReader(made_log)), urdf=tmp_path / "made.urdf"):
         tab.wait("document.getElementById('arm').dataset.triangles > 500")
         canvas = "document.querySelector('#arm canvas')"
         ink = f"""(() => {{ const c = {canvas}, d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
@@ -252,7 +252,7 @@ def test_in_a_browser_they_move_with_their_links(
         filled = tab.run(ink)
         tab.run(f"{canvas}.scrollIntoView({{block: 'center'}})")
         tab.shot(tmp_path / f"meshes_{width}_{scheme}.png")
-    log = Recorded(LogReader(made_log))
+    log = LogFrames(LogReader(made_log))
     with opened(tab, log):
         tab.wait("document.getElementById('arm').dataset.triangles === '0'")
         assert tab.run(ink) < 0.3 * filled

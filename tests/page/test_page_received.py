@@ -14,7 +14,7 @@ import pytest
 
 from onboard import cli
 from onboard.config.telemetry import Telemetry
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.page.received import PacketFile, Received
 from onboard.telemetry.downlink import Downlink, FlightIdentity
 from onboard.telemetry.link import LinkError, parse
@@ -213,7 +213,7 @@ def test_no_wrong_number_of_a_file_with_bit_errors(tmp_path: Path, rng: np.rando
     path = tmp_path / "down.bin"
     sent = file_of(path, wrong_share=1e-4, rng=rng)
     file = PacketFile(path, APIDS)
-    recorded = Recorded(file)
+    recorded = LogFrames(file)
     frames = [json.loads(recorded.frame(number)) for number in range(len(recorded))]
     shown = [(one["name"], one["value"]) for frame in frames for one in frame["held"]]
     assert len(shown) > 300
@@ -226,7 +226,7 @@ def test_a_file_has_a_slider_and_a_go(tmp_path: Path, tab: Tab) -> None:
     path = tmp_path / "down.bin"
     file_of(path)
     file = PacketFile(path, APIDS)
-    recorded = Recorded(file)
+    recorded = LogFrames(file)
     assert file.is_whole
     with opened(tab, recorded):
         tab.wait("document.querySelector('#word').textContent === 'GO'")

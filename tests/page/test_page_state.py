@@ -13,7 +13,7 @@ from onboard.flight.health.status import Status
 from onboard.flight.store import manifest
 from onboard.identification import quantities, standing
 from onboard.page import state as states
-from onboard.page.follow import Followed, Recorded, packed, payload_of
+from onboard.page.follow import Followed, LogFrames, packed, payload_of
 from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -40,7 +40,7 @@ def test_its_levels_and_the_body_are_those_of_the_estimator() -> None:
 
 
 def test_numbers_of_a_frame_are_those_of_the_log_to_the_last_bit(made_log: Path) -> None:
-    found, log = Recorded(LogReader(made_log)), LogReader(made_log)
+    found, log = LogFrames(LogReader(made_log)), LogReader(made_log)
     quantity, joint, row = log.read("quantity"), log.read("joint_1"), log.read("row")
     frames = [json.loads(found.frame(number)) for number in range(len(found))]
     assert len(frames) == 100
@@ -241,16 +241,16 @@ def test_a_log_from_time_zero_and_one_without_rows(tmp_path: Path) -> None:
     rows = np.zeros(50, records.IMU)
     rows["sequence"], rows["host_ns"] = range(50), np.arange(50) * 10_000_000
     make_log(tmp_path / "bare.mcap", {"imu_0": rows})
-    found = Recorded(LogReader(tmp_path / "bare.mcap"))
+    found = LogFrames(LogReader(tmp_path / "bare.mcap"))
     assert found.about()["steps"][-1] == pytest.approx(0.49)
     with LogWriter.create(tmp_path / "empty.mcap", durable=False) as writer:
         writer.register("imu_0", records.IMU)
     with pytest.raises(ValueError, match="has no rows"):
-        Recorded(LogReader(tmp_path / "empty.mcap"))
+        LogFrames(LogReader(tmp_path / "empty.mcap"))
 
 
 def test_frames_of_a_long_log_are_thinned(monkeypatch: pytest.MonkeyPatch, made_log: Path) -> None:
     monkeypatch.setattr("onboard.page.follow.FRAMES", 8)
-    found = Recorded(LogReader(made_log))
+    found = LogFrames(LogReader(made_log))
     assert 4 <= len(found) <= 9
     assert found.about()["steps"][-1] == 10.0

@@ -18,7 +18,7 @@ from drivers import records
 from drivers.records import Batch
 from onboard import cli
 from onboard.page import process, web
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.page.state import PageState
 from onboard.recording.reader import LogReader
 from tests.page.made import START, Rings, flight
@@ -40,8 +40,8 @@ class Flying:
 
 
 @pytest.fixture(scope="module")
-def log(made_log: Path) -> Recorded:
-    return Recorded(LogReader(made_log))
+def log(made_log: Path) -> LogFrames:
+    return LogFrames(LogReader(made_log))
 
 
 class TestViewers:
@@ -105,7 +105,7 @@ class TestViewers:
             for stream in (stalled, other, third):
                 stream.close()
 
-    def test_sockets_that_say_nothing_keep_nobody_out(self, monkeypatch: pytest.MonkeyPatch, log: Recorded) -> None:
+    def test_sockets_that_say_nothing_keep_nobody_out(self, monkeypatch: pytest.MonkeyPatch, log: LogFrames) -> None:
         monkeypatch.setattr(web, "REQUEST_S", 0.5)
         with served(log) as one, contextlib.ExitStack() as stack:
             silent = [stack.enter_context(socket.create_connection(("127.0.0.1", one.port))) for _ in range(300)]

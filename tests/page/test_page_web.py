@@ -9,7 +9,7 @@ import pytest
 
 from onboard.page import address as addresses
 from onboard.page import process, web
-from onboard.page.follow import Recorded
+from onboard.page.follow import LogFrames
 from onboard.recording.reader import LogReader
 from tests.page.served import ask, raw, served
 
@@ -19,12 +19,12 @@ FOREIGN = "Origin: http://example.org"
 
 
 @pytest.fixture(scope="module")
-def log(made_log: Path) -> Recorded:
-    return Recorded(LogReader(made_log))
+def log(made_log: Path) -> LogFrames:
+    return LogFrames(LogReader(made_log))
 
 
 class TestFiles:
-    def test_every_file_of_the_page_comes_with_its_type_and_the_policy(self, log: Recorded) -> None:
+    def test_every_file_of_the_page_comes_with_its_type_and_the_policy(self, log: LogFrames) -> None:
         with served(log) as one:
             names = [path.name for path in STATIC.iterdir()] + ["theme.css"]
             assert {"index.html", "page.js", "page.css", "format.js", "course.js", "icon.svg"} <= set(names)
@@ -38,7 +38,7 @@ class TestFiles:
             for path in ("/nothing", "/static/page.js", "/../address.py", "/%2e%2e/address.py", "/live", "/frame/x"):
                 assert ask(one.port, path).status == 404
 
-    def test_signals_by_name_and_time(self, log: Recorded) -> None:
+    def test_signals_by_name_and_time(self, log: LogFrames) -> None:
         with served(log) as one:
             assert json.loads(ask(one.port, "/signals").body) == {
                 "names": ["joint_1", "estimator rows", "innovation line 1"],
@@ -70,7 +70,7 @@ class TestFiles:
 
 class TestWhoIsAnswered:
     @pytest.mark.parametrize("path", ["/", "/page.js", "/flight", "/frame/0"])
-    def test_by_host_and_origin(self, log: Recorded, path: str) -> None:
+    def test_by_host_and_origin(self, log: LogFrames, path: str) -> None:
         with served(log) as one:
             here = f"127.0.0.1:{one.port}"
             for host in (here, f"localhost:{one.port}", "LOCALHOST", "[::1]:80", "192.168.1.7", socket.gethostname()):
@@ -91,7 +91,7 @@ class TestWhoIsAnswered:
             assert ask(one.port, path, "Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: no-cors").status == 403
             assert ask(one.port, path, "Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: navigate").status == 200
 
-    def test_what_is_no_request(self, log: Recorded) -> None:
+    def test_what_is_no_request(self, log: LogFrames) -> None:
         with served(log) as one:
             assert ask(one.port, host_lines=0).status == 400
             assert ask(one.port, host_lines=2).status == 400
@@ -108,7 +108,7 @@ class TestWhoIsAnswered:
             assert ask(one.port, "/frame/\u00b2").status in (400, 404)
             assert ask(one.port).status == 200  # it lives
 
-    def test_of_a_network_paths_begin_with_the_token(self, log: Recorded) -> None:
+    def test_of_a_network_paths_begin_with_the_token(self, log: LogFrames) -> None:
         with served(log, "0.0.0.0:0") as one:
             assert len(one.token) >= 20
             for path in (
@@ -163,7 +163,7 @@ class TestAddress:
         assert addresses.url(addresses.parse("[::1]:80"), 80, "") == "http://[::1]:80/"
         assert re.fullmatch(r"http://(?!0\.0\.0\.0)[\w.-]+:7/T/", addresses.url(addresses.parse("0.0.0.0:7"), 7, "T"))
 
-    def test_one_that_is_taken(self, log: Recorded) -> None:
+    def test_one_that_is_taken(self, log: LogFrames) -> None:
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", 0))
             taken.listen()
@@ -172,7 +172,7 @@ class TestAddress:
                 pytest.fail("it said it serves")
 
 
-def test_frames_of_a_log_are_those_it_has(log: Recorded) -> None:
+def test_frames_of_a_log_are_those_it_has(log: LogFrames) -> None:
     with served(log) as one:
         about = json.loads(ask(one.port, "/flight").body)
         assert (about["live"], len(about["steps"]), len(about["events"])) == (False, len(log), 3)

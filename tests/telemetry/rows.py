@@ -9,7 +9,7 @@ from onboard import channels
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry.downlink import Downlink, FlightIdentity
 from onboard.telemetry.packets import Packet
-from onboard.telemetry.stream import Stream
+from onboard.telemetry.stream import Splitter
 
 SECOND_NS = 1_000_000_000
 START_NS = 50 * SECOND_NS
@@ -56,4 +56,4 @@ def downlink(now_ns: int = START_NS, **settings: Any) -> Downlink:
 
 def sent(link: Downlink, now_ns: int) -> list[Packet]:
     """What it sends at ``now_ns``."""
-    return Stream(Telemetry().apids).feed(b"".join(link.packets(now_ns)))
+    return Splitter(Telemetry().apids).feed(b"".join(link.packets(now_ns)))

@@ -23,7 +23,7 @@ from onboard.recording.reader import LogReader
 from onboard.telemetry import span
 from onboard.telemetry.commander import parse
 from onboard.telemetry.packets import Packet
-from onboard.telemetry.stream import Stream
+from onboard.telemetry.stream import Splitter
 from onboard.telemetry.uplink import telecommand
 from tests.flight.missions import Result, inline, sweep
 from tests.telemetry.rows import slower
@@ -52,7 +52,7 @@ class Flight:
         self.port = self.ground.getsockname()[1]
         self.packets: list[Packet] = []
         self._origin: Any = None
-        self._stream, self._over = Stream(Telemetry().apids), threading.Event()
+        self._stream, self._over = Splitter(Telemetry().apids), threading.Event()
         given = ["--scenario", str(over), "--realtime", "--log", str(self.log)]
         link = f"udp://127.0.0.1:{self.port}"
         command = [sys.executable, "-m", "onboard.cli", "hil", str(self.vehicle), *given, "--telemetry", link]

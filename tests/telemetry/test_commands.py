@@ -16,7 +16,7 @@ from onboard.flight.supervise.modes import Mode
 from onboard.identification.standing import LEVELS
 from onboard.telemetry import link, packets, xtce
 from onboard.telemetry.board import PacketBoard, verdict
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 from tests.flight.missions import Result
 from tests.telemetry.rows import START_NS, downlink, estimates, health, said
 
@@ -166,7 +166,7 @@ def test_two_kinds_of_one_apid_are_refused(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_silent_line_is_never_a_go(sent: Path) -> None:
-    stream, series = Stream(Telemetry().apids), Series()
+    stream, series = Splitter(Telemetry().apids), Series()
     board = PacketBoard(stream, series)
     for packet in stream.feed(sent.read_bytes()):
         assert series.place(packet).new

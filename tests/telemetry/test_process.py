@@ -31,7 +31,7 @@ from onboard.telemetry import link
 from onboard.telemetry.commander import Commander, OperatorCommand, parse
 from onboard.telemetry.packets import Packet
 from onboard.telemetry.process import sending
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 from tests.flight.missions import SHORT_REAL, Result, inline
 from tests.telemetry.rows import estimates, health, said, slower
 
@@ -76,7 +76,7 @@ class Line(threading.Thread):
 
     def __init__(self, path: Path, commands: Sequence[OperatorCommand] = ()) -> None:
         super().__init__(daemon=True)
-        self._stream, self._out, self.reports = Stream(Telemetry().apids), deque[bytes](), list[str]()
+        self._stream, self._out, self.reports = Splitter(Telemetry().apids), deque[bytes](), list[str]()
         self.commander = Commander(commands, Telemetry().command_apid, 9, 1, self._out, self.reports.append)
         self._master, slave = pty.openpty()
         tty.setraw(slave)
@@ -104,7 +104,7 @@ class Line(threading.Thread):
 
 
 def packets(data: bytes) -> list[Packet]:
-    stream = Stream(Telemetry().apids)
+    stream = Splitter(Telemetry().apids)
     return stream.feed(data) + stream.finish()
 
 
@@ -265,7 +265,7 @@ def test_what_one_end_sends_of_a_log_the_other_shows(
     received = link.received
 
     def until_some_came(address: link.Address, commands: deque[bytes]) -> Iterator[bytes]:
-        stream, whole, got = Stream(Telemetry().apids), 0, 0
+        stream, whole, got = Splitter(Telemetry().apids), 0, 0
         for piece in received(address, commands):
             yield piece
             got += len(piece)

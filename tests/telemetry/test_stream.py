@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry.packets import ANSWER, COUNTS, HEADER_BYTES, KINDS, PHASE, Packet, encode
 from onboard.telemetry.replay import packets_of
-from onboard.telemetry.stream import Series, Stream
+from onboard.telemetry.stream import Series, Splitter
 from tests.flight.missions import Result
 from tests.telemetry.test_packets import APIDS, AT_NS, made, sealed, some
 
@@ -28,8 +28,8 @@ def series_of(count: int, session: int = 1, first: int = 0, at_ns: int = AT_NS) 
     ]
 
 
-def fed(data: bytes, size: int) -> tuple[list[Packet], Stream]:
-    stream = Stream(APIDS)
+def fed(data: bytes, size: int) -> tuple[list[Packet], Splitter]:
+    stream = Splitter(APIDS)
     found = [packet for at in range(0, len(data), size) for packet in stream.feed(data[at : at + size])]
     return found + stream.finish(), stream
 
@@ -155,7 +155,7 @@ def test_no_wrong_number_is_shown_on_a_bad_line(rng: np.random.Generator) -> Non
     for _ in range(5):
         data, kept = damaged(rng, sent)
         assert data != b"".join(sent[n] for n in sorted(kept))
-        stream, series = Stream(APIDS), Series()
+        stream, series = Splitter(APIDS), Series()
         got = []
         for at in range(0, len(data), 61):
             got += [packet for packet in stream.feed(data[at : at + 61]) if series.place(packet).new]

@@ -20,8 +20,8 @@ from onboard.config.telemetry import Telemetry
 from onboard.telemetry import xtce
 from onboard.telemetry.board import PacketBoard
 from onboard.telemetry.packets import KINDS, SECONDARY
-from onboard.telemetry.stream import Series, Stream
-from onboard.telemetry.uplink import LAYOUTS, MOST_AT_ONCE, Command, Uplink, telecommand
+from onboard.telemetry.stream import Series, Splitter
+from onboard.telemetry.uplink import LAYOUTS, MOST_AT_ONCE, Telecommand, Uplink, telecommand
 from tests.telemetry.rows import FLIGHT, SECOND_NS, START_NS, downlink, sent
 
 APID, SESSION = 264, 7
@@ -38,7 +38,7 @@ def told(order: Order = Order.MARK, *arguments: int, count: int = 5, session: in
     return telecommand(order, APID, session, count, source, *arguments)
 
 
-def one(data: bytes, armed: tuple[str, ...] = ALL) -> Command:
+def one(data: bytes, armed: tuple[str, ...] = ALL) -> Telecommand:
     [command] = uplink(armed).feed(data, NOW_NS)
     return command
 
@@ -54,7 +54,7 @@ def test_a_command_is_laid_out_as_the_standard_says() -> None:
     assert told(Order.MARK, 33) == by_hand(128, 1, struct.pack(">HH", SESSION, 33))
     assert told(Order.STOP) == by_hand(128, 2, struct.pack(">H", SESSION))
     assert told(Order.SPAN, 10, 20) == by_hand(128, 3, struct.pack(">HII", SESSION, 10, 20))
-    assert one(told(Order.MARK, 33)) == Command(1, Refusal.NONE, bytes.fromhex("1908c005"), 2, 15, 33)
+    assert one(told(Order.MARK, 33)) == Telecommand(1, Refusal.NONE, bytes.fromhex("1908c005"), 2, 15, 33)
 
 
 def test_a_span_is_in_the_time_of_the_log() -> None:
@@ -225,7 +225,7 @@ def test_without_an_armed_command_the_database_has_none() -> None:
 
 def test_the_board_says_what_became_of_a_command() -> None:
     link = downlink(bytes_s=10_000)
-    stream, series = Stream(Telemetry().apids), Series()
+    stream, series = Splitter(Telemetry().apids), Series()
     board, now_ns = PacketBoard(stream, series), START_NS
     for subtype, why in ((1, {}), (8, {"code": 8, "why": "see the log"})):
         link.report(subtype, told(Order.STOP, count=77)[:4], 2, **why)

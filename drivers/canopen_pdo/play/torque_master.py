@@ -14,7 +14,7 @@ from typing import ClassVar
 from drivers.canopen_pdo.play.drive_axis import CYCLIC, CYCLIC_TORQUE, PROFILE, Cia402AxisConfig, DriveAxis
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import ConfigurationError
-from drivers.play.master import DriveMaster, State
+from drivers.play.master import DriveMaster, MasterState
 from drivers.play.player import Player, PlayerConfig
 from drivers.records import Severity
 from drivers.reporter import Reporter
@@ -57,18 +57,18 @@ class TorqueMaster(DriveMaster[DriveAxis]):
     @property
     def is_running(self) -> bool:
         """Whether the law is asked for torques."""
-        return self.state is State.PLAYING
+        return self.state is MasterState.PLAYING
 
     @property
     def has_stopped(self) -> bool:
         """Whether it has ended for good."""
-        return self.state is State.STOPPED
+        return self.state is MasterState.STOPPED
 
     def _started(self) -> None:
         """The law is asked from the next SYNC on."""
 
     def _go_on(self) -> None:
-        if self.state is State.ENABLING:
+        if self.state is MasterState.ENABLING:
             self._enable()
         else:
             self._ask()

@@ -41,7 +41,7 @@ from hil_sim.devices.canopen.drive402 import (
 from hil_sim.devices.canopen.servo_loop import ServoLoop
 from hil_sim.devices.canopen.servo_objects import CSP, CST, NO_WINDOW, PP, ServoObjects
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
-from hil_sim.plants.drives.servo_axis import STEP_S, Axis, AxisAngle, AxisTorque
+from hil_sim.plants.drives.servo_axis import STEP_S, AxisAngle, AxisTorque, DriveJoint
 
 _CYCLE_NS: Final = 2_000_000  # of the watch
 _NEW_SET_POINT, _AT_ONCE, _HALT = 0x10, 0x20, 0x100  # controlword
@@ -73,7 +73,7 @@ class ServoDrive402(Drive402):
     def __init__(
         self,
         node_id: int,
-        axis: Axis,
+        axis: DriveJoint,
         start_ns: int,
         *,
         increments_per_revolution: int = 500_000,

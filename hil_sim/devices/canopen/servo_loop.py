@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from hil_sim.plants.drives.servo_axis import STEP_S, Axis
+from hil_sim.plants.drives.servo_axis import STEP_S, DriveJoint
 
 _POSITION_GAIN, _RATE_GAIN, _RATE_INTEGRAL = 30.0, 200.0, 40.0  # 1/s
 _STANDSTILL: Final = 2e-3  # rad/s
@@ -27,7 +27,7 @@ class ServoLoop:
         target: Of a profile that is under way; None without.
     """
 
-    def __init__(self, axis: Axis, measured: Callable[[float], float]) -> None:
+    def __init__(self, axis: DriveJoint, measured: Callable[[float], float]) -> None:
         self.demand = self.rate = 0.0
         self.target: float | None = None
         self._axis, self._measured, self._integral = axis, measured, 0.0

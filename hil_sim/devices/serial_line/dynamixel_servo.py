@@ -21,7 +21,7 @@ from hil_sim.devices.canopen.servo_loop import ServoLoop
 from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
 from hil_sim.devices.serial_line.dynamixel import BAUD_RATES, COUNTS, DynamixelTwin, asks
 from hil_sim.faults import NO_FAULTS, DeviceFaults
-from hil_sim.plants.drives.servo_axis import Axis, AxisAngle, AxisTorque
+from hil_sim.plants.drives.servo_axis import AxisAngle, AxisTorque, DriveJoint
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor
 from hil_sim.sensing.sensors import EncoderSensor
@@ -56,7 +56,7 @@ class DynamixelServo(DynamixelTwin):
 
     def __init__(
         self,
-        axis: Axis,
+        axis: DriveJoint,
         start_ns: int,
         *,
         sensed: Callable[[float, float], float] | None = None,

@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.drives.servo_axis import KEPT, STEP_S, Controller, Stepped
-from hil_sim.plants.parts.pucks import Puck, drag_wrench
+from hil_sim.plants.parts.pucks import AirPuck, drag_wrench
 from hil_sim.scenario.vehicle_tables import JointFriction
 
 _NOISE: Final = 1 << 14  # samples of encoder noise, one a millisecond, then again from the first
@@ -26,7 +26,7 @@ _STIFF: Final = (0.004, 1.0)  # of dry friction: time constant, s, and damping r
 _HARD: Final = (0.99, 0.999, 0.001, 0.5, 2.0)
 
 
-class Drive(NamedTuple):
+class Losses(NamedTuple):
     """What a joint's drive adds to the torque that its motor makes."""
 
     coulomb_n_m: float
@@ -84,11 +84,11 @@ class Drivable(NamedTuple):
     empty: mujoco.MjModel
     held: mujoco.MjModel
     joints: tuple[str, ...]
-    drives: Mapping[str, Drive]
+    drives: Mapping[str, Losses]
     efforts_n_m: Mapping[str, float]
     posture_rad: FloatArray
     velocity: FloatArray
-    pucks: Sequence[Puck] = ()
+    pucks: Sequence[AirPuck] = ()
 
 
 class DrivenVehicle(Stepped):
@@ -196,13 +196,13 @@ class DrivenVehicle(Stepped):
 
 
 def drawn_drives(
-    table: JointFriction, efforts_n_m: Mapping[str, float], bodies: Mapping[str, Body], rng: np.random.Generator
-) -> dict[str, Drive]:
+    table: JointFriction, efforts_n_m: Mapping[str, float], bodies: Mapping[str, Solid], rng: np.random.Generator
+) -> dict[str, Losses]:
     """Friction and rotor of every joint, by its largest torque; ``bodies`` are what the joints turn."""
     found = {}
     for joint, effort in efforts_n_m.items():
         factor = 2.0 ** rng.uniform(-1.0, 1.0, 3)
         turned = sum(float(body.principal_kg_m2[-1]) for body in bodies.values()) / len(efforts_n_m)
         sizes = effort * table.coulomb, effort * table.viscous_s_rad, turned * table.rotor
-        found[joint] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
+        found[joint] = Losses(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
     return found

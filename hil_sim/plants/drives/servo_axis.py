@@ -18,7 +18,7 @@ Controller = Callable[[float, float], float | None]
 """Torque [N m] on the joint at a time [s] and a rate of the joint [rad/s]; None: no current."""
 
 
-class Axis(Protocol):
+class DriveJoint(Protocol):
     """What a drive has of the joint that it moves; :class:`ServoAxis` says what each is."""
 
     controller: Controller | None
@@ -157,7 +157,7 @@ class ServoAxis(Stepped):
 class AxisAngle:
     """Angle of an axis, as an input of a device."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: DriveJoint) -> None:
         self._axis = axis
 
     def value(self, time_s: float) -> float:
@@ -168,7 +168,7 @@ class AxisAngle:
 class AxisTorque:
     """Torque of an axis's motor, at the joint, as an input of a device; ``sensed``: with what it makes of that."""
 
-    def __init__(self, axis: Axis, sensed: Callable[[float, float], float] | None = None) -> None:
+    def __init__(self, axis: DriveJoint, sensed: Callable[[float, float], float] | None = None) -> None:
         self._axis, self._sensed = axis, sensed
 
     def value(self, time_s: float) -> float:

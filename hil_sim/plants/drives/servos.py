@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.drives.driven_vehicle import Drive
-from hil_sim.plants.urdf_drawing import PREFIX, Drawing
+from hil_sim.plants.drives.driven_vehicle import Losses
+from hil_sim.plants.urdf_drawing import PREFIX, PlantDrawing
 from hil_sim.plants.urdf_model import matrix_of
 from hil_sim.scenario.part_tables import ServoTable, StopTable
 from hil_sim.scenario.tables import ScenarioError
@@ -27,7 +27,7 @@ class Servo(NamedTuple):
     damping: float  # N m s/rad
     limit: float  # N m
     feedforward: float  # share of the Coulomb friction
-    drive: Drive
+    drive: Losses
     ripple: float  # N m
     cycles: float  # per revolution
 
@@ -42,7 +42,7 @@ class OfAll(NamedTuple):
     cycles: FloatArray
 
 
-def fit(scenario: Scenario, drawing: Drawing) -> Callable[[mujoco.MjSpec, mujoco.MjModel], None]:
+def fit(scenario: Scenario, drawing: PlantDrawing) -> Callable[[mujoco.MjSpec, mujoco.MjModel], None]:
     """What puts servos and stops into a model that is being made.
 
     Raises:
@@ -72,7 +72,7 @@ def fit(scenario: Scenario, drawing: Drawing) -> Callable[[mujoco.MjSpec, mujoco
     return add
 
 
-def _add_stop(spec: mujoco.MjSpec, bare: mujoco.MjModel, drawing: Drawing, index: int, stop: StopTable) -> None:
+def _add_stop(spec: mujoco.MjSpec, bare: mujoco.MjModel, drawing: PlantDrawing, index: int, stop: StopTable) -> None:
     """A boss on the link beyond the joint, and on the one before a block whose face it touches at the angle."""
     joint, link = bare.joint(stop.joint), bare.body(PREFIX + drawing.joints[stop.joint].child)
     axis, R = np.array(joint.axis), matrix_of(link.quat)
@@ -107,7 +107,7 @@ def _add_stop(spec: mujoco.MjSpec, bare: mujoco.MjModel, drawing: Drawing, index
 def servos(
     tables: Mapping[str, ServoTable],
     joints: Sequence[str],
-    drives: Mapping[str, Drive],
+    drives: Mapping[str, Losses],
     efforts_n_m: Mapping[str, float],
     inertias_kg_m2: FloatArray,
 ) -> list[Servo]:
@@ -147,10 +147,10 @@ def of_all(found: Sequence[Servo]) -> OfAll:
     return OfAll(*np.array(rows).T)
 
 
-def as_stated(table: ServoTable, drawn: Drive) -> Drive:
+def as_stated(table: ServoTable, drawn: Losses) -> Losses:
     """A joint's drive: what the table says, and what was drawn where it says nothing."""
     own = table.coulomb_N_m, table.viscous_N_m_s_rad, table.rotor_kg_m2
-    return Drive(*(mine if said is None else said for said, mine in zip(own, drawn, strict=True)))
+    return Losses(*(mine if said is None else said for said, mine in zip(own, drawn, strict=True)))
 
 
 def install(model: mujoco.MjModel, first: int, found: Sequence[Servo]) -> None:

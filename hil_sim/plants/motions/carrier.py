@@ -130,7 +130,7 @@ def _times(a: FloatArray, b: FloatArray) -> FloatArray:
     return out
 
 
-class Carried(NamedTuple):
+class CarrierMotion(NamedTuple):
     """A base's motion, row k at ``t_k`` unless said: MuJoCo's numbers of a free joint."""
 
     pose: FloatArray  # (n, 7): place, world; w x y z of its attitude
@@ -162,7 +162,7 @@ class _Sum:
         return out
 
 
-class Carrier:
+class CarrierMaker:
     """Draws a motion, and makes it as it is asked for; the base stands in the world's axes at the first row.
 
     Args:
@@ -192,26 +192,26 @@ class Carrier:
         self._first_velocity = np.zeros(6)  # half a step before that
         self._made = self._kept_from = 0
         six = np.zeros((0, 6))
-        self._kept = Carried(np.zeros((0, 7)), six, six, six, *_NOTHING)
+        self._kept = CarrierMotion(np.zeros((0, 7)), six, six, six, *_NOTHING)
 
     @property
     def kept(self) -> int:
         """Rows in memory."""
         return self._made - self._kept_from
 
-    def rows(self, first: int, last: int) -> Carried:
+    def rows(self, first: int, last: int) -> CarrierMotion:
         """Rows ``first`` to before ``last``; none before ``first`` is asked for after that."""
         if self._made < min(last, self._count):
             old = min(first, self._made) - self._kept_from
-            chunks = [Carried(*(values[old:] for values in self._kept))]
+            chunks = [CarrierMotion(*(values[old:] for values in self._kept))]
             self._kept_from += old
             while self._made < min(last, self._count):
                 end = min(self._made + CHUNK, self._count)
                 chunks.append(self._chunk(self._made, end))
                 self._made = end
-            self._kept = Carried(*(np.concatenate(parts) for parts in zip(*chunks, strict=True)))
+            self._kept = CarrierMotion(*(np.concatenate(parts) for parts in zip(*chunks, strict=True)))
         own = slice(first - self._kept_from, last - self._kept_from)
-        return Carried(*(values[own] for values in self._kept))
+        return CarrierMotion(*(values[own] for values in self._kept))
 
     def _swayed(self, begin: int, end: int) -> tuple[BasePath, FloatArray]:
         """The sway at rows, and its velocities half a step before each, (n, 6)."""
@@ -224,11 +224,11 @@ class Carrier:
         self._halfway = before[end - begin :].copy()
         return BasePath(*(values[::2] for values in path)), before[: end - begin]
 
-    def _chunk(self, begin: int, end: int) -> Carried:
+    def _chunk(self, begin: int, end: int) -> CarrierMotion:
         scenario, step_s, n = self._scenario, self._step_s, end - begin
         (pose, velocity, acceleration), before = self._swayed(begin, end)
         if scenario.coning is None and scenario.vibration is None and scenario.air is None:
-            return Carried(pose, velocity, acceleration, before, *_NOTHING)
+            return CarrierMotion(pose, velocity, acceleration, before, *_NOTHING)
         times: FloatArray = step_s * np.arange(begin, end, dtype=np.float64)
         turning, rate_start, r = np.zeros((n, 3)), np.zeros(3), np.zeros(3)
         spin, pushed = 0.0, np.zeros((n, 3))
@@ -269,7 +269,7 @@ class Carrier:
         way = self._way.to(befores[:, :3])
         self._first_m = way[0].copy() if self._first_m is None else self._first_m
         poses[:, :3] = (way - self._first_m) * step_s
-        return Carried(poses, befores + 0.5 * step_s * accelerations, accelerations, befores, pressure, wind)
+        return CarrierMotion(poses, befores + 0.5 * step_s * accelerations, accelerations, befores, pressure, wind)
 
 
 def _mean_twist(shaking: Shaking, step_s: float, count: int) -> FloatArray:
@@ -280,9 +280,9 @@ def _mean_twist(shaking: Shaking, step_s: float, count: int) -> FloatArray:
     return np.asarray(found[-1] / count)
 
 
-def carried(scenario: Scenario, step_s: float, count: int, rng: np.random.Generator) -> Carried:
-    """The whole of a motion; see ``Carrier``."""
-    return Carrier(scenario, step_s, count, rng).rows(0, count)
+def carried(scenario: Scenario, step_s: float, count: int, rng: np.random.Generator) -> CarrierMotion:
+    """The whole of a motion; see ``CarrierMaker``."""
+    return CarrierMaker(scenario, step_s, count, rng).rows(0, count)
 
 
 def turned(attitude: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil_sim import filters
 from hil_sim.arrays import Deviates, FloatArray
-from hil_sim.scenario.part_tables import AirTable, ConingTable, Mode, Vibration
+from hil_sim.scenario.part_tables import AirTable, ConingTable, StructuralMode, Vibration
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
 _SCALE_HEIGHT_m, _DENSITY_kg_m3 = 7000.0, 1.225  # of the air; of that at the ground
@@ -126,7 +126,7 @@ class Shaking:
         rate_Hz = 1.0 / step_s
         milli_g = 1e-3 * STANDARD_GRAVITY
 
-        def mode(one: Mode, unit: float) -> _Band:
+        def mode(one: StructuralMode, unit: float) -> _Band:
             section = filters.peak(one.frequency_Hz, 0.5 / one.damping_ratio, rate_Hz)
             return _Band([section], unit, one.rms, Deviates(rng, count, 3))
 

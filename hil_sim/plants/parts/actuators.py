@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 
 
 class Wheel(NamedTuple):
@@ -19,7 +19,7 @@ class Wheel(NamedTuple):
     name: str
     axis: FloatArray  # (3,) unit, base axes
     position_m: FloatArray  # (3,)
-    body: Body
+    body: Solid
     start_rad_s: float
 
     @staticmethod
@@ -35,7 +35,7 @@ class Wheel(NamedTuple):
         a = np.asarray(axis, np.float64) / np.linalg.norm(axis)
         axial, across = inertia_kg_m2
         tensor = across * np.eye(3) + (axial - across) * np.outer(a, a)
-        return Wheel(name, a, np.asarray(position_m, np.float64), Body(mass_kg, np.zeros(3), tensor), start_rad_s)
+        return Wheel(name, a, np.asarray(position_m, np.float64), Solid(mass_kg, np.zeros(3), tensor), start_rad_s)
 
 
 class Pulse(NamedTuple):

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.parts.exchange import Moving, Released
 from hil_sim.plants.urdf_model import matrix_of
 
@@ -39,7 +39,7 @@ class Contact:
 
     def __init__(
         self,
-        payload: Body,
+        payload: Solid,
         frequency_Hz: float,
         damping_ratio: float,
         gravity_m_s2: FloatArray,
@@ -109,7 +109,7 @@ class Contact:
         (R, origin), (rate, velocity) = link, twist
         at, attitude, v, w = _split(self.state)
         turned = self.payload.turned(R.T @ matrix_of(attitude))
-        held = Body(turned.mass_kg, R.T @ (at - origin), turned.inertia_kg_m2)
+        held = Solid(turned.mass_kg, R.T @ (at - origin), turned.inertia_kg_m2)
         return Released(held, R.T @ (v - np.cross(w, at - origin) - velocity), R.T @ (w - rate))
 
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
 
@@ -20,7 +20,7 @@ class Jolt(NamedTuple):
 class Released(NamedTuple):
     """A payload that comes, or goes; its motion relative to its link just before, in the axes of the link."""
 
-    payload: Body
+    payload: Solid
     velocity_m_s: FloatArray  # (3,)
     rate_rad_s: FloatArray  # (3,)
 

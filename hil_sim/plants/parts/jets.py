@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import Scenario
@@ -45,7 +45,7 @@ class Burn(NamedTuple):
     wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
 
 
-class Unknown(NamedTuple):
+class UnknownWrench(NamedTuple):
     """A wrench that is unknown on board."""
 
     span: Span
@@ -72,7 +72,7 @@ class Jets:
         ScenarioError: a burn of a frame that no thruster has, or of one that is not fixed to the base.
     """
 
-    def __init__(self, scenario: Scenario, model: UrdfModel, bodies: Mapping[str, Body]) -> None:
+    def __init__(self, scenario: Scenario, model: UrdfModel, bodies: Mapping[str, Solid]) -> None:
         mass_kg = sum(body.mass_kg for body in bodies.values())
         axes = dict[str, FloatArray]()
         for device in scenario.device.values():
@@ -94,7 +94,7 @@ class Jets:
             size_n = _ACCELERATION_m_s2 * mass_kg if one.force_N is None else one.force_N
             self.burns.append(Burn(one.frame, Span(one.at_s, one.at_s + one.duration_s), size_n, wrench))
         self._unknown = [
-            Unknown(
+            UnknownWrench(
                 Span(one.at_s, np.inf if one.duration_s is None else one.at_s + one.duration_s),
                 one.axes == "base",
                 np.array(one.force_N),

@@ -14,7 +14,7 @@ from hil_sim.scenario.vehicle_tables import BearingTable, Scenario
 _ROUNDING_m_s = 2e-3  # of Coulomb drag
 
 
-class Puck(NamedTuple):
+class AirPuck(NamedTuple):
     """An air puck under the base."""
 
     place_m: FloatArray  # (3,), base axes
@@ -22,7 +22,7 @@ class Puck(NamedTuple):
     coulomb_N: float  # noqa: N815
 
 
-def pucks(scenario: Scenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
+def pucks(scenario: Scenario, model: UrdfModel, rng: np.random.Generator) -> list[AirPuck]:
     """Every puck of the table, its drag drawn."""
     found = []
     for frame in scenario.table.pucks:
@@ -31,11 +31,11 @@ def pucks(scenario: Scenario, model: UrdfModel, rng: np.random.Generator) -> lis
             raise ScenarioError(f"table.pucks: {frame!r} is not fixed to {scenario.vehicle.base_link!r}; make it so")
         share = rng.uniform(0.0, 1.0, 2)
         drag = share * [scenario.table.viscous_N_s_m, scenario.table.coulomb_N]
-        found.append(Puck(np.array(link.pos), *drag.tolist()))
+        found.append(AirPuck(np.array(link.pos), *drag.tolist()))
     return found
 
 
-Drag = Sequence[Puck] | BearingTable
+Drag = Sequence[AirPuck] | BearingTable
 
 
 def dragged(by: Drag, pose: FloatArray, velocity: FloatArray) -> FloatArray:
@@ -46,7 +46,7 @@ def dragged(by: Drag, pose: FloatArray, velocity: FloatArray) -> FloatArray:
     return drag_wrench(by, float(pose[2]), velocity)
 
 
-def drag_wrench(pucks: Sequence[Puck], yaw: float, velocity: FloatArray) -> FloatArray:
+def drag_wrench(pucks: Sequence[AirPuck], yaw: float, velocity: FloatArray) -> FloatArray:
     """Generalised force of all pucks on x, y and yaw of the table, (3,); ``velocity`` of these, (3,)."""
     vx, vy, w = velocity.tolist()
     c, s = math.cos(yaw), math.sin(yaw)

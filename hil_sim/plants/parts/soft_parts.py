@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import Scenario
 
@@ -124,8 +124,8 @@ class SoftParts:
 
 
 def springs(
-    scenario: Scenario, bodies: Mapping[str, Body], joints: Sequence[str], rng: np.random.Generator
-) -> tuple[SoftParts | None, dict[str, Body]]:
+    scenario: Scenario, bodies: Mapping[str, Solid], joints: Sequence[str], rng: np.random.Generator
+) -> tuple[SoftParts | None, dict[str, Solid]]:
     """What of a scenario is not stiff, and its base without the mass that swings.
 
     Args:
@@ -156,7 +156,7 @@ def springs(
     rate = 2.0 * np.pi * table.frequency_Hz
     of_spring = table.mass_kg * rate**2, 2.0 * table.damping_ratio * table.mass_kg * rate
     swings = Slosh(table.mass_kg, *of_spring, base.centre_of_mass_m)
-    left = Body(base.mass_kg - table.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
+    left = Solid(base.mass_kg - table.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
     return SoftParts(frequency, ratio, swings, gap, duration_s), {name: left}
 
 

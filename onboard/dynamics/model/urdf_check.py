@@ -33,7 +33,7 @@ _REMEDIES = {
 }
 
 
-class Inertial(NamedTuple):
+class LinkInertial(NamedTuple):
     """What a link weighs.
 
     Attributes:
@@ -93,7 +93,7 @@ def base_weighs(drawing: Drawing, payload_link: str | None = None) -> bool:
     return max(group, default=0.0) > LEAST_SHARE * sum(masses.values())
 
 
-def inertial_of(link: ET.Element) -> Inertial | None:
+def inertial_of(link: ET.Element) -> LinkInertial | None:
     """What a link weighs; None without ``<inertial>``. Its numbers are numbers."""
     element = link.find("inertial")
     if element is None:
@@ -103,7 +103,7 @@ def inertial_of(link: ET.Element) -> Inertial | None:
     assert tensor is not None
     xx, yy, zz, xy, xz, yz = (float(tensor.get(key, "nan")) for key in _MOMENTS)
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Inertial(float(mass.get("value", "nan")), inertia, vector(origin, "xyz"), vector(origin, "rpy"))
+    return LinkInertial(float(mass.get("value", "nan")), inertia, vector(origin, "xyz"), vector(origin, "rpy"))
 
 
 def vector(element: ET.Element | None, key: str, default: str = "0 0 0") -> FloatArray:
@@ -212,7 +212,7 @@ def _skew(inertia_kg_m2: FloatArray) -> bool:
     return bool((inertia_kg_m2 - np.diag(np.diag(inertia_kg_m2))).any()) or 0.0 < np.abs(inertia_kg_m2).max() < LEAST
 
 
-def _too_wide(drawing: Drawing, name: str, own: Inertial) -> str:
+def _too_wide(drawing: Drawing, name: str, own: LinkInertial) -> str:
     """Why its mass would lie beyond its shape; "" where it need not, or where it has none but meshes.
 
     All its mass in two opposite corners of the box around it has half the box's diagonal as its radius of gyration.

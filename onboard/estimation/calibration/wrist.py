@@ -83,7 +83,7 @@ class Noise(NamedTuple):
     cross: float  # cross-talk, relative
 
 
-class State(NamedTuple):
+class Linearisation(NamedTuple):
     """Where the model is linearised."""
 
     mass: float
@@ -118,7 +118,7 @@ class PoseFit(NamedTuple):
         evidence: logarithm of the marginal likelihood; differences between fits of the same readings count.
     """
 
-    state: State
+    state: Linearisation
     covariance: FloatArray
     noise: Noise
     residual: FloatArray
@@ -229,7 +229,7 @@ def interval(
     return middle, whole, end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))
 
 
-def predicted(R: FloatArray, state: State, prior: Priors) -> FloatArray:
+def predicted(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
     """Readings without zeros, (n, 6)."""
     return np.asarray(_in_frame(R, state, prior) @ (state.sensitivity @ state.mounting).T, np.float64)
 
@@ -274,7 +274,7 @@ def zeros(one: PoseFit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     return value, sigma, np.asarray(np.sqrt((weights * gone).sum(axis=0)), np.float64)
 
 
-def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> State:
+def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> Linearisation:
     """A closed form: mounting and mass by orthogonal Procrustes (Kabsch 1976), then the first moment."""
     h = np.einsum("nba,b->na", R, prior.gravity_m_s2)
     about, force = h - h.mean(axis=0), wrench[:, :3] - wrench[:, :3].mean(axis=0)
@@ -289,16 +289,16 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> State:
     A = -hat(d).reshape(-1, 3)  # p x d = -d x p
     moment = (wrench[:, 3:] - wrench[:, 3:].mean(axis=0)).ravel()
     p = np.linalg.lstsq(A, moment)[0]
-    return State(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
+    return Linearisation(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
 
 
-def jacobian(R: FloatArray, state: State, prior: Priors) -> FloatArray:
+def jacobian(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
     """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
     by = _linearised(state, prior)[1] @ _elements(R).T  # (6, 45, n)
     return np.asarray(np.moveaxis(by, -1, 0), np.float64)
 
 
-def _linearised(state: State, prior: Priors) -> tuple[FloatArray, FloatArray]:
+def _linearised(state: Linearisation, prior: Priors) -> tuple[FloatArray, FloatArray]:
     """:func:`predicted` and :func:`jacobian` by the elements of R', of which both are linear: (6, 9), (6, 45, 9)."""
     level = _level(prior.gravity_m_s2)
     down = _tilted(state, level) @ prior.gravity_m_s2
@@ -326,13 +326,13 @@ def coefficients(values: FloatArray) -> FloatArray:
     return np.asarray(dct(values, axis=0, norm="ortho")[1:], np.float64)
 
 
-def _in_frame(R: FloatArray, state: State, prior: Priors) -> FloatArray:
+def _in_frame(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
     """Gravity in the axes of the frame whose pose is given, (n, 3)."""
     down = _tilted(state, _level(prior.gravity_m_s2)) @ prior.gravity_m_s2
     return np.asarray(R.transpose(0, 2, 1) @ down, np.float64)
 
 
-def _tilted(state: State, level: FloatArray) -> FloatArray:
+def _tilted(state: Linearisation, level: FloatArray) -> FloatArray:
     """The turn of the base by its tilt about two axes (3, 2), (3, 3)."""
     return turn(level @ state.tilt)
 
@@ -375,17 +375,17 @@ def prior_sigmas(wrench: FloatArray, prior: Priors, cross: float) -> FloatArray:
     return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *scales, *[cross] * 30])
 
 
-def _values(state: State) -> FloatArray:
+def _values(state: Linearisation) -> FloatArray:
     """The unknowns, (45,); of the mounting the rotation vector."""
     mounting = rotation_vector(state.mounting)
     return np.concatenate([[state.mass], state.first_moment, mounting, state.tilt, state.scales, state.cross])
 
 
-def moved(state: State, step: FloatArray) -> State:
+def moved(state: Linearisation, step: FloatArray) -> Linearisation:
     """A state after a step of the unknowns, (45,)."""
     M = turn(step[MOUNTING]) @ state.mounting
     own = state.first_moment + step[FIRST_MOMENT], M, state.tilt + step[TILT], state.scales + step[SCALES]
-    return State(float(state.mass + step[0]), *own, state.cross + step[CROSS])
+    return Linearisation(float(state.mass + step[0]), *own, state.cross + step[CROSS])
 
 
 def _eigenvalues(n: int) -> FloatArray:
@@ -398,7 +398,7 @@ def variances(noise: Noise, n: int) -> FloatArray:
     return np.asarray(noise.sigma**2 + noise.walk**2 / _eigenvalues(n)[:, None], np.float64)
 
 
-def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: State, noise: Noise) -> PoseFit:
+def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: Linearisation, noise: Noise) -> PoseFit:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
     information = sigmas**-2.0

@@ -50,7 +50,7 @@ class Operator(Protocol):
         """Say something."""
 
 
-class Bench(NamedTuple):
+class CheckHost(NamedTuple):
     """What a checkout uses of the computer; a simulated clock stands here in tests."""
 
     clock: Callable[[], int]  # CLOCK_MONOTONIC, ns
@@ -101,7 +101,7 @@ class Record(NamedTuple):
 
 
 def checkout(
-    vehicle: config.Vehicle, estimator: Estimator | None, bench: Bench, operator: Operator, lengths: Lengths
+    vehicle: config.Vehicle, estimator: Estimator | None, bench: CheckHost, operator: Operator, lengths: Lengths
 ) -> Record:
     """Walk through the list.
 
@@ -126,7 +126,7 @@ def checkout(
 
 
 def _steps(
-    vehicle: config.Vehicle, estimator: Estimator | None, bench: Bench, operator: Operator, lengths: Lengths
+    vehicle: config.Vehicle, estimator: Estimator | None, bench: CheckHost, operator: Operator, lengths: Lengths
 ) -> Iterator[CheckoutStep]:
     yield _confirmed(
         bench, operator, "power", "Computers, devices, arm drives and cameras are on, and none reports a fault."
@@ -161,7 +161,7 @@ def _steps(
     yield _checked(bench, operator, "dry run", text, bench.dry_run)
 
 
-def _now(bench: Bench) -> str:
+def _now(bench: CheckHost) -> str:
     return bench.wall().isoformat(timespec="seconds")
 
 
@@ -178,17 +178,19 @@ def _answered(operator: Operator, name: str, text: str) -> tuple[str, str]:
     return (PASSED, answer) if outcome is None else (outcome, rest.strip())
 
 
-def _confirmed(bench: Bench, operator: Operator, name: str, text: str) -> CheckoutStep:
+def _confirmed(bench: CheckHost, operator: Operator, name: str, text: str) -> CheckoutStep:
     outcome, said = _answered(operator, name, text)
     return CheckoutStep(name, "operator", outcome, "", said, _now(bench))
 
 
-def _judged(bench: Bench, name: str, outcome: CheckResult, said: str) -> CheckoutStep:
+def _judged(bench: CheckHost, name: str, outcome: CheckResult, said: str) -> CheckoutStep:
     told = "; ".join([*outcome.problems, *([outcome.found] if outcome.found else [])])
     return CheckoutStep(name, "check", FAILED if outcome.problems else PASSED, told, said, _now(bench))
 
 
-def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Callable[[], CheckResult]) -> CheckoutStep:
+def _checked(
+    bench: CheckHost, operator: Operator, name: str, text: str, check: Callable[[], CheckResult]
+) -> CheckoutStep:
     """A check that begins when the operator says so, and is repeated where it fails and the operator wants it."""
     while True:
         answer, said = _answered(operator, name, text)
@@ -206,7 +208,7 @@ def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Call
             return step._replace(said=rest.strip())
 
 
-def pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> CheckoutStep:
+def pulse(vehicle: config.Vehicle, bench: CheckHost, looked: Preflight) -> CheckoutStep:
     """Whether every recorder that can mark the sync pulse has."""
     line = sync_line(vehicle)
     if line is None or not line.coded:
@@ -220,7 +222,7 @@ def pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> CheckoutS
     return _judged(bench, "pulse", CheckResult(tuple(unseen), f"marked: {seen}" if seen else ""), "")
 
 
-def _read(vehicle: config.Vehicle, bench: Bench, seconds: float) -> dict[str, list[Any]]:
+def _read(vehicle: config.Vehicle, bench: CheckHost, seconds: float) -> dict[str, list[Any]]:
     """Rows by channel of devices that ran for some seconds."""
     opened = open_devices(vehicle, bench.clock)
     try:
@@ -244,7 +246,7 @@ def _values(rows: dict[str, list[Any]], roles: Roles, channel: str) -> FloatArra
 
 def _moved(
     vehicle: config.Vehicle,
-    bench: Bench,
+    bench: CheckHost,
     operator: Operator,
     lengths: Lengths,
     roles: Roles,
@@ -271,7 +273,7 @@ def _moved(
 
 
 def _tared(
-    vehicle: config.Vehicle, bench: Bench, operator: Operator, roles: Roles, cell: LoadCellRole, keys: LoadCellKeys
+    vehicle: config.Vehicle, bench: CheckHost, operator: Operator, roles: Roles, cell: LoadCellRole, keys: LoadCellKeys
 ) -> CheckoutStep:
     text = f"Nothing touches what is beyond {keys.frame}, and it is at rest."
 

@@ -31,7 +31,7 @@ FEWEST_WINDOWS = 10  # their scatter says how well the noise is known
 _OF_IMU = tuple((f"{what} {axis}", unit) for what, unit in (("gyro", "rad/s"), ("accel", "m/s^2")) for axis in "xyz")
 
 
-class Signal(NamedTuple):
+class RestSignal(NamedTuple):
     """What a device measures, at rest; all in ``unit``.
 
     Attributes:
@@ -80,7 +80,7 @@ class DeskTest(NamedTuple):
     clock: str
     clock_ppm: float | None
     clock_sigma_ppm: float | None
-    signals: tuple[Signal, ...]
+    signals: tuple[RestSignal, ...]
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -153,7 +153,7 @@ def _tested(
     )
 
 
-def _too_loud(signals: Sequence[Signal]) -> str:
+def _too_loud(signals: Sequence[RestSignal]) -> str:
     """What to do about values of which the same is stated."""
     named, most = ", ".join(one.name for one in signals), max(one.noise or 0.0 for one in signals)
     return (
@@ -162,7 +162,7 @@ def _too_loud(signals: Sequence[Signal]) -> str:
     )
 
 
-def _signals(name: str, rows: Rows, signal: SmoothedChannel | None, nominal_hz: float | None) -> Iterator[Signal]:
+def _signals(name: str, rows: Rows, signal: SmoothedChannel | None, nominal_hz: float | None) -> Iterator[RestSignal]:
     """Of a channel's usable rows."""
     if not len(rows):
         return
@@ -181,7 +181,7 @@ def _signals(name: str, rows: Rows, signal: SmoothedChannel | None, nominal_hz: 
 
 def _signal(
     name: str, unit: str, values: FloatArray, stated: float | None, nominal_hz: float | None, looks: int
-) -> Signal:
+) -> RestSignal:
     """Statistics of one value; ``looks``: values of the device that are judged."""
     at = np.arange(len(values), dtype=np.float64)
     slope = float(np.polyfit(at, values, 1)[0]) if len(values) > 2 else 0.0
@@ -189,7 +189,7 @@ def _signal(
     size = max(FEWEST_SAMPLES, round(WINDOW_S * (nominal_hz or 0.0)))
     windows = len(values) // size
     if windows < 1:
-        return Signal(name, unit, mean, None, stated, drift, too_loud=False)
+        return RestSignal(name, unit, mean, None, stated, drift, too_loud=False)
     parts = values[: windows * size].reshape(windows, size).T  # (size, windows)
     time = np.arange(size) - 0.5 * (size - 1)
     bent = parts - parts.mean(axis=0) - np.outer(time, (time @ parts) / (time @ time))
@@ -199,7 +199,7 @@ def _signal(
     if stated is not None and windows >= FEWEST_WINDOWS:
         sigma = float(variances.std(ddof=1)) / windows**0.5
         too_loud = variance - stated**2 > policy.sigmas(policy.of_each(policy.DOUBT, looks)) * sigma
-    return Signal(name, unit, mean, variance**0.5, stated, drift, too_loud)
+    return RestSignal(name, unit, mean, variance**0.5, stated, drift, too_loud)
 
 
 def _clock_of(

@@ -53,7 +53,7 @@ class DetectedDevice(NamedTuple):
     number: int = 0
 
 
-class Bus(NamedTuple):
+class ScannedBus(NamedTuple):
     """A bus, what is on it, and why it could not be looked at."""
 
     url: str
@@ -80,7 +80,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-def scan(url: str, clock: Clock, wait: Wait) -> Bus:
+def scan(url: str, clock: Clock, wait: Wait) -> ScannedBus:
     """Look at an I2C or a CAN bus, or ask who is on a serial line or at an address of the network.
 
     Args:
@@ -97,22 +97,22 @@ def scan(url: str, clock: Clock, wait: Wait) -> Bus:
             if bus.kind in urls_of_it:
                 line = opens(url)
                 try:
-                    return Bus(url, tuple(on_line(line, wait, bus.kind)))
+                    return ScannedBus(url, tuple(on_line(line, wait, bus.kind)))
                 finally:
                     line.close()
         if bus.kind in transports.I2C_URLS:
             i2c = transports.open_i2c(url, clock)
             try:
-                return Bus(url, tuple(on_i2c(i2c)))
+                return ScannedBus(url, tuple(on_i2c(i2c)))
             finally:
                 i2c.close()
         can = transports.open_can(url, clock)
         try:
-            return Bus(url, tuple(on_can(can, clock, wait)))
+            return ScannedBus(url, tuple(on_can(can, clock, wait)))
         finally:
             can.close()
     except OSError as error:
-        return Bus(url, problem=f"cannot be used: {error}")
+        return ScannedBus(url, problem=f"cannot be used: {error}")
 
 
 def on_i2c(port: I2cPort) -> Iterable[DetectedDevice]:

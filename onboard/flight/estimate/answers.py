@@ -15,13 +15,13 @@ from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.innovation import Told
+from onboard.identification.exiddm.innovation import ReferenceErrors
 from onboard.identification.quantities import Estimate, Findings, outer_of
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
 
 
-def innovation_rows(now_ns: int, told: Sequence[Told]) -> Rows:
+def innovation_rows(now_ns: int, told: Sequence[ReferenceErrors]) -> Rows:
     """INNOVATION rows (n,) of batches whose errors were noted."""
     rows = np.zeros(sum(len(one.time_s) for one in told), channels.INNOVATION)
     rows["host_ns"] = now_ns

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.state import Places, StateError, from_bytes, write
+from onboard.flight.estimate.state import StateError, UnwrittenParts, from_bytes, write
 from onboard.flight.store.directories import open_private, write_private
 
 _NAME, _UNDERWAY = "estimator.checkpoint", "estimator.redoing"
@@ -38,7 +38,7 @@ class Checkpoints:
         places: of an estimator of the same vehicle that has not made a step: the model in it is not written.
     """
 
-    def __init__(self, directory: Path, places: Places) -> None:
+    def __init__(self, directory: Path, places: UnwrittenParts) -> None:
         self._path, self._underway = directory / _NAME, directory / _UNDERWAY
         self._places = places
 

@@ -20,7 +20,7 @@ from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.hand_over import HandOver
 from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, to_skip_ns
-from onboard.flight.estimate.state import Places, StateError
+from onboard.flight.estimate.state import StateError, UnwrittenParts
 from onboard.flight.store import rings
 from onboard.identification.online import Defers
 from onboard.identification.quantities import MOST_ALSO
@@ -194,9 +194,9 @@ class EstimationWorker:
         return Batch("tick", row)
 
 
-def _build(vehicle: config.Vehicle) -> tuple[Estimator, Places]:
+def _build(vehicle: config.Vehicle) -> tuple[Estimator, UnwrittenParts]:
     estimator = Estimator(vehicle)
-    return estimator, Places(estimator)
+    return estimator, UnwrittenParts(estimator)
 
 
 class DurableEstimation:
@@ -215,7 +215,7 @@ class DurableEstimation:
         vehicle: config.Vehicle,
         directory: Path,
         now_ns: int,
-        built: tuple[Estimator, Places] | None = None,
+        built: tuple[Estimator, UnwrittenParts] | None = None,
         cpu_ns: Callable[[], int] = lambda: 0,
     ) -> None:
         self._cpu_ns, self._saved_cpu_ns = cpu_ns, cpu_ns()

@@ -45,7 +45,7 @@ class StateError(ValueError):
     """A state that cannot be written as values, or data that is none of ours."""
 
 
-class Places:
+class UnwrittenParts:
     """Parts of a new object that are not written, and their places.
 
     Args:
@@ -104,7 +104,7 @@ def _is_data(thing: object) -> bool:
 
 
 class _Writer:
-    def __init__(self, places: Places) -> None:
+    def __init__(self, places: UnwrittenParts) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
         self.arrays: list[memoryview | bytes] = []  # their bytes, to be copied before anything changes them
@@ -167,7 +167,7 @@ class _Writer:
 
 
 class _Reader:
-    def __init__(self, places: Places, data: memoryview) -> None:
+    def __init__(self, places: UnwrittenParts, data: memoryview) -> None:
         self._places, self._data = places, data
         self._made: list[Any] = []
 
@@ -259,14 +259,14 @@ def _class(name: str) -> type:
     return found
 
 
-def to_bytes(thing: object, places: Places) -> bytes:
+def to_bytes(thing: object, places: UnwrittenParts) -> bytes:
     """What :func:`write` writes."""
     file = io.BytesIO()
     write(file, thing, places)
     return file.getvalue()
 
 
-def write(file: IO[bytes], thing: object, places: Places) -> None:
+def write(file: IO[bytes], thing: object, places: UnwrittenParts) -> None:
     """Write ``thing``: head, tree, arrays.
 
     Args:
@@ -286,7 +286,7 @@ def write(file: IO[bytes], thing: object, places: Places) -> None:
     file.write(data)
 
 
-def from_bytes(data: bytes, places: Places) -> Any:
+def from_bytes(data: bytes, places: UnwrittenParts) -> Any:
     """What :func:`to_bytes` made ``data`` of.
 
     Raises:

@@ -34,7 +34,7 @@ from onboard.ring import RingWriter
 if TYPE_CHECKING:
     from onboard.flight.acquire.devices import OpenDevices
     from onboard.flight.estimate.estimator import Estimator
-    from onboard.flight.estimate.state import Places
+    from onboard.flight.estimate.state import UnwrittenParts
     from onboard.recording.recorder import Recorder
 
 RECEIVE_TIMEOUT_S = 0.05
@@ -226,7 +226,7 @@ def prepare_estimation(vehicle: config.Vehicle, control: Connection) -> None:
     from onboard.flight.estimate import hand_over
     from onboard.flight.estimate.estimation import answer_rates_hz, estimation_channels
     from onboard.flight.estimate.estimator import Estimator
-    from onboard.flight.estimate.state import Places
+    from onboard.flight.estimate.state import UnwrittenParts
 
     name_process("forks-est")
     try:
@@ -236,11 +236,11 @@ def prepare_estimation(vehicle: config.Vehicle, control: Connection) -> None:
         control.send(Refused(str(error)))
         return
     control.send(Prepared(estimation_channels(estimator), answer_rates_hz(estimator)))
-    serve(control, estimator, Places(estimator))
+    serve(control, estimator, UnwrittenParts(estimator))
 
 
 def estimate(
-    vehicle: config.Vehicle, directory: Path, estimator: "Estimator", places: "Places", pipe: Connection
+    vehicle: config.Vehicle, directory: Path, estimator: "Estimator", places: "UnwrittenParts", pipe: Connection
 ) -> None:
     """Body of the estimation process, with an ``estimator`` that has not made a step and its ``places``."""
     from onboard.flight.estimate.estimation import DurableEstimation

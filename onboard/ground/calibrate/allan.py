@@ -7,7 +7,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
-from onboard.ground.calibrate.readings import Readings, Span
+from onboard.ground.calibrate.readings import LogSpan, Readings
 
 SHORTEST_s = 60.0
 _WHITE_s = (0.1, 1.0)  # above the chip's low-pass filter, below its instability
@@ -22,7 +22,7 @@ class Allan(NamedTuple):
     relative_sigma: float  # of sample_noise
 
 
-def allan_deviation(read: Readings, span: Span) -> Allan:
+def allan_deviation(read: Readings, span: LogSpan) -> Allan:
     """Overlapping Allan deviation over a rest.
 
     White noise of density N (one-sided) has ``sigma(tau) = N / sqrt(2 tau)``, and a white sample at rate f has

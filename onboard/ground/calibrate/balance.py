@@ -14,8 +14,8 @@ from onboard.estimation.calibration.linear import Balanced, balance
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.calibrate.place import Place
-from onboard.ground.calibrate.readings import Readings, Span, require_within, still
+from onboard.ground.calibrate.place import Gravity
+from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, still
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 from onboard.section import Positive, Section, Vector3
 
@@ -56,8 +56,8 @@ def calibrate_balance(
     vehicle: config.Vehicle,
     device: str,
     held: Rig,
-    place: Place,
-    at: Sequence[Span] = (),
+    place: Gravity,
+    at: Sequence[LogSpan] = (),
 ) -> Calibration:
     """From readings in which the body lay in each orientation of the rig, and was lifted off the cell between them.
 
@@ -98,7 +98,7 @@ def _solved(
     force: FloatArray,
     means: Sequence[tuple[FloatArray, FloatArray]],
     held: Rig,
-    place: Place,
+    place: Gravity,
 ) -> tuple[Balanced, float]:
     """With the places' error as a force: the weight over the lever of the cell, for a body that the hinge carries."""
     lever = np.abs(
@@ -113,7 +113,7 @@ def _solved(
     return balance(*given, sigma), sigma
 
 
-def _loaded(read: Readings, at: Sequence[Span], count: int) -> tuple[list[Span], float]:
+def _loaded(read: Readings, at: Sequence[LogSpan], count: int) -> tuple[list[LogSpan], float]:
     """When the cell bore the body, and what it reads unloaded."""
     spans = still(read, at)
     level = np.array([float(read.mean(span)[0][0]) for span in spans])
@@ -127,12 +127,12 @@ def _loaded(read: Readings, at: Sequence[Span], count: int) -> tuple[list[Span],
     return loaded, float(level[bare].mean()) if bare.any() else 0.0
 
 
-def _require_up(imu: Readings, vehicle: config.Vehicle, held: Rig, read: Readings, spans: Sequence[Span]) -> None:
+def _require_up(imu: Readings, vehicle: config.Vehicle, held: Rig, read: Readings, spans: Sequence[LogSpan]) -> None:
     """Refuse an orientation in which the IMU's specific force does not point where the rig file has up."""
     R_BS, _ = build_model(vehicle).pose_in_base(roles_of(vehicle).imu.frame)
     later_s = read.start_s - imu.start_s
     for number, (span, one) in enumerate(zip(spans, held.orientation, strict=True), 1):
-        seen = imu.within(Span(span.start_s + later_s, span.end_s + later_s))
+        seen = imu.within(LogSpan(span.start_s + later_s, span.end_s + later_s))
         up = R_BS @ imu.values[seen, 3:6].mean(axis=0)
         wanted = np.array(one.up) / np.linalg.norm(one.up)
         angle = float(np.arccos(np.clip(up @ wanted / np.linalg.norm(up), -1.0, 1.0)))
@@ -143,7 +143,9 @@ def _require_up(imu: Readings, vehicle: config.Vehicle, held: Rig, read: Reading
             )
 
 
-def _result(vehicle: config.Vehicle, found: Balanced, scale_sigma: float, sigma_N: float, place: Place) -> Calibration:
+def _result(
+    vehicle: config.Vehicle, found: Balanced, scale_sigma: float, sigma_N: float, place: Gravity
+) -> Calibration:
     link = vehicle.file.vehicle.base_link
     model = build_model(vehicle)
     at = 10 * model.links.index(link)

@@ -23,7 +23,7 @@ from onboard.estimation.calibration.bifilar import (
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.calibrate.readings import Readings, Span, still
+from onboard.ground.calibrate.readings import LogSpan, Readings, still
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 SHORTEST_s = 12.0
@@ -32,10 +32,10 @@ AXIS_rad = 3e-3  # of the gyro's axes in the base, where the vehicle file says n
 ELEMENTS = ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
 
 
-class Hang(NamedTuple):
+class PendulumSwing(NamedTuple):
     """One swing: when, about which axis of the base, and what it says."""
 
-    span: Span
+    span: LogSpan
     axis: FloatArray  # (3,) base axes
     swing: BifilarSwing
     sway: float  # rate across the axis over that about it, rms
@@ -46,9 +46,9 @@ def calibrate_bifilar(
     vehicle: config.Vehicle,
     device: str,
     suspension: Suspension,
-    at: Sequence[Span] = (),
+    at: Sequence[LogSpan] = (),
     gravity_sigma: float = 0.0,
-) -> tuple[Calibration, list[Hang]]:
+) -> tuple[Calibration, list[PendulumSwing]]:
     """From readings in which the base hung by six axes or more, and swung about each.
 
     Args:
@@ -130,17 +130,17 @@ def _into(
         result.changes.append(KeyChange(prior, "inertia_relative", two_digits(relative)))
 
 
-def _swings(read: Readings, at: Sequence[Span]) -> list[Span]:
+def _swings(read: Readings, at: Sequence[LogSpan]) -> list[LogSpan]:
     """What lies between rests and is long enough."""
     if at or read.spans:
         return list(at or read.spans)
     rests = still(read, shortest_s=0.7)
     edges = [(a.end_s, b.start_s) for a, b in pairwise(rests)]
     edges.append((rests[-1].end_s, float(read.time_s[-1])))
-    return [Span(a, b) for a, b in edges if b - a >= SHORTEST_s]
+    return [LogSpan(a, b) for a, b in edges if b - a >= SHORTEST_s]
 
 
-def _hang(read: Readings, span: Span, R_BS: FloatArray, suspension: Suspension, scale_sigma: float) -> Hang:
+def _hang(read: Readings, span: LogSpan, R_BS: FloatArray, suspension: Suspension, scale_sigma: float) -> PendulumSwing:
     part = read.within(span)
     if not read.usable[part].all():
         raise CalibrationError(f"the gyro is saturated in the swing at {span}; begin with a smaller angle")
@@ -161,7 +161,7 @@ def _hang(read: Readings, span: Span, R_BS: FloatArray, suspension: Suspension, 
         found = swing(t, about, suspension, scale_sigma)
     except CalibrationError as error:
         raise CalibrationError(f"swing at {span}: {error}") from error
-    return Hang(span, R_BS @ axis, found, float(np.sqrt(max(strength[-2], 0.0) / strength[-1])))
+    return PendulumSwing(span, R_BS @ axis, found, float(np.sqrt(max(strength[-2], 0.0) / strength[-1])))
 
 
 def _thinned(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,7 +190,7 @@ def _free(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     return t[part], rate[part]
 
 
-def _described(one: Hang) -> str:
+def _described(one: PendulumSwing) -> str:
     axis, found = ", ".join(f"{part:.3f}" for part in one.axis), one.swing
     return (
         f"{one.span} about ({axis}): {found.inertia_kg_m2:.5f} +- {found.sigma_kg_m2:.2g} kg m^2 "

@@ -9,7 +9,7 @@ from onboard import config
 from onboard.devices.base import JointDevice
 from onboard.estimation.calibration.linear import encoder
 from onboard.estimation.errors import CalibrationError
-from onboard.ground.calibrate.readings import Readings, Span, steps
+from onboard.ground.calibrate.readings import LogSpan, Readings, steps
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, two_digits
 
 AGREES = 3.0  # sigmas of the counts per turn
@@ -24,7 +24,7 @@ class Stops(NamedTuple):
 
 
 def calibrate_encoder(
-    read: Readings, vehicle: config.Vehicle, device: str, stops: Stops, at: Sequence[Span] = ()
+    read: Readings, vehicle: config.Vehicle, device: str, stops: Stops, at: Sequence[LogSpan] = ()
 ) -> Calibration:
     """From readings in which the joint was held at its stops one after the other.
 

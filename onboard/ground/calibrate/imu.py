@@ -19,8 +19,8 @@ from onboard.estimation.calibration.imu import (
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
-from onboard.ground.calibrate.place import Place
-from onboard.ground.calibrate.readings import Readings, Span, still
+from onboard.ground.calibrate.place import Gravity
+from onboard.ground.calibrate.readings import LogSpan, Readings, still
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
@@ -41,7 +41,7 @@ class ImuOptions(NamedTuple):
         allan: whether the noise keys are wanted.
     """
 
-    place: Place
+    place: Gravity
     fixture_rad: float = 1e-3
     turn_rad: float = 2.0 * np.pi
     turn_sigma_rad: float = 1e-3
@@ -49,14 +49,14 @@ class ImuOptions(NamedTuple):
 
 
 class _Position(NamedTuple):
-    span: Span
+    span: LogSpan
     up: FloatArray  # (3,)
     mean: FloatArray  # (6,)
     spread: FloatArray  # (6,)
 
 
 def calibrate_imu(
-    read: Readings, vehicle: config.Vehicle, device: str, options: ImuOptions, at: Sequence[Span] = ()
+    read: Readings, vehicle: config.Vehicle, device: str, options: ImuOptions, at: Sequence[LogSpan] = ()
 ) -> tuple[Calibration, Allan | None]:
     """From readings in which each face of the sensor was up, still, and on each it was turned both ways.
 
@@ -103,7 +103,7 @@ def calibrate_imu(
     return result, allan
 
 
-def _positions(read: Readings, at: Sequence[Span]) -> list[_Position]:
+def _positions(read: Readings, at: Sequence[LogSpan]) -> list[_Position]:
     means = [(span, *read.mean(span)) for span in still(read, at)]
     usual = np.median([mean[GYRO] for _, mean, _ in means], axis=0)
     found = []
@@ -161,7 +161,7 @@ def _require_one_frame(read: Readings, positions: list[_Position], bias: FloatAr
     """
     off = []
     for before, after in pairwise(positions):
-        part = read.within(Span(before.span.end_s, after.span.start_s))
+        part = read.within(LogSpan(before.span.end_s, after.span.start_s))
         if (before.up == after.up).all() or not read.usable[part].all():
             continue
         u = before.up
@@ -182,7 +182,7 @@ def _turns(read: Readings, positions: list[_Position], turn_rad: float) -> tuple
     for before, after in pairwise(positions):
         if (before.up != after.up).any():
             continue
-        span = Span(before.span.end_s, after.span.start_s)
+        span = LogSpan(before.span.end_s, after.span.start_s)
         part = read.within(span)
         t, rate = read.time_s[part], read.values[part, GYRO]
         share = ((t - t[0]) / max(t[-1] - t[0], 1e-9))[:, None]

@@ -10,8 +10,8 @@ from onboard.devices.roles import LoadCellKeys
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import line
 from onboard.estimation.errors import CalibrationError
-from onboard.ground.calibrate.place import Place
-from onboard.ground.calibrate.readings import Readings, Span, require_within, steps
+from onboard.ground.calibrate.place import Gravity
+from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, steps
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 
 GAIN = 0.25  # a scale further off is a wrong unit or mass
@@ -31,14 +31,14 @@ class HungMasses(NamedTuple):
 
     masses_kg: tuple[float, ...]
     sigma_kg: float
-    place: Place
+    place: Gravity
     arm_m: float | None = None
     arm_sigma_m: float = 2e-4
     combined_error: float = 3e-4
 
 
 def calibrate_load_cell(
-    read: Readings, vehicle: config.Vehicle, device: str, hung: HungMasses, at: Sequence[Span] = ()
+    read: Readings, vehicle: config.Vehicle, device: str, hung: HungMasses, at: Sequence[LogSpan] = ()
 ) -> Calibration:
     """From readings in which the masses hung on the cell one after the other, still for some seconds each.
 
@@ -122,6 +122,6 @@ def _lever(
     ]
 
 
-def _fitted(residual: float, spans: list[Span], reading: FloatArray, masses: FloatArray) -> str:
+def _fitted(residual: float, spans: list[LogSpan], reading: FloatArray, masses: FloatArray) -> str:
     shown = "; ".join(f"{m:g} kg {r:.4f} N at {span}" for m, r, span in zip(masses, reading, spans, strict=True))
     return f"{shown}; {1e3 * residual:.2g} mN off the line"

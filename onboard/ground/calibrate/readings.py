@@ -28,7 +28,7 @@ _BLOCK_s = 0.1
 _SETTLE_s = 0.5  # at either end of what the operator marked
 
 
-class Span(NamedTuple):
+class LogSpan(NamedTuple):
     """A stretch of time, s since the log's first sample of the channel."""
 
     start_s: float
@@ -38,7 +38,7 @@ class Span(NamedTuple):
         return f"{self.start_s:.1f}-{self.end_s:.1f} s"
 
 
-def spans_of(text: str) -> list[Span]:
+def spans_of(text: str) -> list[LogSpan]:
     """Stretches written as ``2-12,15-25``.
 
     Raises:
@@ -46,7 +46,7 @@ def spans_of(text: str) -> list[Span]:
     """
     try:
         pairs = [part.split("-") for part in text.split(",") if part]
-        return [Span(float(start), float(end)) for start, end in pairs]
+        return [LogSpan(float(start), float(end)) for start, end in pairs]
     except ValueError as error:
         raise ValueError(f"--at {text}: write 2-12,15-25 (s from the log's start)") from error
 
@@ -60,13 +60,13 @@ class Readings(NamedTuple):
     values: FloatArray  # (n, columns)
     usable: BoolArray  # (n,)
     resolution: FloatArray  # (columns,) a count
-    spans: list[Span]  # that the operator marked
+    spans: list[LogSpan]  # that the operator marked
 
-    def within(self, span: Span) -> slice:
+    def within(self, span: LogSpan) -> slice:
         """The samples in a stretch."""
         return slice(*np.searchsorted(self.time_s, span).tolist())
 
-    def mean(self, span: Span) -> tuple[FloatArray, FloatArray]:
+    def mean(self, span: LogSpan) -> tuple[FloatArray, FloatArray]:
         """Mean over a stretch, (columns,), and how well that is known, by means of a tenth of it.
 
         Raises:
@@ -100,7 +100,7 @@ def readings(log: LogReader, vehicle: config.Vehicle, channel: str, *, calibrate
     signal = roles_of(vehicle).signals[channel]
     plain = signal if calibrated else signal._replace(corrections=())
     values, count = _si(rows, wanted, plain)
-    spans = [Span(a - time_s[0], b - time_s[0]) for a, b in _marked(log)]
+    spans = [LogSpan(a - time_s[0], b - time_s[0]) for a, b in _marked(log)]
     usable = si.usable(rows) & np.isfinite(values).all(axis=1)
     return Readings(channel, float(time_s[0]), time_s - time_s[0], values, usable, count, spans)
 
@@ -156,7 +156,7 @@ def _require_of(log: LogReader, vehicle: config.Vehicle, channel: str) -> None:
         raise CalibrationError(f"{log.path}: {channel} was a {was.kind} then and is a {now.kind} now; record it again")
 
 
-def _marked(log: LogReader) -> list[Span]:
+def _marked(log: LogReader) -> list[LogSpan]:
     """What the operator marked as held still, without how it was taken there; host time, s."""
     rows = [log.read(name) for name, dtype in log.channels.items() if dtype == EVENT]
     events = np.concatenate(rows) if rows else np.zeros(0, EVENT)
@@ -167,12 +167,12 @@ def _marked(log: LogReader) -> list[Span]:
         if one["code"] == BEGIN.encode():
             begun = float(one["host_ns"]) * 1e-9
         elif begun is not None:
-            spans.append(Span(begun + _SETTLE_s, float(one["host_ns"]) * 1e-9 - _SETTLE_s))
+            spans.append(LogSpan(begun + _SETTLE_s, float(one["host_ns"]) * 1e-9 - _SETTLE_s))
             begun = None
     return spans
 
 
-def still(read: Readings, at: Sequence[Span] = (), shortest_s: float = SHORTEST_s) -> list[Span]:
+def still(read: Readings, at: Sequence[LogSpan] = (), shortest_s: float = SHORTEST_s) -> list[LogSpan]:
     """The stretches in which the readings were still, as given, as marked, or as found, in the order of time.
 
     Found: blocks of a tenth of a second whose scatter is that of rest (twice the lower fifth of all), and whose mean
@@ -199,7 +199,7 @@ def still(read: Readings, at: Sequence[Span] = (), shortest_s: float = SHORTEST_
     stays = (np.abs(np.diff(middle, axis=0)) < 2.0 * rest).all(axis=1)
     whole = times[:, -1] - times[:, 0] < 1.5 * size * period
     spans = [
-        Span(float(times[first + 1, 0]), float(times[last - 1, -1]))
+        LogSpan(float(times[first + 1, 0]), float(times[last - 1, -1]))
         for first, last in _runs(calm & whole, stays)
         if last - first >= 2 and times[last - 1, -1] - times[first + 1, 0] >= shortest_s
     ]
@@ -233,7 +233,7 @@ def _runs(good: BoolArray, joined: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return found
 
 
-def steps(read: Readings, at: Sequence[Span], count: int, what: str) -> list[Span]:
+def steps(read: Readings, at: Sequence[LogSpan], count: int, what: str) -> list[LogSpan]:
     """The stretches of so many steps in a known order; what is interrupted at one level is one stretch.
 
     Raises:
@@ -243,13 +243,13 @@ def steps(read: Readings, at: Sequence[Span], count: int, what: str) -> list[Spa
     merged = [spans[0]]
     for span in spans[1:]:
         (before, a), (now, b) = read.mean(merged[-1]), read.mean(span)
-        between = read.values[read.within(Span(merged[-1].end_s, span.start_s))]
+        between = read.values[read.within(LogSpan(merged[-1].end_s, span.start_s))]
         apart = np.abs(now - before) > np.maximum(6.0 * np.hypot(a, b), 2.0 * read.resolution)
         left = len(between) and (np.abs(between - before) > 30.0 * np.maximum(a, read.resolution)).any()
         if apart.any() or at or read.spans or left:
             merged.append(span)
         else:
-            merged[-1] = Span(merged[-1].start_s, span.end_s)
+            merged[-1] = LogSpan(merged[-1].start_s, span.end_s)
     if len(merged) != count:
         shown = "; ".join(f"{span}: {', '.join(f'{v:.6g}' for v in read.mean(span)[0])}" for span in merged)
         raise CalibrationError(

@@ -25,7 +25,7 @@ _SQUARE = 0.5  # sine of the angle between an edge and up, at the least
 _TOLD = 0.5  # of the drawing's sigma: a coordinate whose sigma is larger was not measured
 
 
-class Edge(Section):
+class KnifeEdge(Section):
     """``[[edge]]``: the part balances on a knife edge through ``point_m`` along ``edge``; link axes."""
 
     up: Vector3
@@ -47,7 +47,7 @@ class PartRig(Section):
     place_sigma_m: Positive = 1e-4
     read_sigma_kg: Positive = 1e-4
     scale_relative: NotNegative = 1e-3
-    edge: list[Edge] = Field(default_factory=list)
+    edge: list[KnifeEdge] = Field(default_factory=list)
     scales: list[Scales] = Field(default_factory=list)
 
 

@@ -17,10 +17,10 @@ from distributed import Client, KilledWorker, LocalCluster, as_completed
 from distributed.comm.core import CommClosedError
 
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Done
+from onboard.ground.campaign.results import Returned
 from onboard.ground.campaign.store import Store
 
-Fly = Callable[[Item, str], Done]
+Fly = Callable[[Item, str], Returned]
 _LOST = (OSError, TimeoutError, CommClosedError)
 _REMEDY = "install the same version of heft, and of what a plan calls, on all workers"
 _KILLED = "it ended every worker that flew it: more memory than a worker may have (--memory), or a crash"
@@ -63,7 +63,7 @@ class CampaignWatcher(NamedTuple):
     """What is called while a campaign runs."""
 
     dashboard: Callable[[str], None] = lambda link: None
-    done: Callable[[Item, Done], None] = lambda item, done: None
+    done: Callable[[Item, Returned], None] = lambda item, done: None
 
 
 NOBODY = CampaignWatcher()
@@ -130,7 +130,7 @@ def _client(where: Where) -> Iterator[Any]:
 
 def _collected(
     where: Where, items: Mapping[str, Item], revision: str, fly: Fly, tell: Callable[[str], None]
-) -> Iterator[tuple[str, Done | None]]:
+) -> Iterator[tuple[str, Returned | None]]:
     """Results as they come; first of all ("", None) when the scheduler is reached.
 
     It ends when there are no more, also because the scheduler has gone and come back without them.
@@ -150,7 +150,7 @@ def _collected(
                 try:
                     done = future.result()
                 except KilledWorker:
-                    done = Done(None, _KILLED)
+                    done = Returned(None, _KILLED)
                 except CancelledError:
                     continue
                 except _LOST:  # a flight's errors come back in its result

@@ -19,7 +19,7 @@ from onboard import config
 from onboard.flight import hil
 from onboard.ground.campaign import instants, results
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Done, FlightResult
+from onboard.ground.campaign.results import FlightResult, Returned
 from onboard.ground.campaign.revision import revision
 from onboard.ground.campaign.scratch import scratch
 from onboard.ground.identify.identify import identify
@@ -41,7 +41,7 @@ World = Any  # hil.World, and a context manager
 MakeWorld = Callable[[str, Path | None, int, Sequence[str]], tuple[World, Mapping[str, str]]]
 
 
-def done(item: Item, expected: str, make_world: MakeWorld) -> Done:
+def done(item: Item, expected: str, make_world: MakeWorld) -> Returned:
     """Do what ``item`` says. A program that fails is a result too.
 
     Args:
@@ -62,11 +62,11 @@ def done(item: Item, expected: str, make_world: MakeWorld) -> Done:
         try:
             result = _result(item, log, make_world)
         except Exception:  # noqa: BLE001 - whatever fails in a flight is kept with the campaign, which goes on
-            return Done(None, traceback.format_exc(), {} if item.keep == "none" else _files(log))
+            return Returned(None, traceback.format_exc(), {} if item.keep == "none" else _files(log))
         finally:
             gc.collect()  # a world refers to itself: the arrays of seventy flights, 2.7 GB, waited for a collection
         stays = item.keep == "all" or (item.keep == "wrong" and result.nonsense)
-        return Done(result, kept=_files(log) if stays else {})
+        return Returned(result, kept=_files(log) if stays else {})
 
 
 def _result(item: Item, log: Path, make_world: MakeWorld) -> FlightResult:

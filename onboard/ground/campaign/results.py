@@ -107,7 +107,7 @@ class FlightResult(NamedTuple):
         return self._replace(answers=tuple(told))
 
 
-class Done(NamedTuple):
+class Returned(NamedTuple):
     """What comes back: a result, or why there is none; and the log and its truth, by the end of their names."""
 
     result: FlightResult | None

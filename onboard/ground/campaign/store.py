@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from onboard.channels import NUMBERS
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Done, FlightAnswer, FlightResult
+from onboard.ground.campaign.results import FlightAnswer, FlightResult, Returned
 
 FACTOR = "factor "  # begins the name of a factor's column
 _COLUMNS: dict[str, Any] = {
@@ -86,7 +86,7 @@ class Store:
         """Whether there is a failure."""
         return self._failure(address).exists()
 
-    def take(self, address: str, item: Item, revision: str, done: Done) -> None:
+    def take(self, address: str, item: Item, revision: str, done: Returned) -> None:
         """Keep what a flight gave, if it is not there already."""
         if self.is_done(address):
             return

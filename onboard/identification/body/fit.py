@@ -21,10 +21,10 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
-from onboard.identification.body.start import Axes, PoseWindow, Products, guess, products, state
+from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
-from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
+from onboard.identification.exiddm.prediction.parameters import UnknownLayout, Unknowns
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
 STATE = 9  # unknowns of a window: x, y, yaw, their rates, steady accelerations
@@ -125,16 +125,18 @@ class BodyModel:
         low, high = stated.delay_s
         mass_sigma = stated.mass or _UNKNOWN
         blocks = {
-            "body": Block(("mass", "com_x", "com_y", "I_zz"), np.array([mass_sigma, 2.0 * size, 2.0 * size, _UNKNOWN])),
-            "scale": Block(tuple(f"scale_{name}" for name in each), thrusters.scale_sigma),
-            "turn": Block(tuple(f"turn_{name}" for name in each), np.full(j, stated.turn_rad)),
-            "lever": Block(tuple(f"lever_{name}" for name in each), np.full(j, stated.place_m)),
-            "leak": Block(tuple(f"leak_{name}" for name in each), np.full(j, stated.leak)),
-            "each": Block(tuple(f"delay_{name}" for name in each), np.full(j, stated.each_delay_s)),
-            "valves": Block(("delay", "loss"), np.array([high - low, stated.loss_s])),
-            "table": Block(("tilt_x", "tilt_y"), np.full(2, stated.tilt_m_s2)),
-            "drag": Block(("drag", "spin_drag"), np.array([stated.drag_1_s, stated.spin_drag_1_s])),
-            "tracker": Block(
+            "body": Unknowns(
+                ("mass", "com_x", "com_y", "I_zz"), np.array([mass_sigma, 2.0 * size, 2.0 * size, _UNKNOWN])
+            ),
+            "scale": Unknowns(tuple(f"scale_{name}" for name in each), thrusters.scale_sigma),
+            "turn": Unknowns(tuple(f"turn_{name}" for name in each), np.full(j, stated.turn_rad)),
+            "lever": Unknowns(tuple(f"lever_{name}" for name in each), np.full(j, stated.place_m)),
+            "leak": Unknowns(tuple(f"leak_{name}" for name in each), np.full(j, stated.leak)),
+            "each": Unknowns(tuple(f"delay_{name}" for name in each), np.full(j, stated.each_delay_s)),
+            "valves": Unknowns(("delay", "loss"), np.array([high - low, stated.loss_s])),
+            "table": Unknowns(("tilt_x", "tilt_y"), np.full(2, stated.tilt_m_s2)),
+            "drag": Unknowns(("drag", "spin_drag"), np.array([stated.drag_1_s, stated.spin_drag_1_s])),
+            "tracker": Unknowns(
                 ("tracker_turn", "tracker_place_x", "tracker_place_y", "tracker_scale"),
                 np.array([tracker.turn_sigma_rad, *[tracker.place_sigma_m] * 2, tracker.scale_sigma]),
             ),
@@ -215,9 +217,9 @@ class BodyModel:
         return self._tracker.place_m
 
     @property
-    def axes(self) -> Axes:
+    def axes(self) -> PoseAxes:
         """Of the tracked frame, as stated."""
-        return Axes(turn_rad=-self._tracker.yaw_rad)
+        return PoseAxes(turn_rad=-self._tracker.yaw_rad)
 
     @property
     def full(self) -> FloatArray:

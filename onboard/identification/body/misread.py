@@ -15,7 +15,7 @@ import numpy as np
 
 from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.body.fit import BodyModel
-from onboard.identification.body.start import Axes, solved
+from onboard.identification.body.start import PoseAxes, solved
 from onboard.identification.body.windows import TrackedPoses
 
 _OTHER = "the other way"
@@ -29,7 +29,7 @@ _AXES = tuple(product((1.0, -1.0), (1.0, -1.0), range(4)))  # signs of y and of 
 _LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
 
 
-class Reading(NamedTuple):
+class Interpretation(NamedTuple):
     """A way to read a recording."""
 
     said: tuple[str, ...]  # what is otherwise than stated
@@ -68,7 +68,7 @@ def others(
     poses: TrackedPoses,
     known_s: tuple[float, float],
     unknown: Sequence[tuple[float, float]] = (),
-) -> Iterator[Reading]:
+) -> Iterator[Interpretation]:
     """Ways to read a recording otherwise that leave much less of it, the likeliest of one, two and three mistakes.
 
     Axes of the tracker are one mistake. Two mistakes compete in all pairs, the third one is added to the best pair.
@@ -115,12 +115,12 @@ def _changed(now: _Commands, names: Sequence[str]) -> Iterator[_Commands]:
         yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, signs)
 
 
-def _read(model: BodyModel, axes: int) -> Axes:
+def _read(model: BodyModel, axes: int) -> PoseAxes:
     y, yaw, quarters = _AXES[axes]
-    return Axes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
+    return PoseAxes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
 
 
-def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Reading:
+def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Interpretation:
     of, (sign_y, sign_yaw, quarters) = model.thrusters, _AXES[way.axes]
     valves = tuple(of.valves[k] for k in way.commands.valves)
     turned = of.direction + np.pi * (np.array(way.commands.signs) < 0)
@@ -128,7 +128,7 @@ def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Reading:
     measured = np.stack([x, sign_y * y, sign_yaw * yaw + 0.5 * np.pi * quarters], axis=1)
     axes = _of_axes(sign_y < 0.0, sign_yaw < 0.0, quarters)
     said = (*way.commands.said, *([axes] if axes else ()))
-    return Reading(
+    return Interpretation(
         said, model.with_thrusters(of._replace(valves=valves, direction=turned)), poses._replace(measured=measured)
     )
 

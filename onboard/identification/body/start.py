@@ -48,7 +48,7 @@ class Products(NamedTuple):
     y: FloatArray  # the same of y
 
 
-class Axes(NamedTuple):
+class PoseAxes(NamedTuple):
     """How the poses are read: y and yaw times a sign, and an angle added to the yaw."""
 
     y: float = 1.0
@@ -70,7 +70,7 @@ class Guesses(NamedTuple):
         return np.asarray(np.where(possible, self.left, np.inf).min(axis=0), np.float64)
 
 
-def guess(found: Products, full: FloatArray, place_m: FloatArray, axes: Axes) -> Guess:
+def guess(found: Products, full: FloatArray, place_m: FloatArray, axes: PoseAxes) -> Guess:
     """The guess that leaves least of the poses.
 
     Args:
@@ -126,7 +126,7 @@ def _add(found: Products, window: PoseWindow, part: np.ndarray, noise: FloatArra
         into[...] += A.swapaxes(1, 2) @ A
 
 
-def solved(found: Products, full: FloatArray, place_m: FloatArray, axes: Axes) -> Guesses:
+def solved(found: Products, full: FloatArray, place_m: FloatArray, axes: PoseAxes) -> Guesses:
     """The unknowns of t ways to read commands, by the forces of the valves, (t, j, 3), as of :func:`guess`."""
     fx, fy, moment = np.moveaxis(full, 2, 0)  # (t, j)
     c, s, sign = np.cos(axes.turn_rad), np.sin(axes.turn_rad), axes.yaw

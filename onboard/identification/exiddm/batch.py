@@ -41,7 +41,7 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     tick_mean,
     whitened,
 )
-from onboard.identification.exiddm.prediction.parameters import Block, UncertainLinks, UnknownLayout
+from onboard.identification.exiddm.prediction.parameters import UncertainLinks, UnknownLayout, Unknowns
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 
@@ -64,8 +64,8 @@ class BaseModel(Protocol):
 
     vehicle: VehicleModel
     signals: FlightSignals
-    start: Block  # the motion's state at the first tick
-    others: Mapping[str, Block]  # unknowns besides start, payload and links
+    start: Unknowns  # the motion's state at the first tick
+    others: Mapping[str, Unknowns]  # unknowns besides start, payload and links
     of_a_run: tuple[str, ...]  # blocks with different values in another part of the flight
     schedule: Schedule
 
@@ -136,8 +136,8 @@ class Exiddm:
         self.layout = layout = UnknownLayout(
             {
                 "start": base.start,
-                "payload": Block(self._links.payload_names, payload_sigma),
-                "links": Block(self._links.names, np.concatenate([np.zeros(0), *widths])),
+                "payload": Unknowns(self._links.payload_names, payload_sigma),
+                "links": Unknowns(self._links.names, np.concatenate([np.zeros(0), *widths])),
                 **base.others,
                 **imu,
             }

@@ -14,7 +14,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.batch import Exiddm, Schedule, checked
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.prediction.parameters import Block
+from onboard.identification.exiddm.prediction.parameters import Unknowns
 from onboard.regressor.free_rows import rough_payload
 
 
@@ -32,8 +32,8 @@ class FreeBase:
     def __init__(self, vehicle: VehicleModel, signals: FlightSignals) -> None:
         self.vehicle, self.signals = vehicle, checked(signals)
         self._motions = link_motions(vehicle, signals.q, signals.dq, signals.ddq)
-        self.start = Block(tuple(f"momentum_{axis}" for axis in "xyz"), np.full(3, np.nan))
-        self.others: Mapping[str, Block] = {}
+        self.start = Unknowns(tuple(f"momentum_{axis}" for axis in "xyz"), np.full(3, np.nan))
+        self.others: Mapping[str, Unknowns] = {}
         self.of_a_run: tuple[str, ...] = ()
         self.schedule = Schedule(len(signals.q) // 8, 1.0, 1e-4, 60)
 

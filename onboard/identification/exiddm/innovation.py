@@ -24,7 +24,7 @@ _MOST_TOLD = 256  # batches whose errors wait to be taken out
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
-class Batch(NamedTuple):
+class TickBatch(NamedTuple):
     """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines); their times."""
 
     predicted: TickPrediction
@@ -33,7 +33,7 @@ class Batch(NamedTuple):
     time_s: FloatArray  # (b,)
 
 
-class Told(NamedTuple):
+class ReferenceErrors(NamedTuple):
     """Prediction errors of the reference IMU, (b, 6): gyro, accelerometer."""
 
     time_s: FloatArray  # (b,)
@@ -91,7 +91,7 @@ class Innovations:
     def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
         self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
         self._steps = rivals.steps
-        self.told: deque[Told] = deque(maxlen=_MOST_TOLD)
+        self.told: deque[ReferenceErrors] = deque(maxlen=_MOST_TOLD)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
         self._alone = [
@@ -104,7 +104,7 @@ class Innovations:
             if isinstance(one, FurtherCell) and one.friction is not None
         }
 
-    def of(self, batch: Batch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
+    def of(self, batch: TickBatch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
         """Of a batch's lines, those of each instrument together.
 
         Args:
@@ -145,7 +145,7 @@ class Innovations:
 
     def agreeing(
         self,
-        batch: Batch,
+        batch: TickBatch,
         there: BoolArray,
         covariance: FloatArray,
         innovation: Innovation,
@@ -220,14 +220,14 @@ class Innovations:
             covariance[at, at] += (_FREE * self._predictor.sigma[at]) ** 2
         return mean, covariance
 
-    def of_batch(self, batch: Batch, there: BoolArray, covariance: FloatArray) -> Innovation:
+    def of_batch(self, batch: TickBatch, there: BoolArray, covariance: FloatArray) -> Innovation:
         """The first of a batch, which is reported: nothing is left out of it yet; see :meth:`of`."""
         innovation = self.of(batch, there, self._fusion.order, covariance)
         own, lines = self._lines[self._fusion.reference], 6 * innovation.ticks
         L, sigma = innovation.L[:lines, :lines], batch.sigma[:, own]
         wide = np.where(there[:, own], np.sqrt(np.einsum("ij,ij->i", L, L)).reshape(-1, 6) * sigma, np.nan)
         error = (batch.measured - batch.predicted.values)[:, own]
-        self.told.append(Told(batch.time_s, error, wide, there[:, own.start].copy()))
+        self.told.append(ReferenceErrors(batch.time_s, error, wide, there[:, own.start].copy()))
         return innovation
 
     def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> FloatArray:

@@ -21,7 +21,7 @@ from onboard.identification.evidence.bank import Known, Mixture, Weighed
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import Corrections, HeldAgainst
-from onboard.identification.exiddm.innovation import Told
+from onboard.identification.exiddm.innovation import ReferenceErrors
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
@@ -139,7 +139,7 @@ class ExiddmIdentifier:
         self._count(glitches)
         return found
 
-    def prediction_errors(self) -> list[Told]:
+    def prediction_errors(self) -> list[ReferenceErrors]:
         """Of the base IMU, since the last call, a batch each."""
         told = self.exiddm.innovations.told
         return [told.popleft() for _ in range(len(told))]

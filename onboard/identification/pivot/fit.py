@@ -23,7 +23,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal, inverse_of
 from onboard.estimation.recursive.consistency import NoiseScale
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
-from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, JointPrior, UnknownLayout
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, UnknownLayout, Unknowns
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
@@ -103,19 +103,19 @@ class PivotModel:
         self.stored = axes * np.array([_axial(vehicle, name) for name in names])[:, None]
         body = [f"moment_{axis}" for axis in "xyz"] + [f"inertia_{of}" for of in ("xx", "xy", "yy", "xz", "yz", "zz")]
         blocks = {
-            "body": Block(tuple(body), np.array(wide)),
-            "wheels": Block(
+            "body": Unknowns(tuple(body), np.array(wide)),
+            "wheels": Unknowns(
                 (*(f"scale_{name}" for name in names), *(f"delay_{name}" for name in names)),
                 np.array([*(one.scale for one in joints), *(one.delay_s for one in joints)]),
             ),
-            "proof": Block(("proof",), np.array([proof_sigma * (own.stop > own.start)])),
-            "bearing": Block(("drag", "jets"), np.array(bearing)),
-            "place": Block(tuple(f"place_{axis}" for axis in "xyz"), np.full(3, geometry.imu_place_m)),
+            "proof": Unknowns(("proof",), np.array([proof_sigma * (own.stop > own.start)])),
+            "bearing": Unknowns(("drag", "jets"), np.array(bearing)),
+            "place": Unknowns(tuple(f"place_{axis}" for axis in "xyz"), np.full(3, geometry.imu_place_m)),
         }
         self._moving = sum(len(block.names) for block in blocks.values())
         per_g = tuple(f"gyro_per_g_{row}{column}" for row in "xyz" for column in "xyz")
         errors = imu_blocks(imu_prior._replace(clock_rate_error=0.0))
-        self._layout = UnknownLayout(blocks | errors | {"per_g": Block(per_g, np.full(9, per_g_rad_s))})
+        self._layout = UnknownLayout(blocks | errors | {"per_g": Unknowns(per_g, np.full(9, per_g_rad_s))})
         self.names, self.sigma = self._layout.names, self._layout.sigma
 
     def body(self, x: FloatArray) -> FloatArray:

@@ -36,7 +36,7 @@ from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.prediction.further import PlacedImu
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.prediction.joint_noise import JointNoise
-from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, Block, GeometryPrior
+from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, GeometryPrior, Unknowns
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
 
@@ -102,12 +102,12 @@ class AirBearingBase:
         self._run = PlanarRun(vehicle, signals, offsets)
         self._pucks = np.array([vehicle.pose_in_base(frame)[1][:2] for frame in prior.pucks]).reshape(-1, 2)
         state = np.array([prior.velocity_m_s, prior.velocity_m_s, prior.rate_rad_s])
-        self.start = Block(("velocity_x", "velocity_y", "rate_z"), state)
+        self.start = Unknowns(("velocity_x", "velocity_y", "rate_z"), state)
         drags = tuple(f"{kind}_{frame}" for frame in prior.pucks for kind in ("Fv", "Fc"))
-        self.others: Mapping[str, Block] = {
-            "drag": Block(drags, np.array([sigma for puck in prior.pucks.values() for sigma in puck])),
-            "sag": Block(tuple(f"sag_{degree}" for degree in range(1, SAGS + 1)), np.full(SAGS, prior.sag)),
-            "tilt": Block(("tilt_x", "tilt_y"), np.full(2, prior.tilt_m_s2)),
+        self.others: Mapping[str, Unknowns] = {
+            "drag": Unknowns(drags, np.array([sigma for puck in prior.pucks.values() for sigma in puck])),
+            "sag": Unknowns(tuple(f"sag_{degree}" for degree in range(1, SAGS + 1)), np.full(SAGS, prior.sag)),
+            "tilt": Unknowns(("tilt_x", "tilt_y"), np.full(2, prior.tilt_m_s2)),
         }
         # tilt: along the base's axes at the first tick; what the supply does in one half it does not in the other
         self.of_a_run: tuple[str, ...] = ("tilt", *(("drag", "sag") if prior.sag else ()))
@@ -271,12 +271,12 @@ class TableExiddm(Exiddm):
         return len(self._base.signals.q)
 
     @property
-    def joints(self) -> Block:
+    def joints(self) -> Unknowns:
         """The errors of the joints and what is stated of them, (6 x joints,)."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["joints"]
 
     @property
-    def cyclic(self) -> Block:
+    def cyclic(self) -> Unknowns:
         """Multiples of the functions of cyclic errors of the encoders, (m,), of a run that has these functions."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["cyclic"]
 

@@ -16,7 +16,7 @@ from rich.console import Console
 from onboard.cli import main
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.model.vehicle import Joint
-from onboard.flight.check.checkout import Bench, Lengths, Record, checkout, pulse, render, write
+from onboard.flight.check.checkout import CheckHost, Lengths, Record, checkout, pulse, render, write
 from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
 from onboard.flight.check.preflight import run_in_turn
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
@@ -55,7 +55,7 @@ def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
         def run(opened, seconds):
             return run_in_turn(opened.devices, world.clock, wait, seconds)
 
-        bench = Bench(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
+        bench = CheckHost(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
         return checkout(flying, None, bench, operator, Lengths(None, 1.6, 60.0))
 
 
@@ -130,7 +130,7 @@ def test_a_pulse_that_nobody_marks_fails_and_one_that_is_not_wired_is_left_out(t
     class Looked(NamedTuple):
         checks: tuple
 
-    bench = Bench(None, None, lambda: datetime(2026, 11, 21, tzinfo=UTC), None, None)
+    bench = CheckHost(None, None, lambda: datetime(2026, 11, 21, tzinfo=UTC), None, None)
     wired = vehicle(tmp_path, {})
     assert pulse(wired, bench, Looked(())).outcome == "failed"
     text = re.sub(r"\[device\.(pulse|second|loop)\]\n(?:[^\[\n].*\n|\n)*", "", DEVICES)

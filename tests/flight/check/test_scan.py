@@ -21,7 +21,7 @@ from onboard.ground.before.init import seen
 from tests.drivers.can_peers import FakeCan
 
 
-def looked_at(scenario: str, *faults: str) -> list[scan.Bus]:
+def looked_at(scenario: str, *faults: str) -> list[scan.ScannedBus]:
     """Its I2C and CAN buses 0.2 s after power-up."""
     mission, urls = open_in_process(scenario, 1, [parse(text) for text in faults])
     with mission:
@@ -34,11 +34,11 @@ def looked_at(scenario: str, *faults: str) -> list[scan.Bus]:
 
 
 @pytest.fixture(scope="module")
-def dymaflex() -> list[scan.Bus]:
+def dymaflex() -> list[scan.ScannedBus]:
     return looked_at("dymaflex")
 
 
-def test_chips_and_nodes_are_named(dymaflex: list[scan.Bus]) -> None:
+def test_chips_and_nodes_are_named(dymaflex: list[scan.ScannedBus]) -> None:
     i2c, can = dymaflex
     assert [(one.where, one.what, one.kind) for one in i2c.found] == [
         ("0x68", "MPU-6050", "mpu6050"),
@@ -52,7 +52,7 @@ def test_chips_and_nodes_are_named(dymaflex: list[scan.Bus]) -> None:
     assert "no device profile" in nodes[6].what
 
 
-def test_the_lines_are_tables_of_these_devices(dymaflex: list[scan.Bus]) -> None:
+def test_the_lines_are_tables_of_these_devices(dymaflex: list[scan.ScannedBus]) -> None:
     text = seen.tables({bus.url: [(one.kind, one.number) for one in bus.found if one.kind] for bus in dymaflex})
     tables = tomllib.loads(text)
     assert [bus["url"] for bus in tables["bus"].values()] == [bus.url for bus in dymaflex]
@@ -132,7 +132,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert "modbus:[bold]" in capsys.readouterr().err
 
 
-def on_line(scenario: str, bus: str, *faults: str) -> scan.Bus:
+def on_line(scenario: str, bus: str, *faults: str) -> scan.ScannedBus:
     """What answers on a serial line 0.6 s after power-up: servos need 0.4 s."""
     mission, urls = open_in_process(scenario, 1, [parse(text) for text in faults])
     with mission:

@@ -15,11 +15,11 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.state import _HEAD, _MAGIC, FORMAT, Places, StateError, from_bytes, to_bytes
+from onboard.flight.estimate.state import _HEAD, _MAGIC, FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 
-NOTHING = Places(None)
+NOTHING = UnwrittenParts(None)
 
 
 def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
@@ -55,7 +55,7 @@ def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
 def test_what_cannot_be_written_to_is_not_written_but_found_in_the_new_object() -> None:
     sealed, loose = np.arange(1000.0), np.arange(1000.0)
     sealed.setflags(write=False)
-    places = Places([sealed, loose])
+    places = UnwrittenParts([sealed, loose])
     data = to_bytes([sealed, loose], places)
     assert loose.nbytes < len(data) < 1.5 * loose.nbytes
     back = from_bytes(data, places)
@@ -128,18 +128,18 @@ def test_damaged_files_and_pickles_are_refused(rng: np.random.Generator) -> None
 def test_a_new_estimator_of_every_kind_can_be_written(name: str, tmp_path: Path) -> None:
     vehicle = config.load(config.packaged(name))
     estimator = Estimator(vehicle)
-    Checkpoints(tmp_path, Places(estimator)).save(Checkpoint(0, 0, {}, estimator))
+    Checkpoints(tmp_path, UnwrittenParts(estimator)).save(Checkpoint(0, 0, {}, estimator))
     other = Estimator(vehicle)
-    back = Checkpoints(tmp_path, Places(other)).load()
+    back = Checkpoints(tmp_path, UnwrittenParts(other)).load()
     assert back is not None
     assert back.estimator.model is other.model
     assert back.estimator.online.parameter_names == estimator.online.parameter_names
-    assert Checkpoints(tmp_path, Places(other)).load() is None  # it was tried, and came to nothing
+    assert Checkpoints(tmp_path, UnwrittenParts(other)).load() is None  # it was tried, and came to nothing
 
 
 def test_an_identifier_for_a_release_that_may_not_have_happened_shares_the_model() -> None:
     estimator = Estimator(config.load(config.packaged("rocksat")))
-    places = Places(estimator)
+    places = UnwrittenParts(estimator)
     assert isinstance(estimator.online, Hypotheses)
     before = len(to_bytes(estimator, places))
     estimator.online._divide()
@@ -148,7 +148,7 @@ def test_an_identifier_for_a_release_that_may_not_have_happened_shares_the_model
 
 def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path: Path) -> None:
     estimator = Estimator(config.load(config.packaged("workshop")))
-    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    checkpoints = Checkpoints(tmp_path, UnwrittenParts(estimator))
     for thing in ([1], (1, 2), (0, 0, {}, "estimator")):
         (tmp_path / "estimator.checkpoint").write_bytes(to_bytes(thing, NOTHING))
         with pytest.raises(StateError):
@@ -158,7 +158,7 @@ def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path: Path) -> No
 def test_checkpoints_take_turns_in_the_memory_of_two_files(tmp_path: Path) -> None:
     vehicle = config.load(config.packaged("workshop"))
     estimator = Estimator(vehicle)
-    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    checkpoints = Checkpoints(tmp_path, UnwrittenParts(estimator))
     of_each = []
     for ticks in range(6):
         held = {
@@ -180,7 +180,7 @@ def test_what_never_changes_of_a_free_flyers_estimator_is_not_in_a_checkpoint() 
     assert isinstance(estimator.online, ExiddmIdentifier)
     unknowns = len(estimator.online.exiddm.predictor.names)
     assert unknowns > 100
-    size = len(to_bytes(estimator.online, Places(estimator)))
+    size = len(to_bytes(estimator.online, UnwrittenParts(estimator)))
     assert size < 1.5 * 8 * unknowns**2  # its covariance, of which the prior is a copy
 
 
@@ -190,7 +190,7 @@ def test_where_two_files_cannot_exchange_their_names_a_checkpoint_takes_the_plac
     """As on a network's file system: the kernel does not know the flag there."""
     monkeypatch.setattr(checkpoint, "_RENAME_EXCHANGE", 1 << 20)
     estimator = Estimator(config.load(config.packaged("workshop")))
-    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    checkpoints = Checkpoints(tmp_path, UnwrittenParts(estimator))
     for ticks in range(3):
         checkpoints.save(Checkpoint(ticks, 0, {}, estimator))
     back = checkpoints.load()

@@ -13,8 +13,8 @@ from onboard.ground.calibrate.bifilar import calibrate_bifilar
 from onboard.ground.calibrate.encoder import Stops, calibrate_encoder
 from onboard.ground.calibrate.imu import ImuOptions, calibrate_imu
 from onboard.ground.calibrate.load_cell import HungMasses, calibrate_load_cell
-from onboard.ground.calibrate.place import Place, place
-from onboard.ground.calibrate.readings import Readings, Span, steps
+from onboard.ground.calibrate.place import Gravity, place
+from onboard.ground.calibrate.readings import LogSpan, Readings, steps
 
 PLACE = place(bench.LATITUDE_deg)
 EVERY = 10  # rows of a bench in a sample: 200 Hz
@@ -229,9 +229,9 @@ def test_stops_in_the_wrong_number_are_refused(vehicle):
         calibrate_encoder(read, vehicle, "joint_2", Stops(STOPS[:2], 3e-4))
     with pytest.raises(CalibrationError, match="counts a turn where the file has"):
         calibrate_encoder(read, vehicle, "joint_2", Stops(tuple(2 * a for a in STOPS), 3e-4))
-    assert len(steps(read, [Span(1.0, 3.0), Span(7.0, 9.0)], 2, "stops")) == 2
+    assert len(steps(read, [LogSpan(1.0, 3.0), LogSpan(7.0, 9.0)], 2, "stops")) == 2
     with pytest.raises(CalibrationError, match="is not in the log"):
-        steps(read, [Span(1.0, 3000.0)], 1, "stops")
+        steps(read, [LogSpan(1.0, 3000.0)], 1, "stops")
 
 
 HUNG = Suspension(23.1, 0.40, 1.80, 0.005, 1e-4, 3e-4, PLACE.gravity_m_s2)
@@ -339,7 +339,7 @@ def test_a_device_of_another_kind_is_refused(vehicle, table):
         lambda: calibrate_load_cell(table, vehicle, "joint_1", HungMasses((0.0, 1.0), 1e-4, PLACE)),
         lambda: calibrate_encoder(table, vehicle, "imu_2", Stops(STOPS, 1e-3)),
         lambda: calibrate_bifilar(table, vehicle, "joint_1", HUNG),
-        lambda: calibrate_balance(table, None, vehicle, "joint_1", RIG, Place(9.8, 1e-3)),
+        lambda: calibrate_balance(table, None, vehicle, "joint_1", RIG, Gravity(9.8, 1e-3)),
     ):
         with pytest.raises(CalibrationError, match=r"is a |is no IMU"):
             call()

@@ -11,15 +11,15 @@ import pytest
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import Mission
 from hil_sim.plants import bench
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from onboard.cli import BAD_INPUT, FAILED, OK, main
 from onboard.cli.common import load_vehicle
 from onboard.estimation.errors import CalibrationError
-from onboard.ground.calibrate.supports import Edge, PartRig, Scales, balance_part
+from onboard.ground.calibrate.supports import KnifeEdge, PartRig, Scales, balance_part
 
 PAGE = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
 RIGS = re.findall(r"```toml\n(.*?)```", PAGE.split("## A part")[1], re.S)
-BODY = Body(0.0667, np.array([0.0008, -0.0131, -0.0007]), np.diag([6e-6, 4.4e-6, 6e-6]))
+BODY = Solid(0.0667, np.array([0.0008, -0.0131, -0.0007]), np.diag([6e-6, 4.4e-6, 6e-6]))
 Z, X = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 EDGES = [
     {"up": Z, "edge": (0.0, 1.0, 0.0), "point_m": (0.0, 0.0, -0.02)},
@@ -43,7 +43,7 @@ def read(seed, edges=(), scales=(), body=BODY, **others):
     rig = SIGMAS | others
     found = bench.part(np.random.default_rng(seed), body, rig | {"edge": list(edges), "scales": list(scales)})
     return PartRig(
-        edge=[Edge(**one) for one in found["edge"]], scales=[Scales(**one) for one in found["scales"]], **rig
+        edge=[KnifeEdge(**one) for one in found["edge"]], scales=[Scales(**one) for one in found["scales"]], **rig
     )
 
 
@@ -82,13 +82,25 @@ def test_what_is_not_measured_stays_the_drawings(rocksat):
     ("rig", "said"),
     [
         (lambda: read(1, [{**EDGES[0], "edge": Z}]), r"edge 1: the edge is to be level"),
-        (lambda: read(1, EDGES).model_copy(update={"edge": [Edge(up=Z, edge=X, point_m=(0.0, 13.9, 0.0))]}), "unit"),
-        (lambda: read(1, EDGES).model_copy(update={"edge": [Edge(up=Z, edge=X, point_m=(0.0, 0.0139, 0.0))]}), "sign"),
-        (lambda: read(1, EDGES).model_copy(update={"edge": [Edge(up=(0, 0, 0), edge=X, point_m=Z)]}), "no direction"),
+        (
+            lambda: read(1, EDGES).model_copy(update={"edge": [KnifeEdge(up=Z, edge=X, point_m=(0.0, 13.9, 0.0))]}),
+            "unit",
+        ),
+        (
+            lambda: read(1, EDGES).model_copy(update={"edge": [KnifeEdge(up=Z, edge=X, point_m=(0.0, 0.0139, 0.0))]}),
+            "sign",
+        ),
+        (
+            lambda: read(1, EDGES).model_copy(update={"edge": [KnifeEdge(up=(0, 0, 0), edge=X, point_m=Z)]}),
+            "no direction",
+        ),
         (lambda: PartRig(scales=[Scales(**SCALES[0])]), "scales 1: give read_kg"),
         (lambda: PartRig(scales=[Scales(**SCALES[1] | {"read_kg": [-0.05, -0.02]})]), "tare it"),
         (lambda: PartRig(scales=[Scales(**SCALES[1] | {"supports_m": [X, (0.5, 0, 0)], "read_kg": [1, 1]})]), "above"),
-        (lambda: PartRig(edge=[Edge(**EDGES[1])] * 2 + [Edge(up=Z, edge=X, point_m=(0, -0.012, 0))]), "edge 3 contra"),
+        (
+            lambda: PartRig(edge=[KnifeEdge(**EDGES[1])] * 2 + [KnifeEdge(up=Z, edge=X, point_m=(0, -0.012, 0))]),
+            "edge 3 contra",
+        ),
     ],
 )
 def test_what_contradicts_is_refused(rocksat, rig, said):

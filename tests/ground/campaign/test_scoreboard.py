@@ -13,7 +13,7 @@ from bench.honest_flights.drawn import MISSIONS
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard.ground.campaign.design import Item
 from onboard.ground.campaign.instants import Instants
-from onboard.ground.campaign.results import Done, FlightAnswer, FlightResult
+from onboard.ground.campaign.results import FlightAnswer, FlightResult, Returned
 from onboard.ground.campaign.store import Content, Store
 
 
@@ -91,7 +91,7 @@ def campaign(directory: Path, beyond: int) -> Path:
     store.begin(Content("scoreboard", "", f"revision {beyond}", {"f": item}))
     told = FlightAnswer("m_payload", "kg", 1.0, 1.0, 0.9, 1.1, 0.05, supported=True, level="good")
     told = told._replace(instants=Instants(9, beyond, 0, 1.5))
-    store.take("f", item, f"revision {beyond}", Done(FlightResult((told,), events=("base is wrong",))))
+    store.take("f", item, f"revision {beyond}", Returned(FlightResult((told,), events=("base is wrong",))))
     return directory
 
 

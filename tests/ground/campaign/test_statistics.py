@@ -10,7 +10,7 @@ import pytest
 
 from onboard import cli
 from onboard.ground.campaign.design import Item
-from onboard.ground.campaign.results import Done, FlightAnswer, FlightResult, Outcome, kinds
+from onboard.ground.campaign.results import FlightAnswer, FlightResult, Outcome, Returned, kinds
 from onboard.ground.campaign.statistics import Summary, share_of, summary
 from onboard.ground.campaign.store import Content, Store
 from tests.ground.campaign.called import drawn
@@ -22,7 +22,7 @@ def kept(directory: Path, flights: list[tuple[dict[str, Any], dict[str, Any]]]) 
     store = Store(directory)
     store.begin(Content("made", "plan text <b>", "r", made))
     for (address, item), (_, settings) in zip(made.items(), flights, strict=True):
-        store.take(address, item, "r", Done(drawn(item.seed, settings)))
+        store.take(address, item, "r", Returned(drawn(item.seed, settings)))
     return store
 
 
@@ -148,6 +148,6 @@ def test_a_file_cut_short_is_none_and_a_result_is_never_replaced(tmp_path: Path)
     assert len(summary(store.rows(content.items)).errors[0].whitened) == 1
     store.begin(content)
     assert not list(store.flights.glob(".*"))
-    store.take("f0000", Item(5), "r", Done(None, "no"))
+    store.take("f0000", Item(5), "r", Returned(None, "no"))
     assert (store.flights / "f0000.parquet").read_bytes() == first
     assert not store.has_failed("f0000")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.events import events
 from hil_sim.plants.parts.contact import Contact
 from hil_sim.plants.parts.exchange import Released
@@ -184,7 +184,7 @@ def test_momentum_and_angular_momentum_are_those_of_vehicle_and_payload_together
 
 def test_joints_that_give_way_are_caught_with_too(motion):
     """The spring's stiffness is that of the wrist as it gives way; by the stiff arm's, joints of 5 Hz swing up."""
-    payload = Body.box(8.0, (0.4, 0.35, 0.3), (0.02, -0.01, 0.2))
+    payload = Solid.box(8.0, (0.4, 0.35, 0.3), (0.02, -0.01, 0.2))
     flight, _ = started(motion, payload, spring=SPRING, soft=SoftParts(np.full(5, 5.0), 0.03, None))
     at_touch = momenta(flight, flight.contact)
     rows = flight.advance(ROWS)
@@ -209,7 +209,7 @@ def test_what_the_wrist_has_felt_when_the_grip_closes_is_the_impulse_of_a_plasti
 
 
 def test_a_light_payload_swings_on_its_spring_as_a_damped_oscillator_does():
-    speck = Body.box(1e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0))
+    speck = Solid.box(1e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0))
     flight, _ = started(Still(), speck, spring=SPRING)
     w, ratio = 2.0 * np.pi * SPRING[0], SPRING[1]
     w_d = w * np.sqrt(1.0 - ratio**2)
@@ -225,7 +225,7 @@ def test_a_light_payload_swings_on_its_spring_as_a_damped_oscillator_does():
 
 def test_a_heavy_payload_at_the_end_of_the_arm_swings_no_faster():
     """The wrist gives way by a mass of about a kilogram; a spring made for 25 kg alone would be unstable here."""
-    heavy = Body.box(25.0, (0.55, 0.5, 0.5), (0.1, -0.05, 0.2))
+    heavy = Solid.box(25.0, (0.55, 0.5, 0.5), (0.1, -0.05, 0.2))
     flight, _ = started(Still(), heavy, spring=(10.0, 0.5))
     rows = flight.advance(round(Contact.lasts_s(10.0, 0.5) / STEP_s))
     left = flight.contact.released(flight.grip(), flight.grip_twist())

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from hil_sim.plants.body import Body
-from hil_sim.plants.drives.driven_vehicle import Drivable, Drive, DrivenVehicle
+from hil_sim.plants.body import Solid
+from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenVehicle, Losses
 from hil_sim.plants.drives.servo_axis import ServoAxis
 
 ONE = (
@@ -15,7 +15,7 @@ ONE = (
 )
 
 
-def one(drive=Drive(0.3, 0.5, 0.2), noise_rad=0.0, effort=30.0):  # noqa: B008
+def one(drive=Losses(0.3, 0.5, 0.2), noise_rad=0.0, effort=30.0):  # noqa: B008
     """One joint that stands: 0.25 mass + 0.05 + rotor kg m^2."""
     models = (mujoco.MjModel.from_xml_string(ONE.format(mass=mass)) for mass in (1.0, 3.0))
     return DrivenVehicle(Drivable(*models, ("j",), {"j": drive}, {"j": effort}, np.zeros(1), np.zeros(0)), noise_rad)
@@ -24,9 +24,9 @@ def one(drive=Drive(0.3, 0.5, 0.2), noise_rad=0.0, effort=30.0):  # noqa: B008
 @pytest.fixture
 def drivable():
     """DYMAFLEX, which turns."""
-    box = Body.box(5.0, (0.2, 0.16, 0.14), (0.03, -0.02, 0.08))
+    box = Solid.box(5.0, (0.2, 0.16, 0.14), (0.03, -0.02, 0.08))
     joints = tuple(f"joint_{k}" for k in range(1, 6))
-    drives, efforts = dict.fromkeys(joints, Drive(0.2, 0.3, 0.01)), dict.fromkeys(joints, 20.0)
+    drives, efforts = dict.fromkeys(joints, Losses(0.2, 0.3, 0.01)), dict.fromkeys(joints, 20.0)
     velocity = np.array([0.0, 0.0, 0.0, 0.03, -0.02, 0.05])
     return Drivable(free_flyer.world(None), free_flyer.world(box), joints, drives, efforts, np.full(5, 0.4), velocity)
 
@@ -75,7 +75,7 @@ def test_dry_friction_holds_what_stands_and_the_brake_holds_more():
 
 
 def test_a_motor_gives_no_more_than_its_effort():
-    vehicle = one(Drive(0.0, 0.0, 0.2), effort=1.0)
+    vehicle = one(Losses(0.0, 0.0, 0.2), effort=1.0)
     axis = vehicle.axes["j"]
     axis.controller = lambda t, rate: -50.0
     axis.advance(0.5)
@@ -84,7 +84,7 @@ def test_a_motor_gives_no_more_than_its_effort():
 
 
 def test_a_captured_payload_moves_with_the_gripper_and_is_heavier_to_turn():
-    vehicle = one(Drive(0.0, 0.0, 0.0))
+    vehicle = one(Losses(0.0, 0.0, 0.0))
     axis = vehicle.axes["j"]
     axis.controller = lambda t, rate: 0.3
     axis.advance(0.5)

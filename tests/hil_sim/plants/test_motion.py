@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants.motions import carrier
-from hil_sim.plants.motions.carrier import Carrier, carried, turned
+from hil_sim.plants.motions.carrier import CarrierMaker, carried, turned
 from hil_sim.plants.motions.joint_swings import JointSwings
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY, dynamic_pressure
 from hil_sim.plants.urdf_drawing import read
@@ -182,7 +182,7 @@ def test_an_hour_s_attitudes_are_unit_quaternions() -> None:
 @pytest.mark.parametrize("sways", [{}, {"base_motion": {"rate_rad_s": 0.05, "acceleration_m_s2": 0.1, "still_s": 0.5}}])
 def test_a_motion_is_the_same_wherever_it_is_cut_and_only_what_comes_next_is_kept(monkeypatch, sways) -> None:
     scenario, count = load("rocksat", sways), 12 * carrier.CHUNK + 7
-    path, kept = Carrier(scenario, STEP_S, count, np.random.default_rng(3)), []
+    path, kept = CarrierMaker(scenario, STEP_S, count, np.random.default_rng(3)), []
     parts = [path.rows(first, min(first + 40, count)) for first in range(0, count, 40) if not kept.append(path.kept)]
     assert max(kept) <= carrier.CHUNK + 40
     monkeypatch.setattr(carrier, "CHUNK", 64 * count)

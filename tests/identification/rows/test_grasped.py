@@ -12,7 +12,7 @@ import pytest
 import onboard
 from bench.identification.workshop import payload
 from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.planned import default_plan
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import config
@@ -77,7 +77,7 @@ def test_a_bias_does_what_its_column_says(axis: int, flown: tuple[config.Vehicle
 
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "workshop" / "workshop.urdf").read_text()
-TOOL = Body.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
+TOOL = Solid.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
 GRASP_S, END_S, WIDTH_S, ROW_S = 3.0, 12.0, 0.2, 0.02
 NOISE, COUNT_rad = np.repeat([0.0104, 3.1e-4], 3), 2.0 * np.pi / 500_000
 EXACT = {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0}
@@ -176,7 +176,7 @@ def test_a_tool_is_weighed(run):
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_light_tool_is_a_body_that_can_exist(seed):
     """Of 50 g in a cube of 2 cm the inertia is known to a few times its size: the raw estimate was no body's."""
-    tool = Body.box(0.05, (0.02, 0.02, 0.02), (0.0, 0.0, 0.01))
+    tool = Solid.box(0.05, (0.02, 0.02, 0.02), (0.0, 0.0, 0.01))
     who = identifier()
     feed(who, signals(seed, who.model.vehicle, tool))
     found = grasped(who)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.identification.free_flyer import PAYLOAD_SIGMA
 from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import Samples
+from hil_sim.sensing.free_flyer_sensors import SampledSignals
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import standard_of
@@ -40,7 +40,7 @@ def identifier(model: VehicleModel, instruments: bool, smoothing_s: float) -> Id
     return Identifier(rows, base, np.diag(sigma), 5 * smoothing_s, imu_frame="imu_base", instruments_lag_s=lag_s)
 
 
-def signals_of(model: VehicleModel, samples: Samples, smoothing_s: float) -> Signals:
+def signals_of(model: VehicleModel, samples: SampledSignals, smoothing_s: float) -> Signals:
     """Every signal through the flight's kernel at the row rate, with its noise."""
     t = samples.time_s
     at = np.arange(t[0] + 0.5 * smoothing_s + ROW_s, t[-1] - 0.5 * smoothing_s, ROW_s)

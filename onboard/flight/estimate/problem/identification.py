@@ -49,7 +49,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.pivot.online import PivotRun
-from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
+from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -312,7 +312,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             drawing = {
-                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
+                link: DrawingTolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
                 for link, own in settings.masses.drawing.items()
             }
             _check_links(drawing, model)
@@ -361,7 +361,7 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 
 
-def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
+def _check_links(drawing: Mapping[str, DrawingTolerance], model: VehicleModel) -> None:
     for link in drawing:
         if link not in model.links:
             raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")

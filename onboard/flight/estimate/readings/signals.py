@@ -308,7 +308,7 @@ class SignalSmoother:
             return nothing(columns, n, 0, recent)
         k, half_s = len(recent.times_s), 0.5e-9 * period_ns
         noise = channel.inflation * np.array(channel.noise)
-        samples = structures.Samples(
+        samples = structures.SamplesStruct(
             *(k, n, columns, int(GateReason.GAP)),
             *(library.given(recent.times_s, k), (at_ns - at_ns[0]) * 1e-9, library.given(recent.values, k, columns)),
             *(library.given(np.array(channel.delays_s, np.float64), columns), library.given(noise, columns)),

@@ -17,7 +17,7 @@ from onboard import config
 from onboard.config.driving import Range, joint_ranges
 from onboard.control import watch
 from onboard.control.drives import Drives, identified
-from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Reference, feed_forward, free_inertia
+from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, SyncedMotion, feed_forward, free_inertia
 from onboard.control.learning import Learning, LearningLaw, contraction
 from onboard.control.motion import CYCLES, JointLimits, Motion, fitted
 from onboard.devices.base import JointDevice
@@ -224,7 +224,7 @@ def run(
         pilot = _Pilot(made, trials, told)
         inertia = space.inertia(trials.posture) + np.diag(guessed.rotor_kg_m2)
         motion = fitted(trials.posture, limits, inertia, asked.duration_s, asked.rest_s)
-        reference = Reference.of(motion, PERIOD_S)
+        reference = SyncedMotion.of(motion, PERIOD_S)
         assert trials.gains is not None
         for _ in range(_PILOTS):
             law = FeedForward(feed_forward(space, made.drives, reference), trials.gains)
@@ -250,7 +250,7 @@ class _Pilot:
     def __init__(self, made: TrialSeries, trials: Trials, told: Callable[[Trial], None]) -> None:
         self.made, self.trials, self._told = made, trials, told
 
-    def fly(self, stage: TrialSetup, law: Law, space: JointSpace, reference: Reference) -> bool:
+    def fly(self, stage: TrialSetup, law: Law, space: JointSpace, reference: SyncedMotion) -> bool:
         """Whether it was flown to its end."""
         flown = self.trials.fly(law, reference)
         wanted = reference.q[: len(flown.error)]
@@ -267,7 +267,7 @@ def _controlled(
     asked: TrialRequest,
     pilot: _Pilot,
     space: JointSpace,
-    reference: Reference,
+    reference: SyncedMotion,
     motion: Motion,
     inertia: FloatArray,
 ) -> None:

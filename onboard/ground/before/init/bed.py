@@ -8,7 +8,7 @@ from onboard import config
 from onboard.config.keys import schema
 from onboard.ground.before.init import devices
 from onboard.ground.before.init.devices import NewDevice
-from onboard.ground.before.init.drawing import Drawn, with_frame
+from onboard.ground.before.init.drawing import DrawnUrdf, with_frame
 from onboard.ground.before.init.vehicle import write_files
 
 _PHASES = """
@@ -25,7 +25,7 @@ _PHASES = """
 """
 
 
-class Bed(NamedTuple):
+class NewBed(NamedTuple):
     """What a new body on a pivot has.
 
     ``drawn``: its URDF, whose base link has its origin at the pivot and whose joints turn the wheels. ``imu_frame``: a
@@ -34,12 +34,12 @@ class Bed(NamedTuple):
     """
 
     name: str
-    drawn: Drawn
+    drawn: DrawnUrdf
     imu_frame: str
     proof: str = ""
 
 
-def write(wanted: Bed, directory: Path) -> list[Path]:
+def write(wanted: NewBed, directory: Path) -> list[Path]:
     """Write the vehicle into ``directory``; returns the files.
 
     Raises:
@@ -68,7 +68,7 @@ def write(wanted: Bed, directory: Path) -> list[Path]:
     return write_files(directory, {"vehicle.toml": text, "vehicle.urdf": drawn.text, "import.toml": mapping})
 
 
-def _head(wanted: Bed) -> str:
+def _head(wanted: NewBed) -> str:
     proof = f"payload_link = {json.dumps(wanted.proof)}        # a known mass that is set on for a part of the run"
     return f"""{schema.FIRST_LINE}
 # Made by heft init. Numbers that are "yours" are placeholders: put yours there. Every key: docs/vehicle.md,
@@ -99,7 +99,7 @@ repeats = true                 # a wheel at rest
     )
 
 
-def _rest(wanted: Bed) -> str:
+def _rest(wanted: NewBed) -> str:
     return f"""
 [estimation]
 method = "exiddm"              # predicts the IMU from what the wheels do

@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 from onboard import config
 from onboard.config.keys import schema
-from onboard.ground.before.init.drawing import Drawn, with_frame
+from onboard.ground.before.init.drawing import DrawnUrdf, with_frame
 from onboard.ground.before.init.sketch import mount
 from onboard.ground.before.init.vehicle import write_files
 
@@ -29,7 +29,7 @@ class NewBody(NamedTuple):
     name: str
     thrusters: tuple[str, ...]
     force_N: float = 1.0  # noqa: N815
-    drawn: Drawn | None = None
+    drawn: DrawnUrdf | None = None
     marker: str = _MARKER
 
 

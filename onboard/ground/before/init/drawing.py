@@ -25,7 +25,7 @@ _IMUS, _PUCKS = {"imu"}, {"puck", "pucks", "bearing", "bearings", "airbearing", 
 PLACEHOLDER = RigidBody(10.0, np.zeros(3), 0.2 * np.eye(3))  # of a base that weighs nothing
 
 
-class Drawn(NamedTuple):
+class DrawnUrdf(NamedTuple):
     """A URDF.
 
     Attributes:
@@ -57,7 +57,7 @@ class Drawn(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read(path: Path, base: str, joints: Sequence[str] = (), *, recorded: bool = False) -> Drawn:
+def read(path: Path, base: str, joints: Sequence[str] = (), *, recorded: bool = False) -> DrawnUrdf:
     """A drawing, made into one of a vehicle.
 
     Args:
@@ -75,7 +75,7 @@ def read(path: Path, base: str, joints: Sequence[str] = (), *, recorded: bool = 
         raise config.ConfigError(str(error)) from error
 
 
-def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: bool) -> Drawn:
+def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: bool) -> DrawnUrdf:
     whole = urdf_reading.read(text, label)
     moving = _outwards(whole)
     if unknown := [name for name in joints if name not in moving]:
@@ -107,7 +107,7 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     imus, pucks = _called(drawing, root, _IMUS), _called(drawing, root, _PUCKS)
     radius_m = float(np.sqrt(2.0 * model.chi[9] / model.chi[0])) if BASES[base].follows else 0.0
     frames, free = tuple(whole.links), (tuple(imus), tuple(pucks), radius_m, tuple(notes))
-    return Drawn(text, root, tuple(measured), model.links, last, frames, efforts, tuple(tips), *free)
+    return DrawnUrdf(text, root, tuple(measured), model.links, last, frames, efforts, tuple(tips), *free)
 
 
 def _called(drawing: urdf_reading.Drawing, root: str, words: Set[str]) -> list[str]:
@@ -115,7 +115,7 @@ def _called(drawing: urdf_reading.Drawing, root: str, words: Set[str]) -> list[s
     return [link for link in drawing.group(root) if words & set(re.split(r"[^a-z]+", link.lower()))]
 
 
-def with_frame(drawn: Drawn, name: str, parent: str, place: str = "0 0 0") -> str:
+def with_frame(drawn: DrawnUrdf, name: str, parent: str, place: str = "0 0 0") -> str:
     """Its text with a massless link at a place in another."""
     mount = f"""  <link name="{name}"/>
   <joint name="{name}_mount" type="fixed">               <!-- added by heft init: put its place in -->

@@ -3,13 +3,13 @@
 import json
 from collections.abc import Iterable
 
-from onboard.ground.before.init.drawing import Drawn
+from onboard.ground.before.init.drawing import DrawnUrdf
 
 _RADIUS_m = 0.2  # of the sketched base
 _SIN_60 = 0.5 * 3.0**0.5
 
 
-def places(drawn: Drawn | None) -> dict[str, str]:
+def places(drawn: DrawnUrdf | None) -> dict[str, str]:
     """Frames and their places in the base: as drawn, or one in the middle and three around it.
 
     These four drag like pucks anywhere among them, where nobody says where they are: their sum, its centre and what it
@@ -22,7 +22,7 @@ def places(drawn: Drawn | None) -> dict[str, str]:
     return {f"puck_{k}": f"{at[0]:.4g} {at[1]:.4g} 0" for k, at in enumerate(around, 1)}
 
 
-def note(drawn: Drawn) -> str:
+def note(drawn: DrawnUrdf) -> str:
     """Where they are taken to be."""
     if drawn.pucks:
         return f"the pucks are at {', '.join(drawn.pucks)}"

@@ -14,7 +14,7 @@ from onboard.dynamics.model.bases import BASES as KINDS
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing, drives, pucks
 from onboard.ground.before.init.devices import NewDevice
-from onboard.ground.before.init.drawing import Drawn
+from onboard.ground.before.init.drawing import DrawnUrdf
 from onboard.ground.before.init.sketch import link, mount
 
 BASES = ("free", "prescribed", "fixed", "planar")
@@ -40,7 +40,7 @@ class NewVehicle(NamedTuple):
     load_cell: str = "none"
     pulse: bool = True
     urls: dict[str, str] = {}  # noqa: RUF012  # a NamedTuple's, and read only
-    drawn: Drawn | None = None
+    drawn: DrawnUrdf | None = None
     imu_frame: str = "imu_base"
     payload_link: str = "payload"
     gains: tuple[float, ...] = ()  # N m/A of recorded currents, by joint
@@ -304,7 +304,7 @@ def _of_torques(wanted: NewVehicle) -> str:
 {own}"""
 
 
-def _taken_over(wanted: NewVehicle, drawn: Drawn) -> str:
+def _taken_over(wanted: NewVehicle, drawn: DrawnUrdf) -> str:
     """The URDF at hand, with the frames that it lacks."""
     needed = {wanted.imu_frame: drawn.root} if wanted.imu != "none" else {}
     needed[wanted.payload_link] = drawn.last

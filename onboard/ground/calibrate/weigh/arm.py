@@ -11,7 +11,7 @@ from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.errors import PosesError
 
 
-class Arm(NamedTuple):
+class SensorArm(NamedTuple):
     """A URDF, the frame of the sensor by its index, and the joints that move it, from the root outwards."""
 
     model: pin.Model
@@ -19,7 +19,7 @@ class Arm(NamedTuple):
     joints: tuple[str, ...]
 
 
-def arm(urdf: str, label: str, link: str = "") -> Arm:
+def arm(urdf: str, label: str, link: str = "") -> SensorArm:
     """Read a URDF; without a link, the one farthest from the root.
 
     Raises:
@@ -39,13 +39,13 @@ def arm(urdf: str, label: str, link: str = "") -> Arm:
     return found
 
 
-def moved(model: pin.Model, frame: int) -> Arm:
+def moved(model: pin.Model, frame: int) -> SensorArm:
     """The arm that moves a frame."""
     parent = model.frames[frame].parentJoint
-    return Arm(model, frame, tuple(model.names[k] for k in model.supports[parent] if k))
+    return SensorArm(model, frame, tuple(model.names[k] for k in model.supports[parent] if k))
 
 
-def posed(meaning: Meaning, of: Arm) -> Meaning:
+def posed(meaning: Meaning, of: SensorArm) -> Meaning:
     """Angles of joints, (n, joints) rad, as rotation matrices of the link in the root."""
     out = np.full((len(meaning.orientation), 9), np.nan)
     for k, angles in enumerate(meaning.orientation):
@@ -54,7 +54,7 @@ def posed(meaning: Meaning, of: Arm) -> Meaning:
     return meaning._replace(kind="matrix", orientation=out)
 
 
-def orientation(of: Arm, angles: FloatArray) -> FloatArray:
+def orientation(of: SensorArm, angles: FloatArray) -> FloatArray:
     """Axes of the link in those of the root, (3, 3), at angles of its joints, rad."""
     data, q = of.model.createData(), pin.neutral(of.model)
     for name, angle in zip(of.joints, angles.tolist(), strict=True):

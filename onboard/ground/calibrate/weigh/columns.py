@@ -13,7 +13,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.calibrate.weigh.errors import PosesError
-from onboard.ground.calibrate.weigh.table import LENGTH, Table, by_rows, off
+from onboard.ground.calibrate.weigh.table import LENGTH, WeighTable, by_rows, off
 from onboard.ground.calibrate.weigh.units import FORCE_UNITS, MOMENT_UNITS, are_si
 
 ANGLE_UNITS = {"deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
@@ -128,7 +128,7 @@ def _marked(text: str) -> str:
     return ".".join(parts)
 
 
-def understood(table: Table, units: Units, joints: Sequence[str] = (), orientation: str = "") -> Meaning:
+def understood(table: WeighTable, units: Units, joints: Sequence[str] = (), orientation: str = "") -> Meaning:
     """Find orientation and wrench.
 
     Args:
@@ -178,7 +178,7 @@ def _numbered(columns: list[Column]) -> list[Column]:
     return columns
 
 
-def _said_kind(table: Table, kind: str, said: str) -> str:
+def _said_kind(table: WeighTable, kind: str, said: str) -> str:
     """What a person said holds, where the columns can be that."""
     if not said:
         return kind
@@ -200,7 +200,7 @@ def _said_kind(table: Table, kind: str, said: str) -> str:
 
 
 def _vector(
-    table: Table,
+    table: WeighTable,
     columns: Sequence[Column],
     patterns: Sequence[str],
     axes: str | tuple[str, ...],
@@ -226,7 +226,7 @@ def _vector(
     return None
 
 
-def _orientation(table: Table, columns: Sequence[Column], taken: set[int]) -> tuple[str, list[int]]:
+def _orientation(table: WeighTable, columns: Sequence[Column], taken: set[int]) -> tuple[str, list[int]]:
     for kind, pattern, axes in _ORIENTATION:
         if kind == "matrix":
             sixteen = tuple(f"{row}{column}" for row in range(4) for column in range(4))
@@ -259,7 +259,7 @@ def _of_one_length(three: FloatArray) -> bool:
     return bool(np.nanmedian(np.abs(length / np.nanmedian(length) - 1.0)) < ONE_G)
 
 
-def _joints(table: Table, columns: Sequence[Column], joints: Sequence[str]) -> list[int]:
+def _joints(table: WeighTable, columns: Sequence[Column], joints: Sequence[str]) -> list[int]:
     """Columns of joints, by the URDF's names, or numbered: ``q1``, ``joint_1``, ``j1``."""
     by_name = {_plain(name): k for k, name in enumerate(table.names)} | {
         column.name.replace(".", ""): k for k, column in enumerate(columns)
@@ -277,7 +277,7 @@ def _joints(table: Table, columns: Sequence[Column], joints: Sequence[str]) -> l
 
 
 def _scaled(
-    table: Table,
+    table: WeighTable,
     columns: Sequence[Column],
     force: Sequence[int],
     moment: Sequence[int],
@@ -330,7 +330,7 @@ def _angle(values: FloatArray, names: Sequence[str], given: str, said: list[str]
     return ANGLE_UNITS["deg"] if degrees else 1.0
 
 
-def _unnamed(table: Table, units: Units, joints: Sequence[str], orientation: str) -> Meaning:
+def _unnamed(table: WeighTable, units: Units, joints: Sequence[str], orientation: str) -> Meaning:
     """By the numbers.
 
     Raises:

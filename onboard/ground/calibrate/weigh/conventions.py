@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.calibration import wrist
-from onboard.ground.calibrate.place import Place
+from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.errors import PosesError
 
@@ -49,7 +49,7 @@ class Known(NamedTuple):
         said: conventions.
     """
 
-    place: Place
+    place: Gravity
     down: Down | None
     scale: float
     tilt_rad: float

@@ -13,7 +13,7 @@ from drivers.records import IMU, Rows
 from onboard.devices import si
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import CalibrationError
-from onboard.ground.calibrate.place import Place
+from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.conventions import Known, Said
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -64,7 +64,7 @@ class Session:
     """
 
     sensor: WristSensor
-    place: Place
+    place: Gravity
     down: tuple[float, float, float]
     scale: float
     tilt_rad: float

@@ -34,7 +34,7 @@ _NEAR_s = 0.1  # between a wrench and the orientation that it is taken with: pos
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
-class Table(NamedTuple):
+class WeighTable(NamedTuple):
     """Columns side by side.
 
     Attributes:
@@ -50,7 +50,7 @@ class Table(NamedTuple):
     label: str
 
 
-def read(paths: Sequence[Path]) -> Table:
+def read(paths: Sequence[Path]) -> WeighTable:
     """Read files whose rows belong together.
 
     Raises:
@@ -65,14 +65,14 @@ def read(paths: Sequence[Path]) -> Table:
     if len(tables) > 1 and (any(any(one.names) for one in tables) or any(map(_is_timed, tables))):
         tables = [one if any(one.names) else one._replace(names=_by_numbers(one)) for one in tables]
     names = tuple(name for one in tables for name in one.names)
-    return Table(names, np.hstack([one.values for one in tables]), tables[0].lines, label)
+    return WeighTable(names, np.hstack([one.values for one in tables]), tables[0].lines, label)
 
 
-def _is_timed(one: Table) -> bool:
+def _is_timed(one: WeighTable) -> bool:
     return bool((np.diff(one.values[:, 0]) > 0.0).all())
 
 
-def _by_numbers(one: Table) -> tuple[str, ...]:
+def _by_numbers(one: WeighTable) -> tuple[str, ...]:
     """Names of a file without any, beside others: a time that rises, then a wrench, or a quaternion at its end."""
     timed, width = int(_is_timed(one)), one.values.shape[1]
     if width >= 4 and np.nanmedian(np.abs(np.linalg.norm(one.values[:, -4:], axis=1) - 1.0)) < LENGTH:
@@ -100,7 +100,7 @@ def named(text: str, width: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _one(path: Path) -> Table:
+def _one(path: Path) -> WeighTable:
     try:
         kind = kind_of(path)
         if kind != "csv":
@@ -110,7 +110,7 @@ def _one(path: Path) -> Table:
     return _text_table(path)
 
 
-def _of_arrays(path: Path, kind: str) -> Table:
+def _of_arrays(path: Path, kind: str) -> WeighTable:
     """Arrays by name, or messages: those of other topics nearest to each of the wrench's.
 
     Raises:
@@ -130,7 +130,7 @@ def _of_arrays(path: Path, kind: str) -> Table:
     if length < 2:
         raise PosesError(f"{path} has no arrays of as many rows; give orientation and wrench with a row for each pose")
     names = tuple("" if name.isdecimal() else name for name in columns)
-    return Table(names, np.stack([*columns.values()], axis=1), tuple(range(1, length + 1)), path.name)
+    return WeighTable(names, np.stack([*columns.values()], axis=1), tuple(range(1, length + 1)), path.name)
 
 
 def _together(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -162,7 +162,7 @@ def _together(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
     return found
 
 
-def _text_table(path: Path) -> Table:
+def _text_table(path: Path) -> WeighTable:
     if path.stat().st_size > LARGEST_BYTES:
         raise PosesError(f"{path} has more than {LARGEST_BYTES >> 20} MB: average the readings of each pose first")
     text = _text(path, path.read_bytes())
@@ -204,7 +204,7 @@ def _text_table(path: Path) -> Table:
     at = tuple(number for number, _ in rows)
     if width in (3, 4) and not names and not len(values) % width and _are_matrices(values.reshape(-1, width, width)):
         values, at, width = values.reshape(-1, width**2), at[::width], width**2  # a line a row
-    return Table(tuple(names) or ("",) * width, values, at, path.name)
+    return WeighTable(tuple(names) or ("",) * width, values, at, path.name)
 
 
 def _are_matrices(T: FloatArray) -> bool:

@@ -30,7 +30,7 @@ _RUN = 3  # equal readings, steps of a reading
 IndexArray = NDArray[np.intp]
 
 
-class Axis(NamedTuple):
+class SensorAxis(NamedTuple):
     """What one axis of the sensor says.
 
     Attributes:
@@ -62,7 +62,7 @@ class Axis(NamedTuple):
     frozen: bool
 
 
-class Wrong(NamedTuple):
+class WrenchError(NamedTuple):
     """The likeliest error in the axes of the wrench."""
 
     what: str
@@ -85,14 +85,14 @@ class Answer:
     poses: Poses  # used
     weighing: wrist.Weighing
     quantities: tuple[QuantityEstimate, ...]  # m, c_x, c_y, c_z, mounting, tilt
-    axes: tuple[Axis, ...]
+    axes: tuple[SensorAxis, ...]
     plain: tuple[float, float]  # mass by plain least squares of all forces, zeros constant, and its sigma, kg
     zeros: FloatArray  # (n, 6) at each pose
     outliers: tuple[int, ...]  # rows of the table, counted from 0
     rows: tuple[int, ...]  # first row of each pose that is used
     count: Mapping[str, int]  # rows: all, bad, moving; poses
     others: tuple[tuple[Any, float], ...]  # conventions and their evidence less that of the chosen one, nats
-    wrong: Wrong | None
+    wrong: WrenchError | None
     changed: ChangedBody | None
     held_out: HeldOut | None
     left_over: HeldOutFit  # of all readings, zeros apart
@@ -216,12 +216,12 @@ def _same_answer(near: list[tuple[Poses, wrist.PoseFit, dict[str, Any]]]) -> Non
             )
 
 
-def _body(state: wrist.State) -> FloatArray:
+def _body(state: wrist.Linearisation) -> FloatArray:
     """Mass and centre of mass, (4,)."""
     return np.concatenate([[state.mass], state.first_moment / state.mass])
 
 
-def body_gradient(state: wrist.State) -> FloatArray:
+def body_gradient(state: wrist.Linearisation) -> FloatArray:
     """Of mass and centre by the unknowns, (4, 45)."""
     out = np.zeros((4, wrist.UNKNOWNS))
     out[0, 0] = 1.0
@@ -292,7 +292,7 @@ def _axes(
     prior: wrist.Priors,
     zeros: tuple[FloatArray, FloatArray, FloatArray],
     known: Known,
-) -> Iterator[Axis]:
+) -> Iterator[SensorAxis]:
     one, (value, sigma, moved) = weighing.best, zeros
     made = wrist.predicted(poses.R, one.state, prior)
     for k, name in enumerate(AXES):
@@ -304,7 +304,7 @@ def _axes(
             gradient[27 + 3 * k : 30 + 3 * k] = hat(one.state.first_moment)[:, k] / wrist.REACH_m
             own = float(np.sqrt(gradient @ one.covariance @ gradient))
             mass = float(one.state.sensitivity[k, k]), own
-        yield Axis(
+        yield SensorAxis(
             name,
             *alone,
             *mass,
@@ -329,7 +329,7 @@ def _plain(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit, axes: tuple[in
     return mass, float(np.sqrt(left / squares))
 
 
-def _wrong_axes(poses: Poses, prior: wrist.Priors, first: wrist.PoseFit, said: Said) -> Wrong | None:
+def _wrong_axes(poses: Poses, prior: wrist.Priors, first: wrist.PoseFit, said: Said) -> WrenchError | None:
     """Signs turned and axes exchanged, of forces or of moments, as rivals of the axes as they are.
 
     One turned force with the weight is one turned moment with the reaction and a sensor mounted the other way round:
@@ -348,7 +348,7 @@ def _wrong_axes(poses: Poses, prior: wrist.Priors, first: wrist.PoseFit, said: S
         return None
     most = max(rivals.values())
     near = [what for what, nats in rivals.items() if nats > most + np.log(ODDS)]
-    return Wrong(", or ".join(near), most)
+    return WrenchError(", or ".join(near), most)
 
 
 def _errors() -> Iterator[tuple[str, IndexArray, FloatArray]]:
@@ -381,13 +381,13 @@ def _held_out(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit) -> HeldOut 
     halves = slice(0, n // 2), slice(n // 2, n)
     states = [wrist.fit(poses.R[half], poses.wrench[half], prior).state for half in halves]
 
-    def error(part: slice, state: wrist.State) -> HeldOutFit:
+    def error(part: slice, state: wrist.Linearisation) -> HeldOutFit:
         return _left_over(poses._replace(R=poses.R[part], wrench=poses.wrench[part]), prior, one.noise, state)
 
     return HeldOut(error(halves[1], states[0]), error(halves[0], states[1]), error(slice(0, n), one.state))
 
 
-def _left_over(poses: Poses, prior: wrist.Priors, noise: wrist.Noise, state: wrist.State) -> HeldOutFit:
+def _left_over(poses: Poses, prior: wrist.Priors, noise: wrist.Noise, state: wrist.Linearisation) -> HeldOutFit:
     """Of what readings change by from pose to pose, and of their noise."""
     whitened = [
         wrist.coefficients(each) / np.sqrt(wrist.variances(noise, len(each)))

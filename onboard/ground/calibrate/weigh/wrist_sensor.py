@@ -16,7 +16,7 @@ from onboard.dynamics.model.urdf_reading import plain, read
 from onboard.dynamics.model.vehicle import NAMED
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.calibrate.weigh.arm import Arm, moved, orientation
+from onboard.ground.calibrate.weigh.arm import SensorArm, moved, orientation
 from onboard.ground.calibrate.weigh.conventions import of_up
 from onboard.ground.calibrate.weigh.errors import PosesError
 
@@ -41,7 +41,7 @@ class WristSensor(NamedTuple):
     cells: tuple[LoadCellRole, ...]
     to_wrench: FloatArray
     joints: tuple[str, ...]
-    arm: Arm | None
+    arm: SensorArm | None
     imu: str
     R_SI: FloatArray
     signals: dict[str, SmoothedChannel]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from onboard.ground.log.bring_in.errors import SourceError
-from onboard.ground.log.bring_in.messages import Rows
+from onboard.ground.log.bring_in.messages import MessageColumns
 from onboard.ground.log.bring_in.text_rows import Values
 
 LARGEST_BYTES = 256 << 20  # of text, of which Python's objects take ten times as much
@@ -33,7 +33,7 @@ def read_json(path: Path) -> dict[str, Values]:
             value = [json.loads(line) for line in text.splitlines() if line.strip()]
     except (ValueError, RecursionError) as error:
         raise SourceError(f"{path} is no JSON that can be read ({error}); save it again, or as CSV") from error
-    table = Rows()
+    table = MessageColumns()
     for row in _rows(value):
         table.add(row)
     columns = table.arrays()

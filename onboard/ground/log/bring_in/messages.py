@@ -41,10 +41,10 @@ def read_messages(path: Path, kind: str, topics: Collection[str] | None, most: i
     """
     if kind == "ulog":
         return _ulog(path, topics, most)
-    tables: dict[str, Rows] = {}
+    tables: dict[str, MessageColumns] = {}
     total = 0
     for topic, log_time_ns, message in (_bag if kind == "bag" else _mcap)(path, topics):
-        table = tables.setdefault(topic, Rows())
+        table = tables.setdefault(topic, MessageColumns())
         if most is None or table.count < most:
             total += table.add(message, (("log_time", log_time_ns),))
         if total * _BYTES_A_NUMBER > LARGEST_BYTES:
@@ -53,7 +53,7 @@ def read_messages(path: Path, kind: str, topics: Collection[str] | None, most: i
     return Recording({f"{topic}:{name}": one for topic, name, one in found})
 
 
-class Rows:
+class MessageColumns:
     """Messages of a topic, or objects of JSON, as columns; what one lacks is NaN."""
 
     def __init__(self) -> None:

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.compliance import Bend, Compliance, Moved, Springs, StateColumns
+from onboard.dynamics.compliance import Bend, BentVehicle, Compliance, Springs, StateColumns
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, SpringPrior, UnknownLayout
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, SpringPrior, UnknownLayout, Unknowns
 
 _DAMPING_RATIO = 0.02  # of a joint's swing alone, unladen, where no damping is stated
 _SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer joints gave wrong numbers
@@ -95,15 +95,15 @@ class FlexibleJoints:
         self._sigma = np.concatenate([angle, np.minimum(angle * np.sqrt(stiffness / inertia), _LARGEST)])
         self.bends: IndexArray = np.zeros(0, np.intp)
 
-    def blocks(self) -> dict[str, Block]:
+    def blocks(self) -> dict[str, Unknowns]:
         """Blocks of unknowns: ``stiffness`` and ``damping``, relative, (f,) each, ``bends``, (2 f,)."""
         stiffness, damping = np.array([(one.stiffness_relative, one.damping_relative) for one in self._priors]).T
         names = {kind: tuple(f"{kind}_{name}" for name in self._names) for kind in ("stiffness", "damping")}
         bends = tuple(f"{kind}_{name}" for kind in ("bend", "bend_rate") for name in self._names)
         return {
-            "stiffness": Block(names["stiffness"], stiffness),
-            "damping": Block(names["damping"], damping),
-            "bends": Block(bends, self._sigma),
+            "stiffness": Unknowns(names["stiffness"], stiffness),
+            "damping": Unknowns(names["damping"], damping),
+            "bends": Unknowns(bends, self._sigma),
         }
 
     def placed(self, layout: UnknownLayout) -> list[int]:
@@ -133,7 +133,7 @@ class FlexibleJoints:
         stated, at = self._stated, self._layout
         return Springs(stated.stiffness * (1.0 + x[at["stiffness"]]), stated.damping * (1.0 + x[at["damping"]]))
 
-    def follow(self, x: FloatArray, period_s: float, ticks: int, move: Callable[[Bend], Moved]) -> Bend:
+    def follow(self, x: FloatArray, period_s: float, ticks: int, move: Callable[[Bend], BentVehicle]) -> Bend:
         """The bends along a motion; arguments and errors as of :meth:`Compliance.follow`, ``x`` all unknowns."""
         return self.compliance.follow(x[self._layout["bends"]], self.springs(x), period_s, ticks, move)
 

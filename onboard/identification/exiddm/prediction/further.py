@@ -20,7 +20,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, imu_blocks, tick_mean
-from onboard.identification.exiddm.prediction.parameters import Block
+from onboard.identification.exiddm.prediction.parameters import Unknowns
 
 _ANYWHERE_m, _ANY_m_s = 20.0, 1.0  # 1 sigma of the centre of mass in a tracker's axes, and of its velocity
 OF_FRICTION = ("Fc", "Fv", "Ia")
@@ -80,11 +80,11 @@ class FurtherCell(NamedTuple):
         """Lines that it has."""
         return 1
 
-    def block(self) -> Block:
+    def block(self) -> Unknowns:
         """Its errors as a block of unknowns: those of :class:`CellPrior`, then :data:`OF_FRICTION` if it has any."""
         friction = () if self.friction is None else self.friction[1:]
         kinds = (*CellPrior._fields, *OF_FRICTION[: len(friction)])
-        return Block(tuple(f"{kind}_{self.name}" for kind in kinds), np.array([*self.prior, *friction], np.float64))
+        return Unknowns(tuple(f"{kind}_{self.name}" for kind in kinds), np.array([*self.prior, *friction], np.float64))
 
     @staticmethod
     def gain(errors: FloatArray) -> float:
@@ -147,7 +147,7 @@ class FurtherPose(NamedTuple):
         """Lines that it has."""
         return LINES
 
-    def blocks(self) -> dict[str, Block]:
+    def blocks(self) -> dict[str, Unknowns]:
         """Its unknowns, the first of them what changes in flight."""
         p = self.prior
         each = {
@@ -159,11 +159,11 @@ class FurtherPose(NamedTuple):
             "place": ("xyz", p.place_m),
         }
         blocks = {
-            f"{kind} {self.name}": Block(tuple(f"{kind}_{axis}_{self.name}" for axis in axes), np.full(len(axes), s))
+            f"{kind} {self.name}": Unknowns(tuple(f"{kind}_{axis}_{self.name}" for axis in axes), np.full(len(axes), s))
             for kind, (axes, s) in each.items()
         }
         last = {"scale": p.scale, "delay_s": p.delay_s}
-        return blocks | {f"{k} {self.name}": Block((f"{k}_{self.name}",), np.array([s])) for k, s in last.items()}
+        return blocks | {f"{k} {self.name}": Unknowns((f"{k}_{self.name}",), np.array([s])) for k, s in last.items()}
 
 
 Further = FurtherImu | FurtherCell | FurtherPose
@@ -177,7 +177,7 @@ def instrument_of(parameter: str, further: Sequence[Further]) -> tuple[int, str]
     return 0, parameter.removesuffix("_imu")
 
 
-def blocks_of(one: Further) -> dict[str, Block]:
+def blocks_of(one: Further) -> dict[str, Unknowns]:
     """Unknowns of a further instrument, its name after each of theirs."""
     if isinstance(one, FurtherPose):
         return one.blocks()
@@ -185,11 +185,11 @@ def blocks_of(one: Further) -> dict[str, Block]:
         return {one.name: one.block()}
     prior = one.prior._replace(clock_rate_error=0.0)
     blocks = {
-        f"{kind} {one.name}": Block(tuple(f"{name}_{one.name}" for name in block.names), block.sigma)
+        f"{kind} {one.name}": Unknowns(tuple(f"{name}_{one.name}" for name in block.names), block.sigma)
         for kind, block in imu_blocks(prior).items()
     }
     places = tuple(f"place_{axis}_{one.name}" for axis in "xyz")
-    return {**blocks, f"place {one.name}": Block(places, np.full(3, one.place_m))}
+    return {**blocks, f"place {one.name}": Unknowns(places, np.full(3, one.place_m))}
 
 
 class Thruster(NamedTuple):
@@ -200,9 +200,11 @@ class Thruster(NamedTuple):
     scale_sigma: float  # relative
 
     @staticmethod
-    def block(thrusters: Sequence["Thruster"]) -> Block:
+    def block(thrusters: Sequence["Thruster"]) -> Unknowns:
         """Scales of some as a block of unknowns."""
-        return Block(tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters]))
+        return Unknowns(
+            tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters])
+        )
 
     @staticmethod
     def of(vehicle: VehicleModel, name: str, frame: str, axis: Sequence[float], scale_sigma: float) -> "Thruster":
@@ -227,12 +229,12 @@ class DisturbancePrior(NamedTuple):
     torque_N_m: float = 0.0  # noqa: N815 - each component
     memory_s: float = np.inf  # correlation time of both, as first-order Gauss-Markov processes
 
-    def block(self) -> Block:
+    def block(self) -> Unknowns:
         """Force and moment, and how they change with time, (12,)."""
         of_each = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
         names = tuple(f"disturbance_{what}{one}" for what in ("", "drift_") for one in of_each)
         sigma = np.repeat([self.force_N, self.torque_N_m], 3)
-        return Block(names, np.concatenate([sigma, TURNING_rad_s * sigma]))
+        return Unknowns(names, np.concatenate([sigma, TURNING_rad_s * sigma]))
 
 
 def fade(processes: Sequence[tuple[int, float]], after_s: float, state: FloatArray, covariance: FloatArray) -> None:

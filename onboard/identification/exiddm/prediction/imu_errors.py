@@ -26,7 +26,7 @@ import numpy as np
 
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.identification.exiddm.prediction.parameters import Block
+from onboard.identification.exiddm.prediction.parameters import Unknowns
 from onboard.native import library
 from onboard.native.errors import ArrayError
 
@@ -69,12 +69,12 @@ _OF_BOTH = ("delay_s", "clock_rate_error")
 SIZE = 3 * (len(ImuPrior._fields) - len(_OF_BOTH)) + len(_OF_BOTH)
 
 
-def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
+def imu_blocks(prior: ImuPrior) -> dict[str, Unknowns]:
     """The IMU's errors as blocks of unknowns, in the order that :func:`imu_reading` takes them."""
     blocks = {}
     for kind, sigma in prior._asdict().items():
         names = (kind,) if kind in _OF_BOTH else tuple(f"{kind}_{axis}" for axis in "xyz")
-        blocks[kind] = Block(names, np.full(len(names), sigma))
+        blocks[kind] = Unknowns(names, np.full(len(names), sigma))
     return blocks
 
 

@@ -44,11 +44,11 @@ from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.moving_base import MovingBase
 from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
-    Block,
     GeometryPrior,
     Own,
     UncertainLinks,
     UnknownLayout,
+    Unknowns,
     kept_of,
     named,
     together,
@@ -129,10 +129,10 @@ class ImuPredictor:
         halves, r = self._links.halves, len(self._links.basis)
         self._flexible = FlexibleJoints.of(vehicle, geometry, self._links.indices)
         blocks = {
-            "start": Block(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
-            "payload": Block(self._links.payload_names, np.full(10, np.nan)),
+            "start": Unknowns(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
+            "payload": Unknowns(self._links.payload_names, np.full(10, np.nan)),
             **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
-            "links": Block(self._links.inertial_names, np.ones(r)),
+            "links": Unknowns(self._links.inertial_names, np.ones(r)),
             **geometry.blocks(vehicle),
             **({} if self._flexible is None else self._flexible.blocks()),
             "thrusters": Thruster.block(thrusters),

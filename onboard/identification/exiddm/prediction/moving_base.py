@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from onboard.dynamics.compliance import Bend, Moved
+from onboard.dynamics.compliance import Bend, BentVehicle
 from onboard.dynamics.free_flight import BasePrediction, Push, bodies_from_rate, predict_base_from_rate
 from onboard.dynamics.joint_errors import PER_JOINT, EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion
@@ -74,9 +74,9 @@ class MovingBase:
         if flexible is not None:
             local = len(flexible.compliance.functions)
 
-            def bent(bend: Bend) -> Moved:
+            def bent(bend: Bend) -> BentVehicle:
                 chain = chain_motion(vehicle, *flexible.compliance.added(plain, bend), own[:, :3])
-                return Moved(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
+                return BentVehicle(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
 
             bend = flexible.follow(x, period_s, len(readings.q), bent)
             corrected = flexible.compliance.added(plain, bend)

@@ -21,7 +21,7 @@ from onboard.dynamics.spatial import Columns
 from onboard.estimation.arrays import FloatArray, IndexArray
 
 
-class Block(NamedTuple):
+class Unknowns(NamedTuple):
     """A block of unknowns."""
 
     names: tuple[str, ...]
@@ -54,7 +54,7 @@ class GeometryPrior(NamedTuple):
     imu_place_m: float = 0.0  # of each coordinate
     joints: Mapping[str, JointPrior] = MappingProxyType({})
 
-    def blocks(self, vehicle: VehicleModel) -> dict[str, Block]:
+    def blocks(self, vehicle: VehicleModel) -> dict[str, Unknowns]:
         """As blocks of unknowns: ``imu_place``, (3,), ``joints``, (6 x joints,), see :data:`JOINT_ERRORS`, ``cyclic``.
 
         Raises:
@@ -71,9 +71,9 @@ class GeometryPrior(NamedTuple):
             cyclic += [f"cyclic_{k}_{wave}_{joint.name}" for k in range(len(own.cyclic)) for wave in ("cos", "sin")]
             rms += [one for one in own.cyclic for _ in range(2)]
         return {
-            "imu_place": Block(tuple(f"place_{axis}_imu" for axis in "xyz"), np.full(3, self.imu_place_m)),
-            "joints": Block(tuple(names), np.array(sigma, np.float64)),
-            "cyclic": Block(tuple(cyclic), np.array(rms, np.float64)),
+            "imu_place": Unknowns(tuple(f"place_{axis}_imu" for axis in "xyz"), np.full(3, self.imu_place_m)),
+            "joints": Unknowns(tuple(names), np.array(sigma, np.float64)),
+            "cyclic": Unknowns(tuple(cyclic), np.array(rms, np.float64)),
         }
 
     def springs(self, vehicle: VehicleModel) -> dict[int, SpringPrior]:
@@ -103,7 +103,7 @@ class UnknownLayout:
         kept: (p,) places of what is estimated among all unknowns.
     """
 
-    def __init__(self, blocks: Mapping[str, Block]) -> None:
+    def __init__(self, blocks: Mapping[str, Unknowns]) -> None:
         ends = np.cumsum([0, *(len(block.names) for block in blocks.values())]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(blocks, ends[:-1], ends[1:], strict=True)}
         names = [name for block in blocks.values() for name in block.names]

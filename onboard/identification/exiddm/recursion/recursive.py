@@ -28,7 +28,7 @@ from onboard.identification.change import Change
 from onboard.identification.evidence.bank import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.innovation import Batch, Innovations
+from onboard.identification.exiddm.innovation import Innovations, TickBatch
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
@@ -37,7 +37,7 @@ from onboard.identification.exiddm.recursion.holding import Holding
 from onboard.identification.exiddm.recursion.linearised import Linearised
 from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, initially
-from onboard.identification.exiddm.recursion.stepped import Stepped
+from onboard.identification.exiddm.recursion.stepped import SteppedTicks
 from onboard.identification.exiddm.recursion.trials import CellTrials, Exclusion, WindowFits, WindowProblem, trials_of
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
 from onboard.identification.exiddm.suspects import Rivals
@@ -138,7 +138,7 @@ class RecursiveExiddm(Holding):
         self._start: FloatArray | None = None
         self._window, self._pending = self._none, self._none if begun is None else begun
         self._trials: WindowFits | CellTrials | None = None  # fits that tell which instrument is wrong
-        self._stepped: Stepped | None = None  # ticks of the window and of the steps since
+        self._stepped: SteppedTicks | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
         for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
@@ -281,7 +281,7 @@ class RecursiveExiddm(Holding):
             self.glitches += solved.glitches
             self._hypotheses, self._pending, self.covariance = (), ticks.part(slice(-2, None)), solved.kept
             self.unexplained.settle()
-            self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
+            self._stepped = SteppedTicks.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
             if self._stepped and self._earlier and self.rivals.weighed(*self._earlier.known).names:
                 self._asked, self._awaits = self._earlier.asked, True
 
@@ -301,7 +301,7 @@ class RecursiveExiddm(Holding):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise, of_samples = self.predictor.joint_noises(ticks.q, self.state, ticks.joint_sigma, ticks.sample_sigma)
         self.covariance = self._linearised.known(self.covariance)
-        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
+        batch = TickBatch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
         state, covariance, suspect, used = self.state, self.covariance, False, 0
         there = self.fusion.whole(batch.measured)
         try:

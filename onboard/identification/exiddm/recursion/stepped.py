@@ -32,7 +32,7 @@ _WELL_rad_s = 0.02  # and sigma of the base's rate, which the zeros of a gyro bo
 _AT_REST_s = 1.0  # time at rest that is kept
 
 
-class Stepped:
+class SteppedTicks:
     """Ticks of a window and of the steps since.
 
     Args:
@@ -50,7 +50,9 @@ class Stepped:
         self._rests = not held and ticks.rest  # the arm, in all of them
 
     @staticmethod
-    def since(ticks: Ticks, solved: Solved, predictor: ImuPredictor, known: Known, *, grown: bool) -> "Stepped | None":
+    def since(
+        ticks: Ticks, solved: Solved, predictor: ImuPredictor, known: Known, *, grown: bool
+    ) -> "SteppedTicks | None":
         """Of a window; None if steps are linearised well enough, or it would be too long.
 
         Args:
@@ -68,7 +70,7 @@ class Stepped:
         # noise drives the bends of flexible joints: steps count that, a window does not
         if well or length_s > 1.01 * _LONGEST_s or predictor.bends.size:
             return None
-        return Stepped(ticks, max(_FIRST_s if held else 0.0, length_s), held=held, first=held and not grown)
+        return SteppedTicks(ticks, max(_FIRST_s if held else 0.0, length_s), held=held, first=held and not grown)
 
     def add(self, ticks: Ticks, predictor: ImuPredictor, known: Known) -> tuple[Known, Ticks | None]:
         """Take in the ticks of a step, of which the first two are known.
@@ -116,7 +118,7 @@ class Stepped:
         """How they are to be solved again."""
         return self.ticks, WindowProblem((HeldPayload.NEW if self.held else HeldPayload.NOTHING,))
 
-    def after(self, solved: Solved) -> "Stepped | None":
+    def after(self, solved: Solved) -> "SteppedTicks | None":
         """What is to be solved after the window of all is; None if nothing is, or it was long."""
         rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
         well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
@@ -124,7 +126,7 @@ class Stepped:
         length_s = self._length_s if early else 2.0 * self._length_s
         if (well and not self.held) or length_s > 1.01 * _LONGEST_s:
             return None
-        return Stepped(self.ticks, length_s, held=self.held, first=self.first and early, well=well)
+        return SteppedTicks(self.ticks, length_s, held=self.held, first=self.first and early, well=well)
 
 
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:

@@ -11,7 +11,7 @@ import pytest
 
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.draws import as_built
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
@@ -206,7 +206,7 @@ def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_p
     identifier, model = build_identifier(config.load(tmp_path / "vehicle.toml"))
     scenario = scenario_of(str(tmp_path / "vehicle.toml"))
     bodies = {
-        link: Body(one.mass_kg, one.centre_of_mass_m, one.inertia_kg_m2)
+        link: Solid(one.mass_kg, one.centre_of_mass_m, one.inertia_kg_m2)
         for link, one in ((link, body_of(model.chi[10 * k : 10 * k + 10])) for k, link in enumerate(model.links[:3]))
     }
     found = []

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import urdf_drawing
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from hil_sim.plants.motions.spline import CubicSpline
 from hil_sim.plants.planned import default_plan
 from hil_sim.plants.urdf_model import Places, UrdfModel
@@ -86,7 +86,7 @@ class Planned(NamedTuple):
     """A vehicle with its URDF read by the simulator, what it holds, and segments planned for it."""
 
     vehicle: config.Vehicle
-    drawing: urdf_drawing.Drawing
+    drawing: urdf_drawing.PlantDrawing
     body: RigidBody
     library: Library
 
@@ -159,7 +159,7 @@ def test_no_segment_leaves_a_limit_with_a_payload_that_it_is_safe_with(
         for m, mass in enumerate(MASSES_kg):
             model = UrdfModel(drawing, "free", (0.0, 0.0, 0.0), Places((drawing.root,), ()))
             held = scaled(body, mass)
-            model.hold(vehicle.file.vehicle.payload_link, Body(mass, held.centre_of_mass_m, held.inertia_kg_m2))
+            model.hold(vehicle.file.vehicle.payload_link, Solid(mass, held.centre_of_mass_m, held.inertia_kg_m2))
             flight = VehicleFlight(
                 model, Told(library.time_s, q), Places((drawing.root,), ()), None, 1.0 / HZ, np.zeros(6)
             )

@@ -64,7 +64,7 @@ def test_names_of_columns(one, tmp_path, names, between):
 @pytest.mark.parametrize("first", [0, 1])
 def test_numbered_parts_of_a_pose_and_a_wrench(one, named, first):
     def understood(names, values):
-        read = table.Table(tuple(names), values, tuple(range(2, len(values) + 2)), "poses.csv")
+        read = table.WeighTable(tuple(names), values, tuple(range(2, len(values) + 2)), "poses.csv")
         return columns.understood(read, columns.Units())
 
     rows = np.hstack([np.full((len(one.rows), 3), 7.0), one.rows])
@@ -149,7 +149,7 @@ def test_counts_and_readings_that_the_controller_has_compensated(one, tmp_path, 
         ((f"actual_TCP_force_{k}" for k in range(6)), True),
         ((f"wrench_{k}" for k in range(6)), False),
     ):
-        read = table.Table((*HEADER[:4], *names), one.rows, tuple(range(len(one.rows))), "poses.csv")
+        read = table.WeighTable((*HEADER[:4], *names), one.rows, tuple(range(len(one.rows))), "poses.csv")
         told = " ".join(columns.understood(read, columns.Units()).said)
         assert ("without the payload set in the controller" in told) == said
 

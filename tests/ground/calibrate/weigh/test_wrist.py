@@ -13,7 +13,9 @@ PRIOR = wrist.Priors(np.array([0.0, 0.0, -GRAVITY]), 0.01, np.deg2rad(5.0), np.p
 
 def state(rng, tilt=(0.0, 0.0)):
     cross = 0.02 * rng.normal(size=30)
-    return wrist.State(1.3, 0.1 * rng.normal(size=3), anyhow(rng), np.array(tilt), 0.02 * rng.normal(size=6), cross)
+    return wrist.Linearisation(
+        1.3, 0.1 * rng.normal(size=3), anyhow(rng), np.array(tilt), 0.02 * rng.normal(size=6), cross
+    )
 
 
 def test_the_derivatives_are_those_of_the_prediction(rng):

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from bench.floating_bed import THRUSTERS, Wrong, fly, write
+from bench.floating_bed import THRUSTERS, UnstatedErrors, fly, write
 from onboard.cli import OK, main
 from onboard.identification.body.valves import Opening, valve_of_on_times
 
@@ -96,9 +96,9 @@ def exchanged(bed, first, second):
 
 SIGN = np.where(np.arange(8) == 2, -1.0, 1.0)
 WRONG = {
-    "sign": (lambda: fly(71, 20.0, wrong=Wrong(force=SIGN)), "if t3 pushes the other way:"),
-    "stuck": (lambda: fly(72, 30.0, wrong=Wrong(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
-    "place": (lambda: fly(73, 20.0, wrong=Wrong(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
+    "sign": (lambda: fly(71, 20.0, wrong=UnstatedErrors(force=SIGN)), "if t3 pushes the other way:"),
+    "stuck": (lambda: fly(72, 30.0, wrong=UnstatedErrors(stuck=(1, 12.0, 20.0))), r"besides the thrusters|leak_t2"),
+    "place": (lambda: fly(73, 20.0, wrong=UnstatedErrors(place=np.outer(np.arange(8) == 3, (0.1, 0.0)))), "lever_t4"),
     "turned": (lambda: turned(fly(74, 20.0), order=(1, 0, 2)), "if the tracker's x and y are exchanged:"),
     "mirrored": (lambda: turned(fly(77, 20.0), (1, -1, 1)), "if the tracker's y counts the other way:"),
     "below": (
@@ -127,7 +127,7 @@ def test_what_is_wrong_is_named(tmp_path, what):
 
 
 def test_late_poses_are_a_delay(tmp_path):
-    bed = fly(75, 40.0, delay_s=0.1, wrong=Wrong(late_s=0.25))
+    bed = fly(75, 40.0, delay_s=0.1, wrong=UnstatedErrors(late_s=0.25))
     found = {one["name"]: one for one in identified(tmp_path, bed)["quantities"]}
     assert found["delay"]["value"] == pytest.approx(0.35, abs=0.01)
     assert found["I_zz"]["value"] == pytest.approx(bed.inertia_kg_m2, rel=0.03)

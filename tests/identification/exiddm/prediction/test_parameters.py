@@ -5,15 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from onboard.identification.exiddm.prediction import imu_errors
-from onboard.identification.exiddm.prediction.parameters import Block, UnknownLayout
+from onboard.identification.exiddm.prediction.parameters import UnknownLayout, Unknowns
 
 
 def test_what_is_certain_is_left_out_and_stays_zero():
     layout = UnknownLayout(
         {
-            "start": Block(("a", "b"), np.array([np.nan, 0.0])),
+            "start": Unknowns(("a", "b"), np.array([np.nan, 0.0])),
             **imu_errors.imu_blocks(imu_errors.CERTAIN._replace(gyro_scale=0.1, delay_s=1e-3)),
-            "links": Block(("c",), np.ones(1)),
+            "links": Unknowns(("c",), np.ones(1)),
         }
     )
     assert layout.names == ("a", "gyro_scale_x", "gyro_scale_y", "gyro_scale_z", "delay_s", "c")

@@ -7,7 +7,7 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
-from onboard.flight.estimate.state import Places, from_bytes, to_bytes
+from onboard.flight.estimate.state import UnwrittenParts, from_bytes, to_bytes
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
@@ -44,7 +44,7 @@ def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_betw
         ticks = ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]])
     whole, pieces = online(held), online(held)
     whole.update(ticks)
-    places, most, solving = Places(pieces), 0, 0
+    places, most, solving = UnwrittenParts(pieces), 0, 0
     for first in range(0, 210, 10):
         predicted.clear()
         pieces.update(ticks.part(slice(first, first + 10)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.flight.estimate.state import Places, from_bytes, to_bytes
+from onboard.flight.estimate.state import UnwrittenParts, from_bytes, to_bytes
 from onboard.identification.exiddm.recursion.snapshots import TIERS, Snapshots
 from onboard.identification.exiddm.steps import Adds
 
@@ -16,7 +16,7 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
     for number, (state, covariance) in enumerate(zip(states, covariances, strict=True)):
         snapshots.append(state, covariance, step if number == 3 else None)
     assert len(snapshots) == 3
-    again = from_bytes(to_bytes(snapshots, Places(None)), Places(None))
+    again = from_bytes(to_bytes(snapshots, UnwrittenParts(None)), UnwrittenParts(None))
     for one in (snapshots, again):
         for back, number in ((0, 4), (1, 3), (2, 2), (9, 2)):
             (state, covariance), believed = one.back(back)

@@ -4,7 +4,7 @@ import pytest
 
 from onboard.identification.exiddm.recursion import stepped as module
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
-from onboard.identification.exiddm.recursion.stepped import Stepped
+from onboard.identification.exiddm.recursion.stepped import SteppedTicks
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
 BATCH, LENGTH_s = 10, 4.0
@@ -18,7 +18,7 @@ def exiddm(held) -> RecursiveExiddm:
 def ticks_until_due(held, exiddm, *, apart: bool) -> int:
     """Ticks of all steps that follow a window of 200."""
     every, at = ticks_of(held), 200
-    stepped = Stepped(every.part(slice(0, at)), LENGTH_s, held=True, first=True)
+    stepped = SteppedTicks(every.part(slice(0, at)), LENGTH_s, held=True, first=True)
     known = exiddm._initial
     while not stepped.due(apart=apart):
         stepped.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, known)
@@ -37,7 +37,7 @@ def test_steps_linearised_about_different_states_are_solved_again_a_quarter_late
 
 def test_what_is_linearised_well_enough_is_kept_as_long_but_not_solved_again_by_itself(held, exiddm) -> None:
     every = ticks_of(held)
-    kept = Stepped(every.part(slice(0, 200)), LENGTH_s, held=True, first=True, well=True)
+    kept = SteppedTicks(every.part(slice(0, 200)), LENGTH_s, held=True, first=True, well=True)
     assert not kept.first
     for at in range(200, 390, BATCH):
         assert not kept.over

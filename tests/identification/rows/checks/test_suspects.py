@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from hil_sim.plants.body import Body
+from hil_sim.plants.body import Solid
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
@@ -25,8 +25,8 @@ from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import BaseMotion, RowModel, load_cell_row
 from tests.identification.rows import test_grasped as bench
 
-TOOL = Body.box(1.4, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
-HEAVY = Body.box(5.0, (0.22, 0.08, 0.05), (0.02, 0.06, 0.01))
+TOOL = Solid.box(1.4, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
+HEAVY = Solid.box(5.0, (0.22, 0.08, 0.05), (0.02, 0.06, 0.01))
 AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
 ZEROS = tuple(Considered(f"zero of joint_{k}", f"joint_{k}", "joint_zero", 1e-4) for k in range(1, 6))
 

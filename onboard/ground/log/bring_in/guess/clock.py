@@ -21,7 +21,7 @@ _MOST_LEFT_OUT = 0.1  # of the rows, so that times rise
 _MOST_REPEATED = 0.5  # of the rows: written twice, or by a clock of the logger that is slower than the samples
 
 
-class Clock(NamedTuple):
+class TimeColumn(NamedTuple):
     """A column of times.
 
     Attributes:
@@ -48,7 +48,7 @@ class Clock(NamedTuple):
     wraps: int = 0
     offset: float = 0.0
 
-    def in_unit(self, unit: str, why: str) -> "Clock":
+    def in_unit(self, unit: str, why: str) -> "TimeColumn":
         """The same in another unit, which is known."""
         factor = NS_PER[unit] / NS_PER[self.unit]
         count, longest_s = self.gaps
@@ -62,7 +62,7 @@ class Clock(NamedTuple):
         )
 
 
-def clock(column: str, values: Values, named: str) -> Clock | None:
+def clock(column: str, values: Values, named: str) -> TimeColumn | None:
     """What a column says of time; None if it does not rise.
 
     Args:
@@ -94,7 +94,7 @@ def clock(column: str, values: Values, named: str) -> Clock | None:
     seconds[kept] = (number[kept] - number[kept[0]]) * scale
     wide = steps > 1.5 * step
     gaps = int(wide.sum()), float(steps.max() * scale) if wide.any() else 0.0
-    return Clock(column, found, why, doubt, seconds, 1.0 / (step * scale), gaps, left_out, wraps, offset)
+    return TimeColumn(column, found, why, doubt, seconds, 1.0 / (step * scale), gaps, left_out, wraps, offset)
 
 
 def refused(column: str, values: Values) -> str:
@@ -158,7 +158,7 @@ def _unit(step: float, middle: float, named: str, *, whole: bool) -> tuple[str, 
     return order[0], f"by its steps of {step:g}", doubt
 
 
-def said(one: Clock) -> str:
+def said(one: TimeColumn) -> str:
     """Rate and gaps in words."""
     count, longest_s = one.gaps
     gaps = f"{count} intervals longer than 1.5 of that, up to {longest_s:.3g} s" if count else "no gaps"

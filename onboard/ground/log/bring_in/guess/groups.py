@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.ground.log.bring_in.guess import joint_names, names
-from onboard.ground.log.bring_in.guess.clock import Clock, clock, refused
+from onboard.ground.log.bring_in.guess.clock import TimeColumn, clock, refused
 from onboard.ground.log.bring_in.guess.names import Name
 from onboard.ground.log.bring_in.mapping import NS_PER
 from onboard.ground.log.bring_in.messages import TIMES
@@ -59,7 +59,7 @@ class ColumnGroup(NamedTuple):
 
     name: str
     groups: tuple[Group, ...]
-    clock: Clock | None
+    clock: TimeColumn | None
     rest: tuple[NumberColumn, ...]  # of no kind that is known
     taken_for_time: str = ""  # why, where no name says it
     no_clock: str = ""  # why a column that is a time by its name is none, where there is no other

@@ -11,7 +11,7 @@ from onboard.ground.log.bring_in import foreign, text_rows
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
-from onboard.ground.log.bring_in.guess.clock import Clock, said
+from onboard.ground.log.bring_in.guess.clock import TimeColumn, said
 from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, best, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 from onboard.ground.log.bring_in.guess.wheels import WheelChannels, of_wheels
@@ -154,7 +154,7 @@ def _time(main: ColumnGroup, made: "_Maker") -> str:
     )
 
 
-def _of_count(own: Clock) -> list[tuple[str, str]]:
+def _of_count(own: TimeColumn) -> list[tuple[str, str]]:
     """Keys of a column that is no rising count from 0 on, and why."""
     wraps = [(f"wraps = {own.wraps}", "it starts at 0 again")] if own.wraps else []
     return wraps + ([(f"offset = {own.offset:g}", "it begins before 0")] if own.offset else [])
@@ -168,7 +168,7 @@ class _Maker:
         self.names: list[str] = []
         self.of_vehicle: list[tuple[str, Values]] = []  # table and numbers of columns that go to its channels
         self.others: list[tuple[str, str]] = []  # columns that are not taken, and why
-        self.clocks: dict[str, Clock] = {}  # by table, with the unit that rates and angles agree on
+        self.clocks: dict[str, TimeColumn] = {}  # by table, with the unit that rates and angles agree on
         self._vehicle = vehicle
         self._taken: set[str] = set()  # kinds of which there is one
         self._imus = 0
