@@ -101,7 +101,7 @@ class PairPort(_WiresPort):
         return {"pulses": self._pair.pulses}
 
 
-class SpiPort(_WiresPort):
+class SpiSocketPort(_WiresPort):
     """SPI on a Unix socket; kernel tier and this one share it."""
 
     def __init__(self, path: Path) -> None:
@@ -113,7 +113,7 @@ class SpiPort(_WiresPort):
         return {"frames": self._spi.frames}
 
 
-WIRES: Final = {"pair": PairPort, "spi": SpiPort}
+WIRES: Final = {"pair": PairPort, "spi": SpiSocketPort}
 
 
 class _CanPort(Port):
