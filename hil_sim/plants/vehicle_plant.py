@@ -38,7 +38,7 @@ from hil_sim.scenario.vehicle_tables import Scenario
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _APPROACH = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
-_WHOLE_S, _PART = 240.0, 10  # missions computed when the plant is created; chunks at a time of longer ones
+_WHOLE_S, PART = 240.0, 10  # missions computed when the plant is created; chunks at a time of longer ones
 _AT_ONCE_S, _BLOCK = 120.0, 100  # interpolated when the plant is created; chunks at a time afterwards
 _FAR = 50  # chunks beyond the next for which a servo's commanded motion is made at once
 _AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
@@ -114,7 +114,7 @@ class VehiclePlant(world.Plant):
         self._filled = 0  # rows interpolated
         self._start(rng)
         waits = self.program.waits or isinstance(self.flight, ServoFlight)
-        self._part = _PART * self.chunk if not waits and self.program.duration_s > _WHOLE_S else 0
+        self._part = PART * self.chunk if not waits and self.program.duration_s > _WHOLE_S else 0
         if not (waits or self._part):
             self._compute(self.rows)
             self._make(round(_AT_ONCE_S / self.step_s))

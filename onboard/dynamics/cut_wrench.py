@@ -63,9 +63,9 @@ class CutWrench:
         cut, carrier = (vehicle.model.frames[vehicle.frame_id(name)] for name in (frame, self._carrier(vehicle, frame)))
         place = carrier.placement.actInv(cut.placement)
         self._R, self._p = (np.array(part, np.float64, order="C") for part in (place.rotation, place.translation))
-        self._errors = JointErrors(vehicle, cyclic, frame)
+        self.errors = JointErrors(vehicle, cyclic, frame)
         weights = self._group, self._is_beyond, self._R, self._p, library.given(projection, 6)
-        self._compiled = structures.Cut(self._carried_by, self._is_beyond.size, *weights)
+        self.compiled = structures.Cut(self._carried_by, self._is_beyond.size, *weights)
 
     def _carrier(self, vehicle: VehicleModel, frame: str) -> str:
         """A link that moves with the frame."""
@@ -82,13 +82,13 @@ class CutWrench:
         n, total, errors = len(base.rate), base.along.shape[2], None
         screws = functions = None
         if base.displaced is not None:
-            errors, (screws, functions) = self._errors.compiled, base.displaced
+            errors, (screws, functions) = self.errors.compiled, base.displaced
         self._require(base)
         frames, own = bodies.frames, (bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench)
         R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
         moving = structures.MovingStruct(n, frames.p.shape[1], total, R, p, *own, screws, functions)
-        work, out = np.empty(6 * self._errors.columns), np.empty(n * (1 + total))
-        given = ctypes.byref(moving), ctypes.byref(self._compiled), None if errors is None else ctypes.byref(errors)
+        work, out = np.empty(6 * self.errors.columns), np.empty(n * (1 + total))
+        given = ctypes.byref(moving), ctypes.byref(self.compiled), None if errors is None else ctypes.byref(errors)
         library.call("heft_cut_wrench", *given, library.address(work), out=out)
         return CutReading(out[:n], out[n:].reshape(n, total))
 
@@ -96,8 +96,8 @@ class CutWrench:
         """Refuse the motion of another vehicle, or columns that are not those of these errors."""
         n, links, columns = len(base.rate), self._group.shape[1], 3 + self._is_beyond.size
         if base.displaced is not None:
-            columns += self._errors.columns
-            joints, functions = self._errors.compiled.joints, self._errors.compiled.functions
+            columns += self.errors.columns
+            joints, functions = self.errors.compiled.joints, self.errors.compiled.functions
             library.given(base.displaced.screws, n, joints, 6, 12)
             library.given(base.displaced.functions, n, 3, functions)
         shapes = (n, links, 3), (n, 9, max(columns, base.along.shape[2])), (n, 6, 3), (n, 6, 6)
@@ -113,7 +113,7 @@ class CutWrench:
             twist: acceleration of the base (linear, angular) that it makes, (n, joints, 6).
         """
         u = self._weights(bodies.frames)[:, None]  # (n, 1, 6)
-        own = times(self._errors.beyond(bodies).inertia, screws)
+        own = times(self.errors.beyond(bodies).inertia, screws)
         own += twist @ bodies.sums(self._group).inertia[:, 0].swapaxes(1, 2)
         return np.asarray((own * u).sum(axis=2), np.float64)
 

@@ -118,5 +118,5 @@ class ServoBench(Bench):
         return max(abs(a - b) for a, b in zip(angles, later, strict=True)) < within
 
     def register(self, name, address, size=4):
-        data = self.rig.drives[name]._memory[address : address + size]
+        data = self.rig.drives[name].memory[address : address + size]
         return int.from_bytes(data, "little", signed=size > 1)

@@ -36,7 +36,7 @@ def sent(flown, name, address):
 
 def poked(address, form, *values):
     """Sets registers of a servo before the flight."""
-    return lambda servo: struct.pack_into(form, servo._memory, address, *values)
+    return lambda servo: struct.pack_into(form, servo.memory, address, *values)
 
 
 def test_the_arm_follows_the_motion_and_is_let_go_at_the_end(bench):
@@ -247,14 +247,14 @@ def test_a_torque_that_is_on_is_not_switched_off_for_the_set_up(bench):
 @pytest.mark.parametrize("register", [48, 52, 64, 98, 112, 116])
 def test_a_servo_that_keeps_another_value_than_written_is_not_driven(bench, register):
     def forgets(servo):
-        changed, before = servo._changed, bytes(servo._memory[register : register + 4])
+        changed, before = servo.changed, bytes(servo.memory[register : register + 4])
 
         def back(address, now_ns):
             changed(address, now_ns)
             if address == register:
-                servo._memory[register : register + 4] = before
+                servo.memory[register : register + 4] = before
 
-        servo._changed = back
+        servo.changed = back
 
     flown = bench(change={"elbow": forgets}).run(0.4)
     assert f"elbow: address {register} keeps" in flown.text("configuration")
@@ -292,7 +292,7 @@ def test_an_error_at_each_transaction_ends_in_no_motion_or_in_none_missing(tmp_p
 
 def test_a_goal_that_is_not_taken_stops_the_arm(bench):
     flown = bench().run(MIDWAY_S)
-    flown.rig.drives["elbow"]._refuses = lambda address, value: 4 if address == 116 else 0
+    flown.rig.drives["elbow"].refuses = lambda address, value: 4 if address == 116 else 0
     flown.run(0.5)
     assert "elbow takes no goals" in flown.text("drive_stopped")
 
@@ -302,7 +302,7 @@ def test_goals_that_are_lost_in_a_row_stop_the_arm(bench, lost, stopped):
     """As many as a joint may be behind its targets may be lost: nobody acknowledges them."""
     flown = bench().run(MIDWAY_S)
     left = iter([4] * lost)
-    flown.rig.drives["elbow"]._refuses = lambda address, value: next(left, 0) if address == 116 else 0
+    flown.rig.drives["elbow"].refuses = lambda address, value: next(left, 0) if address == 116 else 0
     flown.run(0.1)
     assert next(left, None) is None
     assert ("drive_stopped" in flown.codes) == stopped
@@ -318,8 +318,8 @@ def test_a_servo_that_falls_silent_in_its_set_up_is_set_up_when_it_is_back(bench
 def test_a_servo_is_let_go_when_it_stands(bench):
     flown = bench(drive="quick_stop_rad_s2 = 3.0").run(MIDWAY_S)
     servo, rates = flown.rig.drives["shoulder"], []
-    changed = servo._changed
-    servo._changed = lambda at, now: (rates.append(servo.axis.rate_rad_s) if at == 64 else None, changed(at, now))
+    changed = servo.changed
+    servo.changed = lambda at, now: (rates.append(servo.axis.rate_rad_s) if at == 64 else None, changed(at, now))
     assert abs(servo.axis.rate_rad_s) > 0.2
     flown.stop()
     (rate,) = rates
@@ -328,7 +328,7 @@ def test_a_servo_is_let_go_when_it_stands(bench):
 
 def test_a_torque_that_another_master_takes_away_stops_the_arm(bench):
     flown = bench().run(3.5)
-    flown.rig.drives["elbow"]._memory[64] = 0
+    flown.rig.drives["elbow"].memory[64] = 0
     flown.run(2.5)
     assert "elbow has lost its torque" in flown.text("drive_stopped")
 

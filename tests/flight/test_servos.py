@@ -71,7 +71,7 @@ def test_samples_are_put_on_the_time_when_they_were_taken(tmp_path, monkeypatch)
     measure = DynamixelTwin._measure
 
     def watched(self, now_ns):
-        taken.setdefault(self._memory[7], []).append(now_ns)
+        taken.setdefault(self.memory[7], []).append(now_ns)
         measure(self, now_ns)
 
     monkeypatch.setattr(DynamixelTwin, "_measure", watched)

@@ -79,9 +79,9 @@ def test_a_long_mission_is_computed_as_time_advances(monkeypatch) -> None:
         plant._run_chunk()
         ahead.append(plant._done * plant._every - plant.count)
         parts.append(sum(part.rows for part in plant._parts))
-    assert len(ahead) == plant.rows // plant.chunk > 4 * vehicle_plant._PART
-    assert max(ahead) <= (vehicle_plant._PART + 1) * plant.chunk
-    assert max(parts) <= (vehicle_plant._PART + 1) * plant.chunk
+    assert len(ahead) == plant.rows // plant.chunk > 4 * vehicle_plant.PART
+    assert max(ahead) <= (vehicle_plant.PART + 1) * plant.chunk
+    assert max(parts) <= (vehicle_plant.PART + 1) * plant.chunk
     assert plant.truth()["capture_s"] == whole.truth()["capture_s"] > 0.0
     for own, other in zip(plant.rows_true, whole.rows_true, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-5, atol=1e-5 * np.abs(other).max())

@@ -89,7 +89,7 @@ class CanWire:
         self._idle_ns = 0
         self._order = 0
         self._received: list[WireFrame] = []
-        self._trains = SyncTrains(self._bit_ns)
+        self.trains = SyncTrains(self._bit_ns)
         self._known_ns: Callable[[], int] | None = None
         self._train: Train | None = None  # the answers to the last SYNC, if nothing else is on the wire
         self._train_at = 0  # the first of its frames that has not ended
@@ -138,7 +138,7 @@ class CanWire:
                     continue
                 if node_ns > now_ns:
                     break
-                self._dissolve(node_ns - 1)
+                self.dissolve(node_ns - 1)
             if self._run(node_ns, now_ns):
                 node_ns = self._nodes_due_ns()
             wire_ns = self._wire_due_ns() if self._on_wire is None else self._on_wire[0]
@@ -166,11 +166,11 @@ class CanWire:
             node_ns: When the first node acts.
             now_ns: Up to when the wire goes on.
         """
-        box: object = self._trains.box
+        box: object = self.trains.box
         if box is None or self._on_wire is not None or self._later or self._ready or node_ns < self._idle_ns:
             return False
         others_ns = min([node.due_ns for node in self._nodes if node is not box], default=NEVER)
-        frames = self._trains.run(node_ns, min(now_ns, others_ns - 1)) if others_ns > node_ns else []
+        frames = self.trains.run(node_ns, min(now_ns, others_ns - 1)) if others_ns > node_ns else []
         if frames:
             self._received += frames
             self._idle_ns = frames[-1].end_ns + self._gap_ns
@@ -178,7 +178,7 @@ class CanWire:
 
     def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int, asked: int | None = None) -> None:
         if self._train is not None:
-            self._dissolve(self._reached_ns)
+            self.dissolve(self._reached_ns)
         self._order += 1
         heapq.heappush(self._later, (ready_ns, (identifier, self._order, data, sender, asked)))
 
@@ -245,7 +245,7 @@ class CanWire:
         """After a SYNC: whether its answers are known, and nothing else waits."""
         if self._known_ns is None or self._later or self._ready or sender == _HOST:
             return False
-        train = self._trains.take(end_ns, self._nodes, self._nodes[sender], self._known_ns())
+        train = self.trains.take(end_ns, self._nodes, self._nodes[sender], self._known_ns())
         if train is not None and train.frames:
             self._train, self._train_at = train, 0
         return train is not None
@@ -261,7 +261,7 @@ class CanWire:
             self._train = None
             self._idle_ns = frames[-1].end_ns + self._gap_ns
 
-    def _dissolve(self, until_ns: int) -> None:
+    def dissolve(self, until_ns: int) -> None:
         """What is left of the train goes on frame by frame; ``until_ns``: up to when the wire has gone on."""
         train, self._train = self._train, None
         if train is None:

@@ -131,11 +131,11 @@ class DynamixelTwin(SerialTwin):
             raise ValueError(f"ID {identifier} at {line.baud_rate} bit/s: it has 0 to 252, at {BAUD_RATES}.")
         self._angle, self._torque = FaultyScalar(angle, faults, start_ns), FaultyScalar(torque, faults, start_ns)
         self._turns, self._zero, self._torque_n_m_a, self._seed = turns, zero_count, torque_n_m_a, seed
-        self._memory = bytearray(_TABLE_BYTES)
-        self._memory[:14] = struct.pack("<HIBBBBBBBB", 1020, 0, firmware, identifier, 0, return_delay, 0, 3, 255, 2)
-        self._memory[8] = BAUD_RATES.index(line.baud_rate)
-        self._memory[31], self._memory[63] = 80, 0x34
-        struct.pack_into("<III", self._memory, 44, 200, COUNTS - 1, 0)
+        self.memory = bytearray(_TABLE_BYTES)
+        self.memory[:14] = struct.pack("<HIBBBBBBBB", 1020, 0, firmware, identifier, 0, return_delay, 0, 3, 255, 2)
+        self.memory[8] = BAUD_RATES.index(line.baud_rate)
+        self.memory[31], self.memory[63] = 80, 0x34
+        struct.pack_into("<III", self.memory, 44, 200, COUNTS - 1, 0)
         self._frame = bytearray()
         self._turn: int | None = None  # counts taken off, so that it began in the first revolution
         self._before: tuple[int, int, int, int] = 0, 0, 0, 0  # instruction, ID before it in a Sync Read; address, count
@@ -147,8 +147,8 @@ class DynamixelTwin(SerialTwin):
         self._next_trip()
 
     def _power_up(self, now_ns: int) -> None:
-        self._memory[_EEPROM_BYTES:] = bytes(_TABLE_BYTES - _EEPROM_BYTES)
-        self._memory[64], self._memory[68] = 1, 2
+        self.memory[_EEPROM_BYTES:] = bytes(_TABLE_BYTES - _EEPROM_BYTES)
+        self.memory[64], self.memory[68] = 1, 2
         self._frame.clear()
         self._before = 0, 0, 0, 0
         self._turn = None
@@ -162,9 +162,9 @@ class DynamixelTwin(SerialTwin):
     def _trip(self, now_ns: int) -> None:
         bits = int(self._trips.pop().value) & 0xFF or _OVERLOAD
         if self.powered:
-            self._memory[70] |= bits
-            if bits & self._memory[63]:
-                self._memory[64] = 0
+            self.memory[70] |= bits
+            if bits & self.memory[63]:
+                self.memory[64] = 0
         self._next_trip()
 
     # Packets
@@ -186,21 +186,21 @@ class DynamixelTwin(SerialTwin):
         self._stop("answer")
         self._before = 0, 0, 0, 0
         if len(packet) < 10 or crc(packet[:-2]) != packet[-2:]:
-            if packet[4] == self._memory[7]:
+            if packet[4] == self.memory[7]:
                 self._answer_later(_BAD_CRC, b"", now_ns)
             return
         body = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         self._heard_instruction(now_ns)
-        if packet[4] in (self._memory[7], _EVERYBODY):
+        if packet[4] in (self.memory[7], _EVERYBODY):
             self._obey(body[0], body[1:], packet[4] == _EVERYBODY, now_ns)
 
     def _obey(self, instruction: int, content: bytes, everybody: bool, now_ns: int) -> None:
-        level = self._memory[68]
+        level = self.memory[68]
         if instruction == _PING:
-            wait_ns = 3_000_000 * self._memory[7] if everybody else 0
-            self._answer_later(0, bytes(self._memory[0:2] + self._memory[6:7]), now_ns + wait_ns)
+            wait_ns = 3_000_000 * self.memory[7] if everybody else 0
+            self._answer_later(0, bytes(self.memory[0:2] + self.memory[6:7]), now_ns + wait_ns)
         elif instruction in (_SYNC_READ, _FAST_SYNC_READ):
-            if everybody and level and (instruction == _SYNC_READ or self._memory[6] >= _FAST_FROM):
+            if everybody and level and (instruction == _SYNC_READ or self.memory[6] >= _FAST_FROM):
                 self._take_turn(instruction, content, now_ns)
         elif instruction == _SYNC_WRITE:
             if everybody and len(content) > 4:
@@ -224,7 +224,7 @@ class DynamixelTwin(SerialTwin):
         """Its part of a Sync Write."""
         address, count = struct.unpack("<HH", content[:4])
         for at in range(4, len(content), 1 + count):
-            if content[at] == self._memory[7]:
+            if content[at] == self.memory[7]:
                 self._write(address, content[at + 1 : at + 1 + count], now_ns)
 
     def _write(self, address: int, data: bytes, now_ns: int) -> int:
@@ -232,45 +232,45 @@ class DynamixelTwin(SerialTwin):
         values = {}
         while data:
             size, lowest, highest = _WRITABLE.get(address, (0, 0, 0))
-            if not size or (address < _EEPROM_BYTES and self._memory[64]):
+            if not size or (address < _EEPROM_BYTES and self.memory[64]):
                 return _NO_ACCESS
             if len(data) < size:
                 return _BAD_LENGTH
             value = int.from_bytes(data[:size], "little", signed=lowest < 0)
             if not lowest <= value <= highest:
                 return _OUT_OF_RANGE
-            if error := self._refuses(address, value):
+            if error := self.refuses(address, value):
                 return error
             values[address] = data[:size]
             address, data = address + size, data[size:]
         for at, one in values.items():
-            self._memory[at : at + len(one)] = one
-            self._changed(at, now_ns)
-        self.line = LineFormat(BAUD_RATES[self._memory[8]])
+            self.memory[at : at + len(one)] = one
+            self.changed(at, now_ns)
+        self.line = LineFormat(BAUD_RATES[self.memory[8]])
         return 0
 
     def _heard_instruction(self, now_ns: int) -> None:
         """An instruction packet, to whomever. Subclasses with a watchdog override."""
 
-    def _refuses(self, address: int, value: int) -> int:
+    def refuses(self, address: int, value: int) -> int:
         """Error number of a value that is in its range, and not taken now."""
         del address, value
         return 0
 
-    def _changed(self, address: int, now_ns: int) -> None:
+    def changed(self, address: int, now_ns: int) -> None:
         """A register was written. Subclasses that move override."""
 
     # Answers
 
     def _due(self, now_ns: int) -> int:
-        return self._late(now_ns + 2_000 * self._memory[9])
+        return self._late(now_ns + 2_000 * self.memory[9])
 
     def _answer_later(self, error: int, data: bytes, now_ns: int) -> None:
         self._at("answer", self._due(now_ns), lambda t: self._answer(error, data, t))
 
     def _answer(self, error: int, data: bytes, now_ns: int) -> None:
         body = (bytes([_STATUS, error | self._alert]) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-        packet = _HEADER + bytes([self._memory[7]]) + struct.pack("<H", len(body) + 2) + body
+        packet = _HEADER + bytes([self.memory[7]]) + struct.pack("<H", len(body) + 2) + body
         self.answered += 1
         self._send(packet + crc(packet), now_ns)
 
@@ -280,14 +280,14 @@ class DynamixelTwin(SerialTwin):
 
     def _answer_fast(self, address: int, count: int, now_ns: int) -> None:
         """Its part of the packet that servos make together; without stuffing."""
-        block = bytes([self._alert, self._memory[7]]) + self._read(address, count, now_ns).ljust(count, b"\0")
+        block = bytes([self._alert, self.memory[7]]) + self._read(address, count, now_ns).ljust(count, b"\0")
         self.answered += 1
         self._send((self._heard + block + crc(self._heard + block))[self._said :], now_ns)
 
     def _take_turn(self, instruction: int, content: bytes, now_ns: int) -> None:
         """In Sync Reads each answers after the one before it in the list."""
         address, count = struct.unpack("<HH", content[:4])
-        place = content.find(self._memory[7], 4)
+        place = content.find(self.memory[7], 4)
         if place < 0 or len(content) < 5:
             return
         fast, servos = instruction == _FAST_SYNC_READ, len(content) - 4
@@ -319,7 +319,7 @@ class DynamixelTwin(SerialTwin):
 
     @property
     def _alert(self) -> int:
-        return _ALERT if self._memory[70] else 0
+        return _ALERT if self.memory[70] else 0
 
     def _read(self, address: int, count: int, now_ns: int) -> bytes:
         """From the control table; nothing beyond it."""
@@ -327,7 +327,7 @@ class DynamixelTwin(SerialTwin):
             return b""
         if address <= 146 and address + count > 120:
             self._measure(now_ns)
-        return bytes(self._memory[address : address + count])
+        return bytes(self.memory[address : address + count])
 
     def _measure(self, now_ns: int) -> None:
         time_s = self._seconds(now_ns)
@@ -340,8 +340,8 @@ class DynamixelTwin(SerialTwin):
         counts = round(COUNTS * self._turns * angle / math.tau + _NOISE_COUNTS * rng.standard_normal()) + self._zero
         if self._turn is None:
             self._turn = counts // COUNTS * COUNTS
-        amperes = self._torque.value(time_s) / self._turns / self._torque_n_m_a if self._memory[64] else 0.0
+        amperes = self._torque.value(time_s) / self._turns / self._torque_n_m_a if self.memory[64] else 0.0
         current = min(max(round(amperes / 2.69e-3), -32768), 32767)
-        struct.pack_into("<H", self._memory, 120, int((now_ns - self._up_ns) // 1_000_000) % 32768)
-        struct.pack_into("<hii", self._memory, 126, current, round(rate / _VELOCITY_RAD_S), counts - self._turn)
-        struct.pack_into("<HB", self._memory, 144, 120, 81 if self._memory[70] & _HEAT else 38)
+        struct.pack_into("<H", self.memory, 120, int((now_ns - self._up_ns) // 1_000_000) % 32768)
+        struct.pack_into("<hii", self.memory, 126, current, round(rate / _VELOCITY_RAD_S), counts - self._turn)
+        struct.pack_into("<HB", self.memory, 144, 120, 81 if self.memory[70] & _HEAT else 38)

@@ -71,12 +71,12 @@ class DynamixelServo(DynamixelTwin):
     @property
     def drive_state(self) -> int:
         """Torque Enable."""
-        return self._memory[64]
+        return self.memory[64]
 
     def _power_up(self, now_ns: int) -> None:
         super()._power_up(now_ns)
-        self._memory[64] = 0
-        struct.pack_into("<H", self._memory, 84, 800)
+        self.memory[64] = 0
+        struct.pack_into("<H", self.memory, 84, 800)
 
     def _lose_power(self, now_ns: int) -> None:
         self.axis.advance(self._seconds(now_ns))
@@ -87,56 +87,58 @@ class DynamixelServo(DynamixelTwin):
         self._watch(now_ns)
 
     def _watch(self, now_ns: int) -> None:
-        limit = self._memory[98]
-        if self._memory[64] and 0 < limit < 128:
+        limit = self.memory[98]
+        if self.memory[64] and 0 < limit < 128:
             self._at("watchdog", now_ns + limit * _WATCHDOG_NS, self._trip_watchdog)
         else:
             self._stop("watchdog")
 
     def _trip_watchdog(self, now_ns: int) -> None:
         self.axis.advance(self._seconds(now_ns))
-        self._memory[98] = _TRIPPED
+        self.memory[98] = _TRIPPED
         self._stand(now_ns)
 
     def _stand(self, now_ns: int) -> None:
         """The goal is where it is."""
         self._measure(now_ns)
-        self._memory[116:120] = self._memory[132:136]
+        self.memory[116:120] = self.memory[132:136]
         self._loop.stand()
 
     def _measure(self, now_ns: int) -> None:
         super()._measure(now_ns)
-        goal, position = (struct.unpack_from("<i", self._memory, at)[0] for at in (116, 132))
-        self._memory[123] = (abs(goal - position) <= _IN_POSITION) | 2 * (self._loop.target is not None)
+        goal, position = (struct.unpack_from("<i", self.memory, at)[0] for at in (116, 132))
+        self.memory[123] = (abs(goal - position) <= _IN_POSITION) | 2 * (self._loop.target is not None)
 
-    def _refuses(self, address: int, value: int) -> int:
-        if 100 <= address < 120 and address not in (108, 112) and self._memory[98] == _TRIPPED:
+    def refuses(self, address: int, value: int) -> int:
+        """A tripped servo takes no goals, one in position mode none beyond its limits."""
+        if 100 <= address < 120 and address not in (108, 112) and self.memory[98] == _TRIPPED:
             return _OUT_OF_RANGE
-        if address == 116 and self._memory[11] == _POSITION:
-            most, least = struct.unpack_from("<ii", self._memory, 48)
+        if address == 116 and self.memory[11] == _POSITION:
+            most, least = struct.unpack_from("<ii", self.memory, 48)
             return 0 if least <= value <= most else _LIMIT
         return 0
 
-    def _changed(self, address: int, now_ns: int) -> None:
+    def changed(self, address: int, now_ns: int) -> None:
+        """The servo goes on as its registers are now."""
         self.axis.advance(self._seconds(now_ns))
         if address == 11:
             self._turn = None  # within one turn again
-        elif address == 64 and self._memory[64]:
-            if self._memory[70] & self._memory[63]:
-                self._memory[64] = 0  # until a reboot
+        elif address == 64 and self.memory[64]:
+            if self.memory[70] & self.memory[63]:
+                self.memory[64] = 0  # until a reboot
                 return
-            if self._memory[11] == _POSITION:
+            if self.memory[11] == _POSITION:
                 self._turn = 0 if self._turn is None else self._turn_of(now_ns)
             self._stand(now_ns)
         elif address == 116:
-            self._loop.target = self._angle_of(struct.unpack_from("<i", self._memory, 116)[0])
+            self._loop.target = self._angle_of(struct.unpack_from("<i", self.memory, 116)[0])
         if address in (64, 98):
             self._watch(now_ns)
 
     def _turn_of(self, now_ns: int) -> int:
         """Counts that bring it into the first revolution now."""
         self._measure(now_ns)
-        position: int = struct.unpack_from("<i", self._memory, 132)[0]
+        position: int = struct.unpack_from("<i", self.memory, 132)[0]
         return (self._turn or 0) + position // COUNTS * COUNTS
 
     def _angle_of(self, position: int) -> float:
@@ -145,13 +147,13 @@ class DynamixelServo(DynamixelTwin):
 
     def _control(self, time_s: float, rate_rad_s: float) -> float | None:
         """Torque on the axis; see ``Controller``."""
-        if not self.powered or not self._memory[64]:
+        if not self.powered or not self.memory[64]:
             return 0.0
-        velocity = struct.unpack_from("<I", self._memory, 112)[0] * _VELOCITY_RAD_S / abs(self._turns)
-        acceleration = struct.unpack_from("<I", self._memory, 108)[0] * _ACCELERATION_RAD_S2 / abs(self._turns)
+        velocity = struct.unpack_from("<I", self.memory, 112)[0] * _VELOCITY_RAD_S / abs(self._turns)
+        acceleration = struct.unpack_from("<I", self.memory, 108)[0] * _ACCELERATION_RAD_S2 / abs(self._turns)
         self._loop.follow_profile(velocity or _NO_LIMIT, *(acceleration or _NO_LIMIT,) * 2)
         error = (self._loop.demand - self.axis.angle_rad(time_s)) * abs(self._turns) * COUNTS / math.tau
-        gain: int = struct.unpack_from("<H", self._memory, 84)[0]
+        gain: int = struct.unpack_from("<H", self.memory, 84)[0]
         pwm = min(max(gain / _GAIN_UNIT * error / _FULL_PWM, -1.0), 1.0)
         stall_n_m = _STALL_A * self._torque_n_m_a * abs(self._turns)
         return stall_n_m * (pwm - rate_rad_s * abs(self._turns) / _FREE_RAD_S)

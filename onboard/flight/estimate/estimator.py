@@ -89,7 +89,7 @@ class Estimator:
         self._now_ns = 0
         self._in_use = False  # any row
         self._told_ns = 0  # when the last answers were made
-        self._left_out_ns: list[tuple[int, int]] = []  # where no rows are made
+        self.left_out_ns: list[tuple[int, int]] = []  # where no rows are made
         self.inflation = correlation_inflation(
             settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
         )
@@ -169,7 +169,7 @@ class Estimator:
         """
         made: list[Batch] = []
         if skipped_ns:
-            self._left_out_ns.append((self._now_ns, self._now_ns + skipped_ns))
+            self.left_out_ns.append((self._now_ns, self._now_ns + skipped_ns))
         self._now_ns = now_ns
         clocks = self._timebase.update(now_ns, dict(batches))
         if len(clocks):
@@ -178,23 +178,23 @@ class Estimator:
             made.append(event(now_ns, said.severity, said.code, channel, said.text))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
         self._temperatures.append(batches, self._timebase.time_ns)
-        at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
+        at_ns = self.due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
             made += self._rows(now_ns, at_ns, final=lag_ns is not None)
         return made
 
-    def _due(self, until_ns: int) -> NDArray[np.int64]:
+    def due(self, until_ns: int) -> NDArray[np.int64]:
         """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""
         if self._next_ns is None:
             self._next_ns = -(-until_ns // self._period_ns) * self._period_ns
         parts: list[NDArray[np.int64]] = []
         next_ns, period_ns = self._next_ns, self._period_ns
-        for first_ns, last_ns in sorted(self._left_out_ns):
+        for first_ns, last_ns in sorted(self.left_out_ns):
             parts.append(np.arange(next_ns, min(first_ns, until_ns + 1), period_ns, dtype=np.int64))
             next_ns = max(next_ns, self._next_ns + -((self._next_ns - last_ns - 1) // period_ns) * period_ns)
         parts.append(np.arange(next_ns, until_ns + 1, period_ns, dtype=np.int64))
         self._next_ns += max(0, (until_ns - self._next_ns) // period_ns + 1) * period_ns
-        self._left_out_ns = [one for one in self._left_out_ns if one[1] >= self._next_ns]
+        self.left_out_ns = [one for one in self.left_out_ns if one[1] >= self._next_ns]
         return np.concatenate(parts)
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:

@@ -149,9 +149,9 @@ class Identifier:
         of_errors = p, considered, block_s, [joint.name for joint in model.vehicle.joints], start and start.sensitivity
         self._corrections = FittedCorrections(*of_errors) if free and self._of_motion else None
         self.fits_errors = self._corrections is not None and memory == FOR_EVER  # the fit is of all times
-        self._errors = ConsideredErrors(considered, model, self._fold, p)
+        self.errors = ConsideredErrors(considered, model, self._fold, p)
         if self._of_motion and memory == FOR_EVER:
-            self._errors.remember(start)
+            self.errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
@@ -242,7 +242,7 @@ class Identifier:
         Y = self.model.regressor(*joints, motion, attached[at], True, np.zeros(use.shape), self._fold, z)
         if self._scales:
             fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
-        rows = self._errors.biased(Y[..., :-1][use], self.base.names, signals, at, use, attached, self.about)  # (r, p)
+        rows = self.errors.biased(Y[..., :-1][use], self.base.names, signals, at, use, attached, self.about)  # (r, p)
         y, sigma = (signals.measured[at] - Y[..., -1])[use], signals.sigma[at][use]  # (r,)
         doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
         if signals.noise is not None:
@@ -270,11 +270,11 @@ class Identifier:
         # Of a free base with these rows taken in, as the estimate before them may be the prior's.
         about = self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)
         mean = about.solve().mean if self.about is None else self.about
-        D = self._errors.factors(signals, at, use, attached)
+        D = self.errors.factors(signals, at, use, attached)
         noisy = NoisyRows(rows, y, D, sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
-        rows, y, C, sigma, own, doubt = self._errors.at(noisy, mean)
+        rows, y, C, sigma, own, doubt = self.errors.at(noisy, mean)
         self.recursion.add(times + _APART_s * self._recorded_apart * attached[at][tick], rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
@@ -358,7 +358,7 @@ class Identifier:
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         taken = self.taken
-        self._errors.restate(taken.rls)
+        self.errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
         if self._instruments is not None:

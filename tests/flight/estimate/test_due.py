@@ -22,9 +22,9 @@ def test_ticks_are_those_of_the_grid_outside_of_what_was_left_out(vehicle, rng):
         if rng.random() < 0.2:
             left_out = [(since_ns, since_ns + int(rng.integers(0, 20 * period_ns)))]
             now_ns = max(now_ns, left_out[0][1])
-            estimator._left_out_ns += left_out
-        ranges = list(estimator._left_out_ns)
-        found = estimator._due(now_ns)
+            estimator.left_out_ns += left_out
+        ranges = list(estimator.left_out_ns)
+        found = estimator.due(now_ns)
         first_ns = -(-now_ns // period_ns) * period_ns if last_ns is None else last_ns + period_ns
         grid = np.arange(first_ns, now_ns + 1, period_ns)
         last_ns = first_ns + len(grid) * period_ns - period_ns
@@ -37,7 +37,7 @@ def test_ticks_are_those_of_the_grid_outside_of_what_was_left_out(vehicle, rng):
 
 def test_a_pause_of_a_century_takes_no_memory(vehicle):
     estimator = Estimator(vehicle)
-    estimator._due(10**9)
+    estimator.due(10**9)
     century_ns = 100 * 365 * 86_400 * 10**9
-    estimator._left_out_ns.append((10**9, 10**9 + century_ns))
-    assert 0 < len(estimator._due(2 * 10**9 + century_ns)) < 1000
+    estimator.left_out_ns.append((10**9, 10**9 + century_ns))
+    assert 0 < len(estimator.due(2 * 10**9 + century_ns)) < 1000

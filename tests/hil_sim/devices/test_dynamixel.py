@@ -181,7 +181,7 @@ def test_a_servo_that_lost_its_supply_has_lost_its_turn():
 
 def test_what_is_stuffed_is_taken_out_and_put_in():
     bench = Bench(zero_count=0, angle=at_counts(2048))
-    bench.device._memory[200:206] = bytes.fromhex("FF FF FD FD FF FF")
+    bench.device.memory[200:206] = bytes.fromhex("FF FF FD FD FF FF")
     answer = bench.ask(packet("02 C8 00 06 00"), 5)
     assert answer[7:-2] == bytes.fromhex("55 00 FF FF FD FD FD FF FF")
     assert bench.say("02 FF FF FD FD 00") == (7, b"")  # address FFFFh: stuffed, and not there

@@ -42,7 +42,7 @@ class Counted(CanRig):
         if not ahead:
             return
         self.wire.know_ahead(lambda: (self.now_ns // AHEAD_NS + 1) * AHEAD_NS)
-        take, dissolve, run = self.wire._trains.take, self.wire._dissolve, self.wire._trains.run
+        take, dissolve, run = self.wire.trains.take, self.wire.dissolve, self.wire.trains.run
 
         def counted(*arguments):
             train = take(*arguments)
@@ -58,7 +58,7 @@ class Counted(CanRig):
             self.cut += 1
             dissolve(until_ns)
 
-        self.wire._trains.take, self.wire._trains.run, self.wire._dissolve = counted, whole, cut
+        self.wire.trains.take, self.wire.trains.run, self.wire.dissolve = counted, whole, cut
 
 
 def rig(*, ahead, pins=None):

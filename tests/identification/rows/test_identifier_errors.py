@@ -158,11 +158,11 @@ def test_a_bias_of_the_imu_is_considered_as_it_changes_the_rows(rng, effect, sen
     read = [w @ R, dw @ R, at_imu @ R]
     read[2 * sensor] = read[2 * sensor] + bias
     biased = signals._replace(motion=base_motion(rocksat_flight.setup()[0], "imu_base", *read))
-    before, after = (who._errors.regressors([one], at, held)[0] @ [*mean, 1.0] for one in (signals, biased))
+    before, after = (who.errors.regressors([one], at, held)[0] @ [*mean, 1.0] for one in (signals, biased))
     cause = Considered("bias", "imu_base", effect, 0.01, axis=axis)
     use = np.ones(before.shape, np.bool_)
     p = len(who.base.names)
-    D = columns([cause], who.model, signals, at, use, held, p, lambda of: who._errors.regressors(of, at, held))
+    D = columns([cause], who.model, signals, at, use, held, p, lambda of: who.errors.regressors(of, at, held))
     assert D is not None
     C = D @ [*mean, 1.0]
     np.testing.assert_allclose(C[:, 0], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
@@ -189,7 +189,7 @@ def test_noise_of_a_signal_is_noise_in_what_an_error_of_its_reading_does(rng, ef
     use = np.ones((1, len(who.model.rows)), np.bool_)
 
     def done(of):
-        D = columns([cause], who.model, of, at, use, held, p, lambda each: who._errors.regressors(each, at, held))
+        D = columns([cause], who.model, of, at, use, held, p, lambda each: who.errors.regressors(each, at, held))
         assert D is not None
         return D[:, 0] @ [*mean, 1.0]
 
@@ -234,11 +234,11 @@ def test_a_bias_acts_on_the_body_that_was_found_not_on_the_drawn(rng):
     use = np.ones((at.size, len(who.model.rows)), np.bool_)
     f = signals.motion.specific_force_m_s2
     biased = signals._replace(motion=signals.motion._replace(specific_force_m_s2=f + np.array([1e-3, 0.0, 0.0])))
-    before, after = (who._errors.regressors([one], at, held)[0] @ [*heavier, 1.0] for one in (signals, biased))
+    before, after = (who.errors.regressors([one], at, held)[0] @ [*heavier, 1.0] for one in (signals, biased))
     names, rows = [*who.base.names[1:], "zero_force_x"], np.zeros((np.count_nonzero(use), len(who.base.names)))
-    found = who._errors.biased(rows.copy(), names, signals, at, use, held, heavier)
+    found = who.errors.biased(rows.copy(), names, signals, at, use, held, heavier)
     assert not found[:, :-1].any()
-    assert not who._errors.biased(rows, names, signals, at, use, held, None).any()
+    assert not who.errors.biased(rows, names, signals, at, use, held, None).any()
     np.testing.assert_allclose(found[:, -1], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
 
 

@@ -204,9 +204,9 @@ def _integrate_sensitivity(w, eta, J, forcing, start, h: float):
 
 def cut_wrench(cut, base, bodies):
     """As :meth:`onboard.dynamics.cut_wrench.CutWrench.predict`; the cut by its structure, bodies of :mod:`.bodies`."""
-    group, is_beyond, R_cut, p_cut, projection = cut._compiled.kept
-    R = bodies.frames.R[:, cut._compiled.carried_by]
-    p = bodies.frames.p[:, cut._compiled.carried_by] + R @ p_cut
+    group, is_beyond, R_cut, p_cut, projection = cut.compiled.kept
+    R = bodies.frames.R[:, cut.compiled.carried_by]
+    p = bodies.frames.p[:, cut.compiled.carried_by] + R @ p_cut
     force, moment = (turned(R @ R_cut, part) for part in projection.reshape(2, 3))
     u = np.concatenate([force - turned(hat(moment), p), moment], axis=1)[:, None]
     own = bodies.sums(group)
@@ -216,7 +216,7 @@ def cut_wrench(cut, base, bodies):
     c = 3 + is_beyond.size
     d_values[:, 3:c] += (u @ base.along[:, 3:, 3:c])[:, 0] * is_beyond
     if base.displaced is not None:
-        Y = np.empty((len(u), 6, cut._errors.columns))
-        of_errors.into(cut._errors.compiled, *base.displaced, bodies, None, Y)
-        d_values[:, c : c + cut._errors.columns] += (u @ Y)[:, 0]
+        Y = np.empty((len(u), 6, cut.errors.columns))
+        of_errors.into(cut.errors.compiled, *base.displaced, bodies, None, Y)
+        d_values[:, c : c + cut.errors.columns] += (u @ Y)[:, 0]
     return ((u @ own.wrench[:, 0, :, None])[:, 0, 0], d_values)

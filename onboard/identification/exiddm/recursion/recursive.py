@@ -94,10 +94,10 @@ class RecursiveExiddm(Holding):
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
-        self.rivals, self._initial = Rivals(predictor), initially(predictor, known)
+        self.snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
+        self.rivals, self.initial = Rivals(predictor), initially(predictor, known)
         self.innovations = Innovations(predictor, self.fusion, self.rivals)
-        self._open(at_first(held, known is not None), self._initial)
+        self._open(at_first(held, known is not None), self.initial)
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
@@ -116,7 +116,7 @@ class RecursiveExiddm(Holding):
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
         imu = next(k for k in self.fusion.imus if k not in trial.without)
-        prior, start = self.innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
+        prior, start = self.innovations.freed(self.initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
         steps = self.rivals.steps.inside(len(seen.time_s) - 2)
@@ -143,16 +143,16 @@ class RecursiveExiddm(Holding):
         self._accused: Accusation | None = None  # the window is solved without it
         for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
             one.forget()
-        self._snapshots.clear()
+        self.snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None) -> None:
         """Begin a window with what was known so many batches ago; None: before the first tick."""
         now = self._prior if self.state is None else (self.state, self.covariance)
         self._noise_before = self.noise_added * (batches_back is not None)
         if batches_back is None:
-            now = self._initial
-        elif len(self._snapshots):
-            now, self._initial = self.rivals.adopting(*self._snapshots.back(batches_back), self._initial)
+            now = self.initial
+        elif len(self.snapshots):
+            now, self.initial = self.rivals.adopting(*self.snapshots.back(batches_back), self.initial)
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, now)
 
@@ -199,7 +199,7 @@ class RecursiveExiddm(Holding):
                 self._stepped = stepped.after(found)
                 self._go_on_from(found)
             assert self.state is not None
-            self._snapshots.append(self.state, self.covariance)
+            self.snapshots.append(self.state, self.covariance)
             return
         if self._trials is not None:
             self._trials.take(found)
@@ -229,7 +229,7 @@ class RecursiveExiddm(Holding):
         That of an accused one is from before it was, but a tracker tells of all the time that it was used.
         """
         anew, length = choice.instrument in self.fusion.trackers, self._solves
-        old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
+        old = self._prior[0] is not self.initial[0] and (accused is None or choice.instrument == self.fusion.reference)
         self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
         self._explained(choice.found, instrument=True)
         if anew or (old and (not self.held or self.innovations.misled(choice.found.state))):
@@ -344,18 +344,18 @@ class RecursiveExiddm(Holding):
                 return
             self._stepped = None if self._stepped.over else self._stepped
         adds = self.rivals.adds(self.corrected(self.state), self.covariance) if self.held else None
-        self._snapshots.append(self.state, self.covariance, adds)
-        self._snapshots.moves(None if ticks.rest else ticks)
+        self.snapshots.append(self.state, self.covariance, adds)
+        self.snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare()
 
     def _free(self, free: Callable[[Known], Known]) -> None:
         """Go on as if everything may be wrong that is suspected."""
         assert self.state is not None
-        first, self._initial = self._prior[0] is self._initial[0], free(self._initial)
-        self._prior = self._initial if first else free(self._prior)
+        first, self.initial = self._prior[0] is self.initial[0], free(self.initial)
+        self._prior = self.initial if first else free(self._prior)
         self.state, self.covariance = free((self.state, self.covariance))
-        self._snapshots.become(free)
+        self.snapshots.become(free)
         self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
         self._linearised.begin_anew()
 
@@ -382,7 +382,7 @@ class RecursiveExiddm(Holding):
         if self._trials is not None and self._trials.changed is not None:
             self._explained(self._trials.changed)
             return
-        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), self._prior[0] is not self._initial[0])
+        self._solves, self._hypotheses = 0, after_a_change(bool(self._before), self._prior[0] is not self.initial[0])
         self._begin_window()
 
     def _alarm(self, score: float, batches: int) -> None:
@@ -390,7 +390,7 @@ class RecursiveExiddm(Holding):
         suspected = Change("change", now_s, now_s - back_s, score)
         self._claim.held, self._before, self._suspected = None, bool(self.held), suspected
         self.changes.append(self._suspected)
-        back, earlier = (batches, None) if self.held else self._snapshots.since_rest(batches)
+        back, earlier = (batches, None) if self.held else self.snapshots.since_rest(batches)
         self._reopen(after_a_change(bool(self.held)), back + 1)
         self._earlier = earlier
 

@@ -194,7 +194,7 @@ def test_steps_about_a_payload_that_is_hardly_known_are_replaced_by_a_window_of_
     ticks = ticks_of(signals)
     recursive.update(ticks)
     recursive.finish()
-    whole = WindowSolve(recursive.predictor, WIDE, ticks, recursive._initial, (HeldPayload.NEW,), recursive._start)
+    whole = WindowSolve(recursive.predictor, WIDE, ticks, recursive.initial, (HeldPayload.NEW,), recursive._start)
     while not whole.over:
         whole.advance()
     assert whole.found is not None
@@ -211,13 +211,13 @@ def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch
     capture = free_flyer.Capture(BOX.grown(0.3), 2.0, np.zeros(3), np.zeros(3))
     signals = recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
     recursive, since_s = online(signals, held=False), []
-    back = recursive._snapshots.back
+    back = recursive.snapshots.back
 
     def noted(batches):
         since_s.append(recursive._pending.time_s[-1] - BATCH_TICKS * signals.period_s * batches)
         return back(batches)
 
-    monkeypatch.setattr(recursive._snapshots, "back", noted)
+    monkeypatch.setattr(recursive.snapshots, "back", noted)
     recursive.update(ticks_of(signals))
     assert [change.kind for change in recursive.changes] == ["change", "capture"]
     assert 2.0 < since_s[0] < 3.15 < recursive.changes[0].since_s

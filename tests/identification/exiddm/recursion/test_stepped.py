@@ -19,7 +19,7 @@ def ticks_until_due(held, exiddm, *, apart: bool) -> int:
     """Ticks of all steps that follow a window of 200."""
     every, at = ticks_of(held), 200
     stepped = SteppedTicks(every.part(slice(0, at)), LENGTH_s, held=True, first=True)
-    known = exiddm._initial
+    known = exiddm.initial
     while not stepped.due(apart=apart):
         stepped.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, known)
         at += BATCH
@@ -41,8 +41,8 @@ def test_what_is_linearised_well_enough_is_kept_as_long_but_not_solved_again_by_
     assert not kept.first
     for at in range(200, 390, BATCH):
         assert not kept.over
-        kept.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, exiddm._initial)
+        kept.add(every.part(slice(at - 2, at + BATCH)), exiddm.predictor, exiddm.initial)
         assert not kept.due(apart=True)
-    kept.add(every.part(slice(388, 410)), exiddm.predictor, exiddm._initial)
+    kept.add(every.part(slice(388, 410)), exiddm.predictor, exiddm.initial)
     assert kept.over
     assert not kept.due(apart=True)
