@@ -26,6 +26,8 @@ from typing import Final, NamedTuple
 ROOT: Final = Path(__file__).resolve().parents[1]
 DATASETS: Final = Path(os.environ.get("HEFT_DATASETS", ROOT.parent / "shared/datasets"))
 
+_PROGRESS: Final = re.compile(r"s so far$|^dashboard: |^next: |^\S*report\.html$")  # of a campaign
+
 
 class Job(NamedTuple):
     """A command, and its arguments for a short run and for the whole one."""
@@ -58,6 +60,13 @@ BENCHES: Final = (
     Job("mission_accuracy", "dymaflex --first 1101 --seeds 2", "dymaflex --first 1101 --seeds 8", label="dymaflex"),
     Job("mission_accuracy", "noise --seeds 2", "noise", label="noise"),
     Job("mission_accuracy", "recursive --seeds 1", "recursive --seeds 40", label="recursive"),
+    Job(
+        "mission_accuracy",
+        "student_arm --first 9501 --seeds 1",
+        "student_arm --first 9501 --seeds 20",
+        label="student_arm",
+    ),
+    Job("mission_accuracy", "lab_ur --first 9701 --seeds 1", "lab_ur --first 9701 --seeds 20", label="lab_ur"),
     Job("captures", "--seeds 2"),
     Job(
         "mission_accuracy",
@@ -140,12 +149,13 @@ def _lines(path: str) -> list[str]:
 
 
 def page(done: BenchResult, about: str, printed: str, path: Path) -> None:
-    """Write a page of evidence: command, revision, machine, and what the bench printed, word for word."""
+    """Write a page of evidence: command, revision, machine, and what the bench printed, without lines of progress."""
     revision = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     command = done.command.replace(str(DATASETS), "$HEFT_DATASETS")
-    printed = printed.strip().replace(str(DATASETS), "$HEFT_DATASETS")
+    kept = [line.rstrip() for line in printed.splitlines() if not _PROGRESS.search(line)]
+    printed = "\n".join(kept).strip("\n").replace(str(DATASETS), "$HEFT_DATASETS")
     printed = re.sub(rf"{re.escape(tempfile.gettempdir())}/\S+/", "", printed)  # of logs that are gone
     shown = printed if printed.startswith("|") else f"```text\n{printed}\n```"  # a table, or as on a terminal
     text = f"""# {done.name.replace("_", " ").capitalize()}

@@ -36,7 +36,9 @@ def test_what_a_bench_printed_is_kept_and_one_that_fails_is_told(tmp_path: Path)
 
 def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_path: Path) -> None:
     done = BenchResult("big_arms", f"python -m bench.arms {benches.DATASETS}/arm", "ok", 9.0, 7.4)
-    benches.page(done, "a machine", f"0.58 % in {benches.DATASETS}/arm\n", tmp_path / "big_arms.md")
+    benches.page(
+        done, "a machine", f"heft: 5 %, 2 s so far\n0.58 % in {benches.DATASETS}/arm\n", tmp_path / "big_arms.md"
+    )
     text = (tmp_path / "big_arms.md").read_text(encoding="utf-8")
     assert text.startswith("# Big arms\n\nMade by `python -m bench.all --only big_arms --pages docs/evidence`")
     assert "```text\n0.58 % in $HEFT_DATASETS/arm\n```" in text
