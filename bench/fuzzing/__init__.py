@@ -7,7 +7,7 @@ DECODERS = (
     *("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse"),
     "bota_ft",
 )
-I2C = ("nau7802", "as5600", "as5048", "icm20948")
+I2C = ("nau7802", "as5600", "as5048", "icm20948", "bmi088")
 LINES = ("hx711",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
 NAMES = DECODERS + I2C + LINES + FILES

@@ -9,7 +9,7 @@ from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
 from drivers.device import Device
 from drivers.errors import FrameError
 from drivers.i2c import as5048, as5600, nau7802
-from drivers.inertial import icm20948
+from drivers.inertial import bmi088, icm20948
 from drivers.ports import I2cPort, I2cReply
 
 TRANSFER_NS = 100_000
@@ -90,6 +90,18 @@ class Banked(Registers):
         return reply._replace(data=bytes([self.above.get((self.bank, data[0]), 0)] * count)) if self.bank else reply
 
 
+class Dies(Registers):
+    """With an identity at each address, and a sensor time that goes on."""
+
+    def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
+        """See ``I2cPort``."""
+        self.values[0x00] = 0x1E if address == 0x18 else 0x0F
+        reply = super().write_read(address, data, count)
+        ticks = (int(reply.host_ns / 39_062.5) + self.values[0x1A]) & 0xFFFFFF
+        is_forces = data == b"\x12" and count == 9
+        return reply._replace(data=reply.data[:6] + ticks.to_bytes(3, "little")) if is_forces else reply
+
+
 def _fly(device: Device, chip: Registers, body: bytes, data_at: range) -> None:
     def steps() -> Iterator[None]:
         for _ in range(12):  # the setting up
@@ -152,11 +164,23 @@ def icm20948_chip(data: bytes) -> None:
     _fly(icm20948.Icm20948("imu", chip, config), chip, body, range(0x70, 0x7F))
 
 
+def bmi088_chip(data: bytes) -> None:
+    """The decoders and the device; a register has the same number and content in both dies."""
+    (which, late), body = leading(data, 2)
+    with contextlib.suppress(FrameError):
+        bmi088.decode_forces(body[: 9 + late % 3])
+    bmi088.decode_temperature((body + bytes(2))[:2])
+    config = bmi088.Bmi088Config(filter_code=which & 3, sample_period_ms=(1.0, 5.0, 50.0)[which % 3])
+    chip = Dies(peers.Clock(), {})
+    _fly(bmi088.Bmi088("imu", chip, config), chip, body, range(0x12, 0x1B))
+
+
 CALLS: dict[str, Callable[[bytes], None]] = {
     "nau7802": nau7802_chip,
     "as5600": as5600_chip,
     "as5048": as5048_chip,
     "icm20948": icm20948_chip,
+    "bmi088": bmi088_chip,
 }
 SEEDS = [
     b"\3\x20" + bytes([2, 1, 2, 8, 0, 0, 16, 0, 0, 2, 9, 9]) * 6,

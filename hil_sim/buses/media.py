@@ -80,9 +80,11 @@ class I2cBus:
         Raises:
             ValueError: its address is taken.
         """
-        if slave.address in self._slaves:
-            raise ValueError(f"Address {slave.address:#04x} is taken on this bus; give the slave another.")
-        self._slaves[slave.address] = slave
+        addresses = getattr(slave, "addresses", (slave.address,))  # of a chip of several dies
+        for address in addresses:
+            if address in self._slaves:
+                raise ValueError(f"Address {address:#04x} is taken on this bus; give the slave another.")
+        self._slaves |= dict.fromkeys(addresses, slave)
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.

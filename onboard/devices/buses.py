@@ -41,6 +41,11 @@ class I2cDevice(BusDevice):
     identify: ClassVar[Identify | None] = None  # names the chip at an address by reads alone; None: it is another
     address: int
 
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Addresses that it has on its bus."""
+        return (self.address,)
+
     @classmethod
     def open_on(cls, bus: OpeningBus) -> list[Device]:
         """See ``BusDevice``."""
@@ -50,10 +55,10 @@ class I2cDevice(BusDevice):
     @classmethod
     def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:
         """See ``BusDevice``."""
-        by_name = {name: device.address for name, device in devices.items() if isinstance(device, I2cDevice)}
-        times = Counter(by_name.values())
-        for name, address in by_name.items():
-            if times[address] > 1:
+        by_name = {name: device.places for name, device in devices.items() if isinstance(device, I2cDevice)}
+        times = Counter(address for places in by_name.values() for address in places)
+        for name, places in by_name.items():
+            if any(times[address] > 1 for address in places):
                 yield (
                     ["device", name],
                     f"{name!r} shares its I2C address; give either the other address (AD0), or another bus",

@@ -28,6 +28,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "as5600": 60,
     "as5048": 60,
     "icm20948": 60,
+    "bmi088": 60,
     "hx711": 60,
     "vehicle": 12,
     "urdf": 30,

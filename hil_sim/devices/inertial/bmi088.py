@@ -1,0 +1,189 @@
+"""A Bosch BMI088 (data sheet BST-BMI088-DS001) behind its I2C interface: two dies with an address and a clock each.
+
+Accelerometer: 00h chip ID (1Eh), 02h errors, 03h status (7 new data, which a read of it clears), 12h to 17h force, low
+bytes first, 18h to 1Ah sensor time (39.0625 us a count), 22h and 23h temperature (11 bits, 8 counts a kelvin, 0 at 23
+degC), 40h ACC_CONF (7..4 filter: 8 OSR4, 9 OSR2, Ah normal; 3..0 rate: 5 12.5 Hz to Ch 1600 Hz; A8h), 41h range (0 3 g
+to 3 24 g; 01h), 7Ch PWR_CONF (3 suspended, 0 active; 03h), 7Dh PWR_CTRL (4 on; 00h), 7Eh soft reset (B6h). It is off
+after power-up, takes a write each millisecond while it is suspended, and measures 50 ms after it was switched on.
+Gyroscope: 00h chip ID (0Fh), 02h to 07h rates, 0Ah status (7 new data), 0Fh range (0 2000 deg/s to 4 125), 10h
+bandwidth (0 2000/532 Hz, 1 2000/230, 2 1000/116, 3 400/47, 4 200/23, 5 100/12, 6 200/64, 7 100/32; bit 7 reads 1), 11h
+LPM1 (00h on, 80h suspended), 14h soft reset (B6h), after which it is away for 30 ms.
+
+Where the data sheet is silent: sensor time and data stand still while the accelerometer is off; a word is that of the
+die's last period, and its filter's delay is that of one pole. Left out: FIFOs, interrupts, self tests, SPI, rates and
+filters but those of the table of ``_FILTERS``, whose bits are stored and give the slowest of them.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.sensing.analog import ChipClock, ImuAnalog
+from hil_sim.sensing.sensors import ImuSensor
+
+_ACCEL, _GYRO = 0, 1
+_RESET_VALUES: Final = ({0x00: 0x1E, 0x40: 0xA8, 0x41: 0x01, 0x7C: 0x03}, {0x00: 0x0F, 0x10: 0x80})
+_WRITABLE: Final = ({0x40, 0x41, 0x7C, 0x7D}, {0x0F, 0x10, 0x11})
+_SOFT_RESET: Final = (0x7E, 0x14)
+_FILTERS: Final = ({0xAC: 0, 0x9C: 1, 0x8C: 2, 0x8A: 3}, {0x80: 0, 0x81: 1, 0x82: 2, 0x83: 3})  # rows of its data sheet
+_PERIOD_NS: Final = ((625_000, 625_000, 625_000, 2_500_000), (500_000, 500_000, 1_000_000, 2_500_000))
+_TICK_NS: Final = 39_062.5
+_STARTS_NS: Final = (50_000_000, 30_000_000)
+_SUSPENDED_NS: Final = 1_000_000  # after a write
+_FAULTS: Final = (
+    *POWER_KINDS,
+    *(FaultKind.STUCK, FaultKind.SATURATED, FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLOW, FaultKind.CLOCK_JUMP),
+    FaultKind.WHO_AM_I,
+)
+
+
+class Bmi088Twin(I2cTwin):
+    """One chip.
+
+    Args:
+        analog: Its sensing elements.
+        clocks: Oscillators of the accelerometer and of the gyroscope.
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        addresses: 7-bit addresses of both, by the SDO pins.
+        faults: What breaks.
+
+    Raises:
+        FaultError: a fault that this chip cannot have.
+    """
+
+    def __init__(
+        self,
+        analog: ImuAnalog,
+        clocks: tuple[ChipClock, ChipClock],
+        start_ns: int,
+        *,
+        addresses: tuple[int, int] = (0x18, 0x68),
+        faults: DeviceFaults = NO_FAULTS,
+    ) -> None:
+        super().__init__(addresses[_ACCEL], start_ns, faults, _FAULTS)
+        self.addresses = addresses
+        self._imu = FaultyImu(analog, faults, start_ns)
+        self._clocks = tuple(FaultyClock(clock, faults) for clock in clocks)
+        self.answered = 0  # readings of the gyroscope
+        self._power_up(start_ns)
+
+    def _power_up(self, now_ns: int) -> None:
+        self._reg = [bytearray(0x80), bytearray(0x80)]
+        self._starts_ns, self._pointers, self._blocked_ns = [0, 0], [0, 0], now_ns
+        for die in (_ACCEL, _GYRO):
+            self._reset(die, now_ns)
+        self._die = _ACCEL
+
+    def _reset(self, die: int, now_ns: int) -> None:
+        self._reg[die][:] = bytes(0x80)
+        for register, value in _RESET_VALUES[die].items():
+            self._reg[die][register] = value
+        self._starts_ns[die] = now_ns + _STARTS_NS[die]
+        self._blocked_ns = self._blocked_ns if die == _GYRO else now_ns
+
+    def _run(self, until_ns: int) -> None:
+        """It is asked."""
+
+    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
+        """See ``I2cTwin``."""
+        self._settle(now_ns)
+        self._die = self.addresses.index(address)
+        self._pointer = self._pointers[self._die]
+        if read_count:
+            self._sense(now_ns)
+        answer = super().transfer(self.address, write, read_count, now_ns)
+        self._pointers[self._die] = self._pointer
+        self.answered += self._die == _GYRO and read_count > 0 and write[:1] == b"\x02"
+        return answer
+
+    def _measures(self, die: int, now_ns: int) -> bool:
+        own = self._reg[die]
+        is_on = own[0x7D] == 4 and not own[0x7C] & 3 if die == _ACCEL else not own[0x11]
+        return is_on and now_ns >= self._starts_ns[die]
+
+    def _sense(self, now_ns: int) -> None:
+        """What the output registers of the die that is addressed hold now."""
+        die, own = self._die, self._reg[self._die]
+        if not self._measures(die, now_ns):
+            return
+        code = _FILTERS[die].get(own[0x40] if die == _ACCEL else own[0x10], 3)
+        period_ns, chip_ns = _PERIOD_NS[die][code], self._clocks[die].chip_ns(now_ns)
+        made_ns = self._clocks[die].time_ns(chip_ns // period_ns * period_ns)
+        words = self._words(code, max(made_ns - self._start_ns, 0) * 1e-9)
+        if die == _ACCEL:
+            own[0x12:0x18] = words[:3].astype("<i2").tobytes()
+            own[0x18:0x1B] = (int(chip_ns / _TICK_NS) & 0xFFFFFF).to_bytes(3, "little")
+            kelvin = float(words[3]) / 340.0 + 36.53 - 23.0  # the sensing element shows an MPU-6050's word
+            warm = round(8.0 * kelvin) & 0x7FF
+            own[0x22:0x24] = bytes([warm >> 3, (warm & 7) << 5])
+        else:
+            own[0x02:0x08] = words[4:].astype("<i2").tobytes()
+        own[0x03 if die == _ACCEL else 0x0A] = 0x80
+
+    def _words(self, code: int, time_s: float) -> NDArray[np.int16]:
+        accel_g, gyro_deg_s = 3 << (self._reg[_ACCEL][0x41] & 3), 2000.0 / (1 << (self._reg[_GYRO][0x0F] & 7))
+        words: NDArray[np.int16] = self._imu.counts(np.array([time_s]), 32768.0 / accel_g, 32768.0 / gyro_deg_s, code)[
+            0
+        ]
+        return words
+
+    def _read(self, register: int) -> int:
+        own, value = self._reg[self._die], self._reg[self._die][register & 0x7F]
+        if register in (0x03, 0x0A):
+            own[register] &= 0x7F
+        wrong = self._faults.active(FaultKind.WHO_AM_I, self._settled_ns) if self._faults else None
+        return int(wrong.value) if wrong is not None and register == 0 else value
+
+    def _write(self, register: int, value: int, now_ns: int) -> None:
+        die, own = self._die, self._reg[self._die]
+        if now_ns < (self._starts_ns[_GYRO] if die == _GYRO else self._blocked_ns):
+            return
+        if die == _ACCEL and own[0x7C] & 3:
+            self._blocked_ns = now_ns + _SUSPENDED_NS
+        if register == _SOFT_RESET[die] and value == 0xB6:
+            self._reset(die, now_ns)
+        elif register in _WRITABLE[die]:
+            if die == _ACCEL and register == 0x7D and value == 4 and own[register] != 4:
+                self._starts_ns[_ACCEL] = now_ns + _STARTS_NS[_ACCEL]
+            own[register] = value & 0x0F | 0x80 if die == _GYRO and register == 0x10 else value
+
+
+class Bmi088Table(MeasuringEmulator):
+    """A BMI088."""
+
+    needs = "i2c"
+    quantities = ("inertial",)
+    where = "address {address:#04x}"
+
+    kind: Literal["bmi088"]
+    address: Annotated[int, Field(ge=0x18, le=0x19)] = 0x18
+    gyro_address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x68
+
+    def clocks(self, name: str) -> tuple[str, ...]:
+        """See ``Emulator``: an oscillator a die."""
+        return name, f"{name}_gyro"
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = {key: said[key] for key in ("address", "gyro_address") if key in said}
+        table |= {"measures": name, "at": said["frame"]}
+        return Equivalent(table, {name: sheets.imu("bmi088", said)}, {name: "gyro", f"{name}_gyro": "gyro"})
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        imu = Bmi088Twin(
+            bench.sensor(ImuSensor),
+            (bench.clock, bench.clocks[f"{bench.name}_gyro"]),
+            bench.start_ns,
+            addresses=(self.address, self.gyro_address),
+            faults=bench.faults,
+        )
+        return Twin(imu, lambda: imu.answered, (bench.name,))

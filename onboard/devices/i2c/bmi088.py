@@ -1,0 +1,79 @@
+"""Bosch BMI088 on I2C."""
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from drivers.inertial.bmi088 import FILTERS, Bmi088, Bmi088Config, identify
+from drivers.ports import I2cPort
+from drivers.records import IMU
+from onboard.devices.base import ImuDevice, Surroundings
+from onboard.devices.buses import I2cDevice, Identify, SamplePeriod
+from onboard.section import NotNegative
+from onboard.timebase.delays import Delay
+from onboard.timebase.timebase import ChannelClock, PolledChannel
+
+DELAY_SIGMA_MS = 0.3  # a period of 1000 Hz / sqrt(12): the age of a sample that is read
+
+
+class Bmi088Device(I2cDevice, ImuDevice):
+    """BMI088, both its dies, read once in `sample_period_ms`.
+
+    The data sheet states no delay of its filters: it is that of one pole at their bandwidth and half a period of the
+    die, to `delay_sigma_ms`. Pins: PS to the supply (I2C), SDO1 and SDO2 to ground (0x18, 0x68).
+    """
+
+    about_clock = (
+        "The middle between the first request and the last answer, by the host's clock; half their distance is its "
+        "uncertainty. Its dies have oscillators of their own and no input for the sync line: the age of what is read "
+        "is a part of `delay_sigma_ms`."
+    )
+    records = IMU
+    driver_configs = (Bmi088Config,)
+    new_keys = """address = 0x18
+gyro_address = 0x68
+sample_period_ms = 5
+accel_range_g = 3
+gyro_range_deg_s = 250
+filter_code = 2                # 145 Hz and 116 Hz
+accel_noise_m_s2 = 0.026       # of a sample: 175 ug/sqrt(Hz) x sqrt(1.57 x 145 Hz), the data sheet's
+gyro_noise_rad_s = 3.3e-3      # of a sample: 0.014 deg/s/sqrt(Hz) x sqrt(1.57 x 116 Hz)
+"""
+    addresses: ClassVar[tuple[int, ...]] = (0x18, 0x19)
+    identify: ClassVar[Identify | None] = staticmethod(identify)
+    kelvin_per_count: ClassVar[float] = 0.125
+    kind: Literal["bmi088"]
+    address: Annotated[int, Field(ge=0x18, le=0x19)] = Bmi088Config.address
+    gyro_address: Annotated[int, Field(ge=0x68, le=0x69)] = Bmi088Config.gyro_address
+    sample_period_ms: SamplePeriod = Bmi088Config.sample_period_ms
+    accel_range_g: Literal[3, 6, 12, 24] = 3
+    gyro_range_deg_s: Literal[125, 250, 500, 1000, 2000] = 250
+    filter_code: Annotated[int, Field(ge=0, le=3)] = 2
+    delay_sigma_ms: NotNegative = DELAY_SIGMA_MS
+
+    @property
+    def filter_delays_s(self) -> tuple[float, float]:
+        """See ``ImuDevice``."""
+        one = FILTERS[self.filter_code]
+        gyro_s = 0.5 / math.pi / one.gyro_hz + 0.5 / one.gyro_rate_hz
+        return gyro_s, 0.5 / math.pi / one.accel_hz + 0.5 / one.accel_rate_hz
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """See ``I2cDevice``."""
+        return self.address, self.gyro_address
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``."""
+        return {name: PolledChannel()}
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        gyro_s, accel_s = self.filter_delays_s
+        sigma_s, why = 1e-3 * self.delay_sigma_ms, f"low-pass filter {self.filter_code}, and age of a sample"
+        return [Delay(name, "gyro", gyro_s, sigma_s, why), Delay(name, "accel", accel_s, sigma_s, why)]
+
+    def driver(self, name: str, port: I2cPort) -> Bmi088:
+        """See ``I2cDevice``."""
+        return Bmi088(name, port, self.settings(name))

@@ -1,0 +1,82 @@
+"""A free arm with a BMI088 flies in virtual and in real time and survives what breaks."""
+
+import json
+import time
+
+import pytest
+
+from drivers.records import SampleStatus
+from onboard.cli import main
+from tests.flight.check.test_desk import served
+from tests.flight.mixed import MixedWorld, vehicle
+from tests.flight.test_devices import timed
+from tests.flight.test_i2c_devices import codes_of, rehearsed
+from tests.flight.test_rehearsal import answers, honest
+from tests.hil_sim.devices.twin_bench import MS
+
+INERTIAL = ["--base", "free", "--joints", "2", "--imu", "bmi088"]
+
+
+def test_a_free_arm_weighs_with_it(tmp_path):
+    result, log, _ = rehearsed(tmp_path, INERTIAL, swing=8.0)
+    honest(answers(result))
+    assert answers(result)["m_payload"]["supported"]
+    rows = log.read("imu_base")
+    assert len(rows) > 10.5 * 200
+    assert set(rows["status"]) == {0}
+    assert codes_of(log, b"imu_base") == [b"started", b"stopped"]
+    assert result["channels"]["imu_base"]["missing"] == 0
+
+
+def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
+    faults = [
+        *("--fault", "off:imu_base:3:4", "--fault", "nack:imu_base:5:5.3", "--fault", "timeout:imu_base:6:6.1"),
+        *("--fault", "reset:imu_base:7", "--fault", "garbage:imu_base:8:8.1"),
+    ]
+    result, log, _ = rehearsed(tmp_path, INERTIAL, *faults)
+    honest(answers(result))
+    told = codes_of(log, b"imu_base")
+    assert told.count(b"bus_recovered") >= 3
+    assert told.count(b"brown_out") + told.count(b"no_samples") >= 2
+    rows = log.read("imu_base")
+    assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == told.count(b"started") - 1
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+
+
+def test_its_samples_are_put_between_request_and_answer(tmp_path):
+    with MixedWorld(tmp_path) as world:
+        flying = vehicle(tmp_path, world.urls)
+        heard = world.fly(world.open(flying), 3.0)
+        _, sigma_ns, _ = timed(flying, heard, "imu_hand")
+    assert sigma_ns < 0.3e6
+
+
+def test_a_gyroscope_at_an_address_that_is_taken_is_refused(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "it"), *INERTIAL]) == 0
+    path = tmp_path / "it" / "vehicle.toml"
+    other = path.read_text().partition("[device.imu_base]")[2].partition("\n[")[0].replace("0x18", "0x19")
+    path.write_text(path.read_text() + f"\n[device.imu_tip]{other}\n")
+    assert main(["preflight", str(path)]) != 0
+    assert "shares its I2C address" in capsys.readouterr().err
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_it_flies_in_real_time_and_comes_back(tmp_path):
+    _, log, _ = rehearsed(tmp_path, INERTIAL, "--realtime", "--fault", "silent:imu_base:2:3", swing=4.0)
+    assert len(log.read("imu_base")) > 0.6 * 7.0 * 200
+    assert b"bus_recovered" in codes_of(log, b"imu_base")
+
+
+@pytest.mark.realtime
+def test_it_is_found_and_tried_on_the_desk(tmp_path):
+    assert main(["init", str(tmp_path / "mine"), *INERTIAL]) == 0
+    report = tmp_path / "report.json"
+    with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
+        while time.monotonic_ns() < urls["start_ns"] + 500 * MS:
+            time.sleep(0.05)
+        asked = ["devices", "--test", "bmi088", "--url", urls["i2c_1"], "--seconds", "2"]
+        assert main([*asked, "--json", str(report)]) in (0, 4)  # a busy computer reads too slowly, and that is told
+    [one] = json.loads(report.read_text())["tests"]
+    assert (one["kind"], len(one["signals"])) == ("bmi088", 6)
+    assert one["rows"] > 150
