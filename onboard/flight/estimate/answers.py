@@ -77,12 +77,15 @@ class Answers:
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0
         size = sizes(quantities, self._useful)
-        for row, quantity in zip(answers[p:], quantities, strict=True):
-            row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
-            row["low_999"], row["high_999"] = quantity.outer
-            row["drawn"] = quantity.drawn if quantity.supported else 0.0
-            row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
-            _put(row, standing(quantity, findings, size.get(quantity.name)))
+        judged = [(one, standing(one, findings, size.get(one.name))) for one in quantities]
+        answers[_OF_QUANTITY][p:] = [
+            (
+                *(*one[2:6], *one.outer, one.drawn if one.supported else 0.0),
+                *(one.supported and found.level is not Level.DO_NOT_USE, one.unit, one.name),
+                *(LEVELS.index(found.level), _shortened(found.why)),
+            )
+            for one, found in judged
+        ]
         return state, answers, self._changes(now_ns, answers[p:])
 
     def _changes(self, now_ns: int, quantities: Rows) -> list[Batch]:
@@ -113,11 +116,8 @@ def _of_all(findings: Findings) -> Standing:
     return Standing(Level.WEAK, "; ".join(findings.doubts)) if findings.doubts else Standing(Level.GOOD)
 
 
-def _put(row: np.void, found: Standing) -> None:
-    row["level"], row["why"] = LEVELS.index(found.level), _shortened(found.why)
-    row["supported"] &= np.uint8(found.level is not Level.DO_NOT_USE)
-
-
+_NUMBERS = ["value", "sigma", "low", "high", "low_999", "high_999", "drawn"]
+_OF_QUANTITY = [*_NUMBERS, "supported", "unit", "name", "level", "why"]
 WHY = channels.QUANTITY["why"].itemsize
 
 
