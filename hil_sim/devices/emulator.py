@@ -152,8 +152,8 @@ class Emulator(Table):
             ScenarioError: it cannot be rehearsed, with the reason.
         """
         raise ScenarioError(
-            f"device.{name}: the emulator of {said.get('kind')} has no from_vehicle (docs/extending.md); add it, or take "
-            "the device out to rehearse"
+            f"device.{name}: the emulator of {said.get('kind')} has no from_vehicle (docs/extending.md); add it, or "
+            "take the device out to rehearse"
         )
 
     @property
