@@ -9,8 +9,9 @@ DECODERS = (
 )
 I2C = ("nau7802", "as5600", "as5048", "icm20948", "bmi088")
 LINES = ("hx711",)
+AXES = ("odrive",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
-NAMES = DECODERS + I2C + LINES + FILES
+NAMES = DECODERS + I2C + LINES + AXES + FILES
 
 
 class Target(NamedTuple):
@@ -37,6 +38,10 @@ def target(name: str) -> Target:
         from bench.fuzzing import i2c  # noqa: PLC0415
 
         return Target(i2c.CALLS[name], i2c.SEEDS, 1 << 10)
+    if name in AXES:
+        from bench.fuzzing import axes  # noqa: PLC0415
+
+        return Target(axes.odrive, axes.SEEDS, 1 << 10)
     if name in LINES:
         from bench.fuzzing import lines  # noqa: PLC0415
 

@@ -30,6 +30,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "icm20948": 60,
     "bmi088": 60,
     "hx711": 60,
+    "odrive": 60,
     "vehicle": 12,
     "urdf": 30,
     "segments": 60,
