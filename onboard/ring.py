@@ -57,9 +57,9 @@ class _Ring:
             raise RingFormatError(f"{name}: record size {dtype.itemsize} is no multiple of 4; build it with align=True")
         size = _HEADER_BYTES + capacity * (dtype.itemsize + 4)
         self._map = mmap.mmap(file_descriptor, size)
-        self._counters: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, 2, _COUNTERS_AT)
+        self.counters: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, 2, _COUNTERS_AT)
         words = dtype.itemsize // 4
-        self._data: NDArray[np.uint32] = np.frombuffer(self._map, np.uint32, capacity * words, _HEADER_BYTES).reshape(
+        self.data: NDArray[np.uint32] = np.frombuffer(self._map, np.uint32, capacity * words, _HEADER_BYTES).reshape(
             capacity, words
         )
         self._checks: NDArray[np.uint32] = np.frombuffer(
@@ -73,7 +73,7 @@ class _Ring:
     @property
     def published(self) -> int:
         """Rows ever pushed."""
-        return int(self._counters[1])
+        return int(self.counters[1])
 
     def _check(self, raw: NDArray[np.uint32], first_position: int) -> NDArray[np.uint32]:
         """Check words of rows ``raw`` (n, words), the first of them at ``first_position``."""
@@ -90,7 +90,7 @@ class _Ring:
 
     def close(self) -> None:
         """Unmap. The file stays."""
-        del self._counters, self._data, self._checks
+        del self.counters, self.data, self._checks
         self._map.close()
 
 
@@ -148,12 +148,12 @@ class RingWriter(_Ring):
         if not count:
             return first
         raw = np.ascontiguousarray(rows).view(np.uint32).reshape(count, -1)
-        self._counters[0] = first + count
+        self.counters[0] = first + count
         slot = first % self.capacity
         if slot + count <= self.capacity:
-            self._data[slot : slot + count] = raw
+            self.data[slot : slot + count] = raw
             self._checks[slot : slot + count] = self._check(raw, first)
-            self._counters[1] = first + count
+            self.counters[1] = first + count
             return first
         skipped = max(0, count - self.capacity)
         raw, position = raw[skipped:], first + skipped
@@ -161,10 +161,10 @@ class RingWriter(_Ring):
         done = 0
         for slots in self._slots(position, len(raw)):
             n = slots.stop - slots.start
-            self._data[slots] = raw[done : done + n]
+            self.data[slots] = raw[done : done + n]
             self._checks[slots] = checks[done : done + n]
             done += n
-        self._counters[1] = first + count
+        self.counters[1] = first + count
         return first
 
 
@@ -234,10 +234,10 @@ class RingReader(_Ring):
         """Rows (n, words) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
         slots = self._slots(first, count)
         if len(slots) == 1:
-            raw, checks = self._data[slots[0]].copy(), self._checks[slots[0]].copy()
+            raw, checks = self.data[slots[0]].copy(), self._checks[slots[0]].copy()
         else:
-            raw, checks = (np.concatenate([of[part] for part in slots]) for of in (self._data, self._checks))
+            raw, checks = (np.concatenate([of[part] for part in slots]) for of in (self.data, self._checks))
         # rows that the writer may have begun to overwrite during the copy
-        overwritten = min(count, max(0, int(self._counters[0]) - self.capacity - first))
+        overwritten = min(count, max(0, int(self.counters[0]) - self.capacity - first))
         raw, checks = raw[overwritten:], checks[overwritten:]
         return raw, checks == self._check(raw, first + overwritten), overwritten

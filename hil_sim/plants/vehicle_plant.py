@@ -110,7 +110,7 @@ class VehiclePlant(world.Plant):
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
         self.events_s: dict[str, float] = {}
         self._live: list[tuple[FloatArray, Callable[[slice], FloatArray]]] = []
-        self._parts: list[_Part] = []  # not interpolated to their end
+        self.parts: list[_Part] = []  # not interpolated to their end
         self._filled = 0  # rows interpolated
         self._start(rng)
         waits = self.program.waits or isinstance(self.flight, ServoFlight)
@@ -121,7 +121,7 @@ class VehiclePlant(world.Plant):
 
     def _start(self, rng: np.random.Generator) -> None:
         """The flight at its first row, and what will happen in it."""
-        scenario, every = self._scenario, self._every
+        scenario, every = self._scenario, self.every
         self._coarse_s, self._steps = every * self.step_s, -(-self.rows // every) + 1
         prescribed = scenario.vehicle.base == "prescribed"
         path = CarrierMaker(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
@@ -155,12 +155,12 @@ class VehiclePlant(world.Plant):
         self._window: Rows | None = (
             None  # coarse rows from ``_window_at`` on, of which those before ``_done`` are refined
         )
-        self._window_at = self._done = 0
+        self._window_at = self.done = 0
         self._jolt: Jolt | None = None
         self.came: FloatArray | None = None  # see ``VehicleFlight.approach``
 
     @property
-    def _every(self) -> int:
+    def every(self) -> int:
         """Rows of the sensors' grid that the integration takes at a time."""
         return 1 if self._scenario.servo else self._scenario.physics.integration_steps
 
@@ -182,17 +182,17 @@ class VehiclePlant(world.Plant):
 
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
-        every, flight = self._every, self.flight
+        every, flight = self.every, self.flight
         if isinstance(flight, ServoFlight):
             return self._follow(flight, rows)
-        while self._done < self._steps and self._done * every < rows:
+        while self.done < self._steps and self.done * every < rows:
             end = self._coming[0].row if self._coming else self._steps
             wanted = min(end, -(-rows // every) + _AROUND)
             flown = flight.advance(wanted - flight.count)
             self._window = flown if self._window is None else _joined(self._window, flown)
             if wanted < end:
                 self._refine(self._window, wanted - _AROUND)
-                kept = max(self._window_at, self._done - _AROUND)
+                kept = max(self._window_at, self.done - _AROUND)
                 self._window = Rows(*(values[kept - self._window_at :] for values in self._window))
                 self._window_at = kept
                 continue
@@ -212,19 +212,19 @@ class VehiclePlant(world.Plant):
 
     def _refine(self, window: Rows, until: int) -> None:
         """Splines up to a coarse row; what jumped before the first is in that."""
-        every, first = self._every, self._done * self._every
+        every, first = self.every, self.done * self.every
         count = max(min(every * until, self.rows) - first, 0)
         splines = tuple(CubicSpline(np.arange(len(values), dtype=np.float64), values) for values in window)
-        self._parts.append(_Part(first, count, self._done - self._window_at, splines, self._jolt))
-        self._jolt, self._done = None, until
+        self.parts.append(_Part(first, count, self.done - self._window_at, splines, self._jolt))
+        self._jolt, self.done = None, until
         if self.program.waits:
             self._make(first + count)
 
     def _make(self, until: int) -> None:
         """Fine rows up to ``until``, as far as there are splines, and what is derived from them."""
-        every, begun = self._every, self._filled
-        self._filled = min(until, every * self._done, self.rows)
-        for part in self._parts:
+        every, begun = self.every, self._filled
+        self._filled = min(until, every * self.done, self.rows)
+        for part in self.parts:
             first, last = max(begun, part.first), min(self._filled, part.first + part.rows)
             if first >= last:
                 continue
@@ -234,7 +234,7 @@ class VehiclePlant(world.Plant):
             if part.jolt is not None and first == part.first:
                 self.rows_true.sensors[first] += part.jolt.sensors / self.step_s
                 self.rows_true.torques[first] += part.jolt.torques / self.step_s
-        self._parts = [part for part in self._parts if part.first + part.rows > self._filled]
+        self.parts = [part for part in self.parts if part.first + part.rows > self._filled]
         for out, made in self._live:
             out[begun : self._filled] = made(slice(begun, self._filled))
 
@@ -384,7 +384,7 @@ class VehiclePlant(world.Plant):
 
     def _run_chunk(self) -> None:
         self.count += self.chunk
-        if not self._part or self._done * self._every < min(self.count, self.rows):
+        if not self._part or self.done * self.every < min(self.count, self.rows):
             self._compute(min(self.count + self._part, self.rows))
         if self._filled < min(self.count, self.rows):  # not of servos
             self._make(self.count + _BLOCK * self.chunk)

@@ -131,7 +131,7 @@ def _unit_kernels() -> tuple[Shape, Kernel, _Pieces]:
     return together.alone(0), Kernel((together.alone(1), together.alone(2), together.alone(3))), together
 
 
-_BASE, SPLINE, _SPLINE_TOGETHER = _unit_kernels()
+BASE, SPLINE, SPLINE_TOGETHER = _unit_kernels()
 
 
 class SmoothingWindow:
@@ -238,10 +238,10 @@ class SmoothingWindow:
         """
         u, cell = (self._u, self._cell) if self._whole else (self._u[self.valid], self._cell[self.valid])
         if self.kernel is SPLINE:
-            shapes = _SPLINE_TOGETHER(u)
+            shapes = SPLINE_TOGETHER(u)
         else:
             about = (u - self.kernel.first_moment) / self.kernel.reach
-            near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
+            near = BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else BASE(about)
             shapes = np.stack([near, *(part(u) for part in self.kernel.parts)])
         n, length = u.shape
         given = (library.address(part) for part in (u, cell, shapes))

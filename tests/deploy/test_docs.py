@@ -33,9 +33,9 @@ _SPAN = re.compile(r"`((?:\.venv/bin/)?heft [^`]+)`")
 _SCRIPT = re.compile(r"(?:python|sh|bash) ((?:bench|deploy|tests)/[\w/]+\.\w+)|python -m ((?:bench|tests)(?:\.\w+)+)")
 
 
-def _commands() -> dict[str, argparse.ArgumentParser]:
-    action = next(it for it in parser()._actions if isinstance(it, argparse._SubParsersAction))
-    return dict(action.choices)
+def _nested(of: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Its subcommands."""
+    return dict(next((it.choices for it in of._actions if isinstance(it, argparse._SubParsersAction)), {}))
 
 
 def _unknown(snippet: str, commands: dict[str, argparse.ArgumentParser]) -> str:
@@ -44,10 +44,8 @@ def _unknown(snippet: str, commands: dict[str, argparse.ArgumentParser]) -> str:
     name = words[0].rstrip(",")
     if name not in commands:
         return "" if name in ("--version", "--help", "COMMAND") else name
-    known = {option for action in commands[name]._actions for option in action.option_strings}
-    nested = [it for it in commands[name]._actions if isinstance(it, argparse._SubParsersAction)]
-    for action in nested:
-        known |= {option for inner in action.choices.values() for it in inner._actions for option in it.option_strings}
+    readers = [commands[name], *_nested(commands[name]).values()]
+    known = {option for reader in readers for action in reader._actions for option in action.option_strings}
     asked = [word.split("=")[0].rstrip(",)") for word in words[1:] if re.match(r"--?[a-z]", word)]
     return next((option for option in asked if option not in known), "")
 
@@ -55,7 +53,7 @@ def _unknown(snippet: str, commands: dict[str, argparse.ArgumentParser]) -> str:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_command_shown_exists_with_its_options(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    commands = _commands()
+    commands = _nested(parser())
     found = _SPAN.findall(_FENCE.sub("", text))
     for block in _FENCE.findall(text):
         found += [line.split(" #")[0] for line in _LINE.findall(block.replace("\\\n", " "))]
@@ -104,7 +102,7 @@ def test_rooms_stand_above_what_they_import_and_circles_are_refused() -> None:
 
 
 def test_a_command_that_does_not_exist_is_noticed() -> None:
-    commands = _commands()
+    commands = _nested(parser())
     assert _unknown("heft ponder LOG", commands) == "ponder"
     assert _unknown("heft info LOG --clock PNG", commands) == "--clock"
     assert _unknown("heft fly vehicle.toml [--live] [--quiet|--json-lines]", commands) == ""

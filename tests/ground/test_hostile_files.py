@@ -281,14 +281,14 @@ def test_a_row_that_is_years_from_the_others_is_damage_and_costs_its_chunk(tmp_p
     log = LogReader(tmp_path / "x.mcap")
     assert 490 <= len(log.read("sync")) <= 495
     assert log.read("sync")["host_ns"].max() < 2 * 10**9
-    assert "years from the one before it" in str(log.damage[0])
+    assert "years from the row before it" in str(log.damage[0])
     assert log.exit_code == cli.DAMAGED
 
 
 def test_steps_of_the_estimator_that_are_none_are_refused(tmp_path):
     for dtype, now_ns, why in (
         (channels.tick_dtype(2), 0, "none of"),
-        (channels.tick_dtype(1), 10**15, "is 1000000 s after the one before it"),
+        (channels.tick_dtype(1), 10**15, "is 1000000 s after the step before it"),
     ):
         rows = np.zeros(2, dtype)
         rows["host_ns"][1] = now_ns

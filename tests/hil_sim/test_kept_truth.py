@@ -77,8 +77,8 @@ def test_a_long_mission_is_computed_as_time_advances(monkeypatch) -> None:
     plant, ahead, parts = Mission(scenario, 3).plant, [], []
     while plant.count < plant.rows:
         plant._run_chunk()
-        ahead.append(plant._done * plant._every - plant.count)
-        parts.append(sum(part.rows for part in plant._parts))
+        ahead.append(plant.done * plant.every - plant.count)
+        parts.append(sum(part.rows for part in plant.parts))
     assert len(ahead) == plant.rows // plant.chunk > 4 * vehicle_plant.PART
     assert max(ahead) <= (vehicle_plant.PART + 1) * plant.chunk
     assert max(parts) <= (vehicle_plant.PART + 1) * plant.chunk

@@ -139,10 +139,10 @@ def test_a_momentum_alone(case):
     J = np.eye(3) + 0.1 * rng.normal(size=(n, 3, 3))
     still, start = rng.normal(size=(n, 3)), rng.normal(size=3)
     rate, slope = rate_of_momentum(J, still, start, PERIOD_s)
-    eta = oracle._integrate_momentum(J, still, start, PERIOD_s)
+    eta = oracle.integrate_momentum(J, still, start, PERIOD_s)
     same(rate, np.einsum("nij,nj->ni", J, eta) - still)
     nothing = np.zeros((n, 3, 0))
-    same(slope, J @ oracle._integrate_sensitivity(rate, eta, J, nothing, np.eye(3), PERIOD_s))
+    same(slope, J @ oracle.integrate_sensitivity(rate, eta, J, nothing, np.eye(3), PERIOD_s))
 
 
 @pytest.mark.parametrize("seed", CASES)
@@ -187,12 +187,12 @@ def test_samples_under_a_kernel(seed, kernel):
     assert 0 < window.valid.sum() < len(at)
     u, cell = u[window.valid], cell[window.valid]
     if kernel is smoothing.SPLINE:
-        shapes = of_smoothing.pieces(smoothing._SPLINE_TOGETHER.coefficients, u)
-        np.testing.assert_array_equal(smoothing._SPLINE_TOGETHER(u), shapes)
-        assert not smoothing._SPLINE_TOGETHER(np.array([-0.51, 0.6, np.inf, np.nan])).any()
+        shapes = of_smoothing.pieces(smoothing.SPLINE_TOGETHER.coefficients, u)
+        np.testing.assert_array_equal(smoothing.SPLINE_TOGETHER(u), shapes)
+        assert not smoothing.SPLINE_TOGETHER(np.array([-0.51, 0.6, np.inf, np.nan])).any()
     else:
         about = np.clip((u - kernel.first_moment) / kernel.reach, -0.5, 0.5)
-        shapes = np.stack([smoothing._BASE(about), *(part(u) for part in kernel.parts)])
+        shapes = np.stack([smoothing.BASE(about), *(part(u) for part in kernel.parts)])
     kernels, powers, weighted = of_smoothing.kernels(u, cell, shapes)
     correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
     for found, true in zip(window._correction, (kernels, powers, correctors), strict=True):

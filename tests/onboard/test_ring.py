@@ -65,7 +65,7 @@ def test_rows_being_overwritten_are_lost_not_torn(tmp_path: Path) -> None:
     writer = RingWriter(tmp_path / "imu.ring", records.IMU, 8)
     reader = RingReader(tmp_path / "imu.ring")
     writer.push(rows(0, 8))
-    writer._counters[0] = 11  # a writer in the middle of pushing three more
+    writer.counters[0] = 11  # a writer in the middle of pushing three more
     got, lost = reader.read()
     assert got["sequence"].tolist() == [3, 4, 5, 6, 7]
     assert lost == 3
@@ -75,7 +75,7 @@ def test_rows_being_overwritten_are_lost_not_torn(tmp_path: Path) -> None:
 def test_a_damaged_row_is_counted_and_not_handed_out(tmp_path: Path, byte: int) -> None:
     writer = RingWriter(tmp_path / "imu.ring", records.IMU, 8)
     writer.push(rows(0, 6))
-    writer._data.view(np.uint8)[2, byte] ^= 0x10
+    writer.data.view(np.uint8)[2, byte] ^= 0x10
     got, lost = RingReader(tmp_path / "imu.ring").read()
     assert got["sequence"].tolist() == [0, 1, 3, 4, 5]
     assert lost == 1
@@ -131,8 +131,8 @@ def test_it_goes_on_after_a_number_beside_damaged_rows_and_jumps(tmp_path: Path)
     writer = RingWriter(tmp_path / "imu.ring", records.IMU, 16)
     writer.push(rows(0, 5))
     writer.push(rows(9, 5))  # the device lost four
-    writer._data[2] ^= 1
-    writer._data[7] ^= 1  # number 11
+    writer.data[2] ^= 1
+    writer.data[7] ^= 1  # number 11
     for number, following in ((1, [3, 4, 9]), (2, [3, 4, 9]), (4, [9, 10, 12]), (6, [9, 10, 12]), (11, [12, 13])):
         reader = RingReader(tmp_path / "imu.ring")
         assert reader.seek_after(number)

@@ -88,11 +88,11 @@ class Asking:
         identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
         self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
         self._motions = [_motion(library, k) for k in range(len(library.names))]
-        self._own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
+        self.own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
         self._turn = 0  # segment that is linearised next
-        self._ratios: list[float] = []  # at each request
-        self._number = self._since_change = self._met = self._unmoved = 0
-        self._over = self._moved = self._asks = False
+        self.ratios: list[float] = []  # at each request
+        self._number = self.since_change = self._met = self._unmoved = 0
+        self._over = self.moved = self._asks = False
         self._held_s: float | None = None  # since when a payload is
         self._idle_s: float | None = None  # since when the arm rests with nothing held
         self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
@@ -113,9 +113,9 @@ class Asking:
         assert isinstance(online, ExiddmIdentifier)
         exiddm = online.exiddm
         if len(exiddm.changes) != self._changes:  # another payload, or none: all begins anew
-            self._changes, self._since_change, self._met, self._unmoved = len(exiddm.changes), 0, 0, 0
-            self._over, self._held_s, self._idle_s, self._ratios = False, None, None, []
-            self._own = [None] * len(self._own)
+            self._changes, self.since_change, self._met, self._unmoved = len(exiddm.changes), 0, 0, 0
+            self._over, self._held_s, self._idle_s, self.ratios = False, None, None, []
+            self.own = [None] * len(self.own)
         if exiddm.held is False:
             known = self._known(exiddm, online.estimate(), float(np.linalg.norm(rate)))
             ready = self._rests(joints) and bool(np.isfinite(rate).all())
@@ -131,10 +131,10 @@ class Asking:
         self._met = self._met + 1 if usable and self._is_met(estimate, known.asked) else 0
         if self._met >= _STEADY:
             self._over, self._asks = True, False
-            took = f"{time_s - self._held_s:.0f} s after the payload was held, {self._since_change} segments"
+            took = f"{time_s - self._held_s:.0f} s after the payload was held, {self.since_change} segments"
             return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
         self._linearise(exiddm)
-        self._moved |= bool((np.abs(joints[1]) > _STILL_rad_s).any())
+        self.moved |= bool((np.abs(joints[1]) > _STILL_rad_s).any())
         rests = time_s >= self._until_s and self._rests(joints) and bool(np.isfinite(rate).all())
         why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
@@ -154,7 +154,7 @@ class Asking:
         waited_s = time_s - max(self._idle_s, self._until_s)
         if not ready or self._over or not self.probe_s or waited_s < self.probe_s:
             return []
-        if self._since_change >= _PROBES:
+        if self.since_change >= _PROBES:
             self._over = True
             text = f"{self._text}: {_PROBES} motions have shown nothing that is held; asks again when something is"
             return [event(now_ns, Severity.WARNING, "goal_waits", "estimation", text)]
@@ -164,12 +164,12 @@ class Asking:
         """Linearise the next segment in turn about the present estimate; one segment a step."""
         if exiddm.state is None or not exiddm.holds or not exiddm.state[PAYLOAD][0] > 0.0:
             return
-        k, self._turn = self._turn, (self._turn + 1) % len(self._own)
+        k, self._turn = self._turn, (self._turn + 1) % len(self.own)
         with np.errstate(over="ignore", invalid="ignore"):  # a state that is no motion is not used
             now = self._predictor.predict(*self._motions[k], exiddm.state, self.library.cyclic[k])
         if now.moderate:
             whitened = now.jacobian / self.library.sigma[k][:, :, None]
-            self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
+            self.own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
 
     def _stuck(self, held_s: float, time_s: float, *, rests: bool) -> str:
         """Reason why no segment is requested any more, whatever the estimate; empty if there is none."""
@@ -230,7 +230,7 @@ class Asking:
     def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:
         library = self.library
         low, high = known.masses_kg
-        if high > 1.25 * library.masses[-1] and self._since_change >= _FEWEST:
+        if high > 1.25 * library.masses[-1] and self.since_change >= _FEWEST:
             text = f"it may weigh {high:.3g} kg, and the segments are for {library.masses[-1]:.3g} kg at most"
             return self._give_up(now_ns, time_s, now, text)
         first = max(int(np.searchsorted(library.masses, low, side="right")) - 1, 0)
@@ -240,14 +240,14 @@ class Asking:
         fits = (library.excess[:, between].max(axis=1) <= 0.0) & (rate <= library.most)
         allowed = np.flatnonzero(fits)
         at = int(np.argmin(np.abs(np.log(library.masses / np.sqrt(max(low, 1e-3) * max(high, 2e-3))))))
-        both = zip(library.roots[:, at], self._own, strict=True)
+        both = zip(library.roots[:, at], self.own, strict=True)
         roots = [np.asarray(one, np.float64) if own is None else own for one, own in both]
         if not len(allowed):
             return self._give_up(now_ns, time_s, now, self._forbidding(known, np.arange(len(rate)), between))
         found = choose(known.covariance, roots, library.durations_s, known.asked, allowed)
         expected = found.ratio * known.widened**0.5
-        stalled = solved and len(self._ratios) >= _FEWEST and now > _LITTLE * self._ratios[-_FEWEST]
-        if now > 1.0 and ((expected > _LITTLE * now and self._since_change >= _FEWEST) or stalled):
+        stalled = solved and len(self.ratios) >= _FEWEST and now > _LITTLE * self.ratios[-_FEWEST]
+        if now > 1.0 and ((expected > _LITTLE * now and self.since_change >= _FEWEST) or stalled):
             why = self._hopeless(known, roots, allowed, between)
             if not why and stalled:
                 told = _most(shares(known.covariance, known.asked, library.unknowns))
@@ -255,10 +255,10 @@ class Asking:
             if why:
                 return self._give_up(now_ns, time_s, now, why)
         if solved:  # else the information of the segments is in a window that is not explained yet
-            self._ratios.append(now)
+            self.ratios.append(now)
         name = library.names[found.segment]
-        self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1
-        self._since_change, self._moved, self._asks = self._since_change + 1, False, True
+        self._unmoved = 0 if self.moved or not self.since_change else self._unmoved + 1
+        self.since_change, self.moved, self._asks = self.since_change + 1, False, True
         self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
         self._late_s = self._until_s + _LATE_s
         text = f"{name}: half intervals are {now:.3g} times what is wanted, {expected:.3g} expected after it"

@@ -129,7 +129,7 @@ class Exiddm:
         self._links = UncertainLinks(base.vehicle, link_covariance)
         self._R_BS, self._p_BoSo_B = base.vehicle.pose_in_base(imu_frame)
         self._take(base)
-        if np.count_nonzero(self._valid) < len(self._valid) // 2:
+        if np.count_nonzero(self.valid) < len(self.valid) // 2:
             raise SignalError("more than half of the flight has no IMU; cut it to where it has")
         widths = [np.sqrt(np.diag(block)) for block in self._links.covariances]
         imu = imu_blocks(imu_prior)
@@ -152,7 +152,7 @@ class Exiddm:
     def _take(self, base: BaseModel) -> None:
         signals, self._base = base.signals, base
         self._measured = np.concatenate([signals.rate, signals.specific_force], axis=1)  # (n, 6)
-        self._valid: BoolArray = np.isfinite(self._measured).all(axis=1)
+        self.valid: BoolArray = np.isfinite(self._measured).all(axis=1)
         sigma = np.concatenate([signals.rate_sigma, signals.specific_force_sigma])
         self._sigma = np.asarray(np.hypot(sigma, self._of_joints()), np.float64)  # (n, 6)
 
@@ -186,7 +186,7 @@ class Exiddm:
             ConvergenceError, SingularError, RowError: see :func:`onboard.estimation.maximum_likelihood.fit`.
             SignalError: a payload without a mass.
         """
-        n, plan = len(self._valid), self._base.schedule
+        n, plan = len(self.valid), self._base.schedule
         found: Fit | None = None
         for guess in guesses(self.rough):
             try:
@@ -209,7 +209,7 @@ class Exiddm:
             SignalError: a payload without a mass.
         """
         known = int(np.count_nonzero(np.diag(self.prior_information)))
-        freedom = 6 * int(self._valid.sum()) + known - found.x.size
+        freedom = 6 * int(self.valid.sum()) + known - found.x.size
         chi, covariance = found.x[self._payload], found.covariance[np.ix_(self._payload, self._payload)]
         return PayloadFit(body_estimate(chi, covariance), found, self.names, freedom, chi, covariance)
 
@@ -233,19 +233,19 @@ class Exiddm:
             parameters: (p,).
             ticks: only the first so many; all, where not given.
         """
-        n, samples = len(self._valid) if ticks is None else ticks, self._base.signals.samples
+        n, samples = len(self.valid) if ticks is None else ticks, self._base.signals.samples
         x = self.layout.whole(parameters)
         shown, d_true = self._shown(x, n, self._links.indices)
         d_motion = gain_of(x[self._errors]) @ d_true
         jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, self.layout.kept]
         values, jacobian = tick_mean(shown.values, samples), tick_mean(jacobian, samples)
-        return whitened(values, jacobian, self._measured[:n], self._sigma[:n], self._valid[:n])
+        return whitened(values, jacobian, self._measured[:n], self._sigma[:n], self.valid[:n])
 
     def left(self, parameters: FloatArray) -> FloatArray:
         """The residuals alone, (6 v,)."""
-        shown, _ = self._shown(self.layout.whole(parameters), len(self._valid), ())
+        shown, _ = self._shown(self.layout.whole(parameters), len(self.valid), ())
         values = tick_mean(shown.values, self._base.signals.samples)
-        return np.asarray(((values - self._measured) / self._sigma)[self._valid].ravel(), np.float64)
+        return np.asarray(((values - self._measured) / self._sigma)[self.valid].ravel(), np.float64)
 
     def _shown(self, x: FloatArray, n: int, links: tuple[int, ...]) -> tuple[ImuReading, FloatArray]:
         """Of the first n ticks with all unknowns as in ``x``; and the derivative of the motion, (n, 6, c)."""
@@ -253,13 +253,13 @@ class Exiddm:
         others = {name: x[layout[name]] for name in self._base.others}
         base = self._base.predict(x[layout["start"]], self._chi(x), others, links, n)
         true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
-        time_s = np.asarray(period_s * (np.arange(n) - 0.5 * (len(self._valid) - 1)), np.float64)
+        time_s = np.asarray(period_s * (np.arange(n) - 0.5 * (len(self.valid) - 1)), np.float64)
         return imu_reading(true, np.gradient(true, period_s, axis=0), time_s, x[self._errors]), d_true
 
     def residuals_by_tick(self, parameters: FloatArray) -> FloatArray:
         """As :meth:`residuals`, (n, 6), NaN at ticks without an IMU."""
-        left = np.full((len(self._valid), 6), np.nan)
-        left[self._valid] = self.left(parameters).reshape(-1, 6)
+        left = np.full((len(self.valid), 6), np.nan)
+        left[self.valid] = self.left(parameters).reshape(-1, 6)
         return left
 
     def predicted(self, x: FloatArray, own: FloatArray) -> HeldOutFit:

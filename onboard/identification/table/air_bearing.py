@@ -50,7 +50,7 @@ _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time;
 _HOPELESS = 4.0  # squares of a search's result by its residuals, three times what could be an answer
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
-_DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
+DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
 NO_MULTIPLES: FloatArray = np.zeros(0)
 MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is reported and nothing can be
 
@@ -219,9 +219,9 @@ class TableExiddm(Exiddm):
             found.append(self._dragged(super().fit()))
         except (EstimationError, SignalError) as error:
             failure.append(error)
-        if not found or self._pushes(found[0].fit):
+        if not found or self.pushes(found[0].fit):
             try:
-                near = self._searched()
+                near = self.searched()
             except ConvergenceError as error:
                 near, failure = [], [error]
             for x in near:
@@ -250,7 +250,7 @@ class TableExiddm(Exiddm):
             return found
         x[pushing] = 0.0
         try:
-            x = self._held(x, pushing, _FAIRLY, self.ticks, Work(_STEPS * self.ticks)).x
+            x = self.held(x, pushing, _FAIRLY, self.ticks, Work(_STEPS * self.ticks)).x
             fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
         except EstimationError:
             return found
@@ -280,13 +280,13 @@ class TableExiddm(Exiddm):
         """Multiples of the functions of cyclic errors of the encoders, (m,), of a run that has these functions."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["cyclic"]
 
-    def _pushes(self, found: Fit) -> bool:
+    def pushes(self, found: Fit) -> bool:
         """Whether all pucks together would push, by viscous or by Coulomb drag, or one of them beyond its sigma."""
         at = self.layout.estimated("drag")
         each, sigma = found.x[at], np.sqrt(np.diag(found.covariance)[at])
         return bool((each.reshape(-1, 2).sum(axis=0) < 0.0).any() or (each < -sigma).any())
 
-    def _searched(self) -> list[FloatArray]:
+    def searched(self) -> list[FloatArray]:
         """Parameters to begin with, (p,) each, the likeliest first.
 
         Raises:
@@ -294,18 +294,18 @@ class TableExiddm(Exiddm):
         """
         base, mass = self._base, self.layout.estimated("payload")[0]
         coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
-        work, rows = Work(_MOST_TICKS), 6 * int(coarse._valid.sum())
+        work, rows = Work(_MOST_TICKS), 6 * int(coarse.valid.sum())
         found = list[Searched]()
         for guess in _BODIES:
             of_drag: dict[tuple[float, float], float] = {}  # the least squares that searches from it came to
-            for roundings_m_s, drags in product(_ROUNDINGS_m_s, _DRAGS):
+            for roundings_m_s, drags in product(_ROUNDINGS_m_s, DRAGS):
                 with suppress(EstimationError):
                     one = coarse._continued(guess, roundings_m_s, drags, work)
                     if one.x[mass] > 0.0:
                         found.append(one)
                         of_drag[drags] = min(one.squares, of_drag.get(drags, np.inf))
                 least, most = min(of_drag.values(), default=0.0), max(of_drag.values(), default=0.0)
-                if len(of_drag) == len(_DRAGS) and most - least < _FAIRLY and least < MISFIT_DOUBTED * rows:
+                if len(of_drag) == len(DRAGS) and most - least < _FAIRLY and least < MISFIT_DOUBTED * rows:
                     break
             if found:
                 break
@@ -321,15 +321,15 @@ class TableExiddm(Exiddm):
     ) -> "Searched":
         """From a payload and drags that are held at first, Coulomb drag rounded less and less."""
         payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
-        n, both, none = len(self._valid), np.concatenate([payload, drag]), drag[:0]
+        n, both, none = len(self.valid), np.concatenate([payload, drag]), drag[:0]
         x = self.start(guess)
         x[drag] = self._drag(*drags)
         rounded = self.of(self._base.rounded(roundings_m_s[0]))
         for held, ticks in ((both, n // 3), (drag, n // 3), (drag, 2 * n // 3), (drag, n)):
-            x = rounded._held(x, held, _ROUGHLY, ticks, work).x
+            x = rounded.held(x, held, _ROUGHLY, ticks, work).x
         for rounding_m_s in roundings_m_s:
-            x = self.of(self._base.rounded(rounding_m_s))._held(x, none, _FAIRLY, n, work).x
-        return self._held(x, none, _FAIRLY, n, work)
+            x = self.of(self._base.rounded(rounding_m_s)).held(x, none, _FAIRLY, n, work).x
+        return self.held(x, none, _FAIRLY, n, work)
 
     def _drag(self, viscous_1_s: float, coulomb_m_s2: float) -> FloatArray:
         """Fv and Fc of each puck that slow the bare vehicle down so, (2 x pucks,)."""
@@ -337,7 +337,7 @@ class TableExiddm(Exiddm):
         mass_kg = self._base.vehicle.chi[::10].sum()
         return np.tile([viscous_1_s * mass_kg / pucks, coulomb_m_s2 * mass_kg / pucks], pucks)
 
-    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "Work") -> "Searched":
+    def held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "Work") -> "Searched":
         """The best in a few steps, for the first ticks, with some unknowns kept as they are."""
         free = np.setdiff1d(np.arange(x.size), held)
         tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]

@@ -212,9 +212,9 @@ def test_signals_of_a_wrong_shape_are_named(rng):
     signals, held, _ = rocksat_flight.flight(rng)
     who = rocksat_flight.identifier()
     none = np.zeros(held.size, np.int64)
-    with pytest.raises(SignalError, match="one each"):
+    with pytest.raises(SignalError, match="give as many"):
         who.update(signals._replace(measured=np.repeat(signals.measured, 2, axis=1)), held, none)
-    with pytest.raises(SignalError, match="one each"):
+    with pytest.raises(SignalError, match="give as many"):
         who.update(signals, held, none[:-1])
 
 

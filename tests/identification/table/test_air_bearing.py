@@ -56,7 +56,7 @@ def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monke
     assert (np.abs(drag.drag - [0.3, 0.03]) < 3.5 * drag.sigma).all()
     assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * np.sqrt(found.payload.covariance[0, 0])
     assert found.misfit == pytest.approx(1.0, abs=0.1)
-    monkeypatch.setattr(TableExiddm, "_searched", lambda _: [])
+    monkeypatch.setattr(TableExiddm, "searched", lambda _: [])
     with pytest.raises(ConvergenceError, match="not converged"):
         air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
 
@@ -95,15 +95,15 @@ def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
     run, rng, monkeypatch, by_one_drag, by_the_other, searches
 ):
     exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
-    left = {drags: iter(own) for drags, own in zip(air_bearing._DRAGS, (by_one_drag, by_the_other), strict=True)}
+    left = {drags: iter(own) for drags, own in zip(air_bearing.DRAGS, (by_one_drag, by_the_other), strict=True)}
     done = []
 
     def continued(coarse, guess, _roundings, drags, _work):
-        done.append(6 * int(coarse._valid.sum()) * next(left[drags]))
+        done.append(6 * int(coarse.valid.sum()) * next(left[drags]))
         return Searched(coarse.start(guess), done[-1])
 
     monkeypatch.setattr(TableExiddm, "_continued", continued)
-    assert len(exiddm._searched()) == 2
+    assert len(exiddm.searched()) == 2
     assert len(done) == searches
 
 
@@ -133,7 +133,7 @@ def test_a_fit_whose_pucks_push_is_searched_again(run):
     covariance[drag, drag] = 0.2**2
 
     def pushes() -> bool:
-        return exiddm._pushes(SimpleNamespace(x=x, covariance=covariance))
+        return exiddm.pushes(SimpleNamespace(x=x, covariance=covariance))
 
     assert not pushes()
     x[drag] = [-0.1, 0.0, 0.3, 0.0, 0.0, 0.0]  # one puck of three
@@ -224,7 +224,7 @@ def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
     for puck, value in zip(range(len(PUCKS)), DRAGS, strict=True):
         x[drag[2 * puck : 2 * puck + 2]] = value.viscous_N_s_m, value.coulomb_N
     x[:3] = [0.02, -0.01, 0.05]
-    done = exiddm._held(x, held, 1e-3, len(exact(run).q), Work(10**6))
+    done = exiddm.held(x, held, 1e-3, len(exact(run).q), Work(10**6))
     np.testing.assert_array_equal(done.x[held], x[held])
     np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)
 

@@ -40,7 +40,7 @@ def predict(frames, period_s, chi, start, links, bases=None, errors=None, push=N
             forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
     local = slice(3 + own - (0 if errors is None else errors.local), 3 + own)
     forcing[:, :, local.start - 3 : local.stop - 3] = 0.0
-    d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
+    d_eta = integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
     np.matmul(from_eta[:, 3:], d_eta, out=along[:, :3])
     if local.start < local.stop:
         more = np.zeros((n, 9, local.stop - local.start + 3))
@@ -62,7 +62,7 @@ def _move(frames, period_s, chi, start, push, by_rate):
     momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
     pushed = None if push is None else _Pushed(push, bodies.composite)
     torque = pushed.torque if pushed is not None and pushed.acts else None
-    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, torque)
+    eta = integrate_momentum(from_eta[:, 3:], still, momentum, period_s, torque)
     bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
     if pushed is not None and pushed.acts:
         bias = bias - pushed.wrench
@@ -147,7 +147,7 @@ def _midpoints(x):
     return middle
 
 
-def _integrate_momentum(J, k, start, h, torque=None):
+def integrate_momentum(J, k, start, h, torque=None):
     """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by fourth-order Runge-Kutta, (n, 3).
 
     A torque, (n, 3), adds half a step's impulse before each step and half of the next after it: it may jump.
@@ -184,7 +184,7 @@ def _momentum_rate(x, y, z, stage: list[float]):
     return y * w - z * v, z * u - x * w, x * v - y * u
 
 
-def _integrate_sensitivity(w, eta, J, forcing, start, h: float):
+def integrate_sensitivity(w, eta, J, forcing, start, h: float):
     """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``start``; (n, 3, 3 + c)."""
     A = hat(eta) @ J - hat(w)
     middle, one = _midpoints(A), np.eye(3)

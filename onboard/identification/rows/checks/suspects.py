@@ -167,7 +167,7 @@ class RowSuspects:
         about[:n] = np.linalg.pinv(self._half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
         for _ in range(_ROUNDS):
-            A, b, left = self._equations(ticks, about, noise)
+            A, b, left = self.equations(ticks, about, noise)
             P = np.asarray(np.linalg.inv(A + np.eye(len(A))), np.float64)
             weighed = self._bank.weigh((P @ b, P))
             before, louder = about, noise
@@ -233,7 +233,7 @@ class RowSuspects:
             M[:, at] = body
         return M @ self._half, scale * body - (1.0 + scale) * drawn
 
-    def _equations(
+    def equations(
         self, ticks: SmoothedTicks, z: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, "_Left"]:
         """Information and right-hand side of z about a value of it, and what another leaves over.

@@ -161,7 +161,7 @@ def test_a_library_comes_back_as_it_was_written(library, tmp_path):
     [
         (
             lambda file: {**file, "q": file["q"] + np.linspace(0, 1, file["q"].shape[1])[:, None]},
-            "posture of the others",
+            "postures at begin and end",
         ),
         (lambda file: {**file, "base_rate": file["base_rate"][:1]}, "base_rate cannot be"),
         (lambda file: {**file, "roots": file["roots"] * np.nan}, "roots cannot be"),
@@ -288,7 +288,7 @@ class TestLimits:
         over = rng.choice([-0.3, 0.0, 1e-9, 0.01, 0.3], whole.excess.shape, p=[0.5, 0.2, 0.1, 0.1, 0.1])
         rates = rng.uniform(0.0, 1.2, whole.base_rate.shape)
         own.library = replace(whole, excess=over, base_rate=rates, most=1.2)
-        own._since_change, own._ratios = 0, []
+        own.since_change, own.ratios = 0, []
         known = own._known(asking[1].exiddm, asking[1].estimate(), turning)._replace(masses_kg=(low, low + wide))
         request, *_ = own._ask(0, 0.0, known, 5.0, solved=False)
         own.library = whole
@@ -313,7 +313,7 @@ class TestLimits:
         monkeypatch.setattr(type(exiddm), "settled", lambda _: settled)
         said = []
         for time_s in np.arange(1.0, 60.0):
-            own._moved = True
+            own.moved = True
             said += [batch.rows["code"][0] for batch in self.step(asking, time_s) if batch.channel == "event"]
         assert (b"goal_given_up" in said) == settled
         assert said.count(b"segment_asked") == 3 if settled else said.count(b"segment_asked") > 6
@@ -327,7 +327,7 @@ class TestLimits:
         exiddm.state[PAYLOAD] = [0.1, 90.0, 90.0, 90.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-9]
         exiddm.state[RATE] = 1e6
         assert len(self.step(asking, 1.0)) == 2
-        assert own._own == [None] * len(own._own)
+        assert own.own == [None] * len(own.own)
 
     def test_an_arm_that_does_not_move_is_noticed(self, asking):
         asking[1].exiddm.held = True
