@@ -4,10 +4,10 @@
 
     python -m bench.speed [--against PATH] [--only hil-rocksat ...] [--seed 3] [--rounds 5] [--json FILE]
 
-Each command runs as a process of its own, with an empty cache and compiled modules, and its CPU time is what the kernel
-counted (user and system). A profiling timer samples its stack every 2 ms of CPU time: a sample counts for the layer of
-the innermost frame that has one, for imports where one is going on, for foresight where the table before the flight is
-being made.
+Each command runs as a process of its own, with compiled modules and core (onboard/native) and an otherwise empty cache,
+and its CPU time is what the kernel counted (user and system). A profiling timer samples its stack every 2 ms of CPU
+time: a sample counts for the layer of the innermost frame that has one, for imports where one is going on, for
+foresight where the table before the flight is being made.
 Medians of the rounds; the least too, which other work on the machine moves less. ``replay`` and ``identify`` read a
 DYMAFLEX log that each checkout flies for itself.
 """
@@ -15,6 +15,7 @@ DYMAFLEX log that each checkout flies for itself.
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -97,20 +98,28 @@ sys.exit(main())
 """
 
 
-def compile_modules(checkout: Path) -> None:
-    """Compile its modules, as they are where it is installed."""
+def compile_modules(checkout: Path, cache: Path) -> None:
+    """Compile its modules, and its core into a cache, as they are where it is installed."""
     rooms = [str(checkout / room) for room in ("onboard", "hil_sim", "drivers")]
     subprocess.run([sys.executable, "-m", "compileall", "-q", *rooms], check=True)
+    cache.mkdir(parents=True)
+    if (checkout / "onboard" / "native").exists():
+        environment = os.environ | {"PYTHONPATH": str(checkout), "XDG_CACHE_HOME": str(cache)}
+        made = [sys.executable, "-c", "import onboard.native.library"]
+        subprocess.run(made, cwd=checkout, env=environment, check=True)
 
 
-def run(checkout: Path, command: str) -> dict[str, float]:
+def run(checkout: Path, command: str, compiled: Path) -> dict[str, float]:
     """CPU seconds of a command of a checkout by layer, and in ``whole`` what the kernel counted.
+
+    ``compiled``: a cache with the core alone.
 
     Raises:
         RuntimeError: it did not end with 0.
     """
     with tempfile.TemporaryDirectory() as directory:
         told = Path(directory) / "layers.json"
+        shutil.copytree(compiled, f"{directory}/cache")
         environment = os.environ | {
             "OPENBLAS_NUM_THREADS": "1",
             "PYTHONPATH": str(checkout),
@@ -140,19 +149,20 @@ def measure(
     """CPU seconds by layer of each command, checkout and round."""
     found: dict[str, dict[str, list[dict[str, float]]]] = {name: {str(one): [] for one in checkouts} for name in only}
     with tempfile.TemporaryDirectory() as directory:
-        for one in checkouts:
-            compile_modules(one)
         logs = {one: Path(directory) / str(number) for number, one in enumerate(checkouts)}
+        compiled = {one: Path(directory) / f"compiled-{number}" for number, one in enumerate(checkouts)}
+        for one, cache in compiled.items():
+            compile_modules(one, cache)
         if any("{log}" in COMMANDS[name] for name in only):
             for one, out in logs.items():
                 out.mkdir()
-                run(one, COMMANDS["hil-dymaflex"].format(seed=seed, out=out))
+                run(one, COMMANDS["hil-dymaflex"].format(seed=seed, out=out), compiled[one])
         for _ in range(rounds):
             for name in only:
                 for one, its in logs.items():
                     with tempfile.TemporaryDirectory() as out:
                         command = COMMANDS[name].format(seed=seed, out=out, log=its / "flight.mcap")
-                        found[name][str(one)].append(run(one, command))
+                        found[name][str(one)].append(run(one, command, compiled[one]))
     return found
 
 
