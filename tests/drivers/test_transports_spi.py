@@ -13,7 +13,7 @@ from drivers.errors import UrlError
 from drivers.transports import open_spi
 from hil_sim.buses.spi import SpiBus, install_spi
 from hil_sim.faults import Fault, FaultError, FaultPlan
-from hil_sim.serve import SpiPort
+from hil_sim.serve import SpiSocketPort
 from tests.conftest import VirtualClock
 
 MODE, SPEED = 0x40016B01, 0x40046B04  # linux/spi/spidev.h
@@ -142,7 +142,7 @@ def test_the_simulated_node_answers_spidev_and_leaves_others_alone(tmp_path):
 
 
 def test_a_simulator_over_a_socket(tmp_path):
-    served = SpiPort(tmp_path / "spi.sock")
+    served = SpiSocketPort(tmp_path / "spi.sock")
     served.bus.add(Echo())
     done = threading.Event()
 
