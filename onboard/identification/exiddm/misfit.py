@@ -2,7 +2,8 @@
 
 Two values per instrument since the last window: the mean over all batches, and the worst block of batches as far as it
 exceeds chance. A fault that the filter adapts to causes large innovations for a short time only, which a mean over a
-flight hides.
+flight hides. ``misfit_by_instrument`` of a whole flight, whose blocks are given and of any size, uses the same
+:func:`beyond_chance`; here blocks are cut as batches come, and only their sums are kept.
 """
 
 from collections.abc import Mapping
