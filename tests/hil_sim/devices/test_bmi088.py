@@ -1,10 +1,13 @@
 """The simulated BMI088: both dies' registers, power, rates and faults, byte by byte."""
 
 import errno
+import sys
 
 import numpy as np
 import pytest
+from smbus2 import smbus2
 
+from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import I2cBus
 from hil_sim.devices.inertial.bmi088 import Bmi088Twin
 from hil_sim.faults import Fault, FaultError, FaultPlan
@@ -151,3 +154,38 @@ def test_its_faults():
     assert one.read(ACCEL, 0x12, 2) == b"\xff\x7f"
     with pytest.raises(FaultError):
         Session([("field", "imu", 0.0, 1.0, 1.0)])
+
+
+def test_pollen_s_driver_reads_it_once_its_power_register_is_right(monkeypatch):
+    """Package ``pollen-bmi088-imu-library``, whose smbus3 is given smbus2's kernel; it wants the gyroscope at 69h.
+
+    Its ACC_POWER_CONF is 7Dh, the data sheet's 7Ch: as it is published, the accelerometer stays suspended.
+    """
+    maker = pytest.importorskip("bmi088.bmi088", reason="pip install pollen-bmi088-imu-library==1.0.0rc1")
+    now = {"ns": START_NS + 40 * MS}
+
+    def clock():
+        now["ns"] += 2 * MS  # a transfer
+        return now["ns"]
+
+    clocks = RateClock(start_ns=START_NS), RateClock(start_ns=START_NS)
+    bus = I2cBus()
+    bus.add(Bmi088Twin(FlatImu(WORDS), clocks, START_NS, addresses=(ACCEL, 0x69)))
+    installed = install_i2c("/dev/i2c-1", bus, clock)
+    try:
+        kernel = vars(sys.modules["smbus3.smbus3"])
+        monkeypatch.setitem(kernel, "ioctl", vars(smbus2)["ioctl"])
+        monkeypatch.setitem(kernel, "os", vars(smbus2)["os"])
+        sensor = maker.BMI088(1, gyro_range=maker.GyroRange.RANGE_125_DPS)
+        now["ns"] += 60 * MS
+        assert sensor.read_gyroscope(deg_per_s=True) == pytest.approx(np.array(WORDS[4:]) / 262.144)
+        assert sensor.read_accelerometer() == (0.0, 0.0, 0.0)
+        sensor.close()
+        monkeypatch.setattr(maker, "ACC_POWER_CONF", 0x7C)
+        sensor = maker.BMI088(1, acc_range=maker.AccRange.RANGE_12G)
+        now["ns"] += 60 * MS
+        assert sensor.read_accelerometer() == pytest.approx(12.0 * np.array(WORDS[:3]) / 32768.0, rel=1e-3)
+        assert sensor.read_temperature() == pytest.approx(400 / 340.0 + 36.53, abs=0.07)
+        sensor.close()
+    finally:
+        installed.uninstall()
