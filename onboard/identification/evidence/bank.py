@@ -22,15 +22,12 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
-from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER, sigmas, tails
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
+from onboard.identification.evidence.mixture import Known, Mixture
 
-_HALVINGS = 12  # of what a quantile lies in
-Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
 Judged = tuple[tuple[str, ...], tuple[str, ...]]  # reasons to refuse an answer, and to doubt it
 
 
@@ -88,21 +85,26 @@ class Changed(NamedTuple):
 
     def sizes(self, which: Sequence[int]) -> Known:
         """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
-        at = np.asarray(which)
+        at = np.asarray(which, np.intp)
         values, V = np.linalg.eigh(np.eye(len(at)) + self.J[np.ix_(at, at)])
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
-    def hypotheses(self, suspects: Sequence[Suspect]) -> list[Hypothesis]:
-        """Each step, and each two that are likelier than either and half of what follows; weights are one."""
+    def hypotheses(self, suspects: Sequence[Suspect], *, every: bool = False) -> list[Hypothesis]:
+        """Each step, and each two that are likelier than either and half of what follows; weights are one.
+
+        ``every``: also those that together weigh less than :data:`.LEAST_WEIGHT` beside the likeliest.
+        """
         nats, logs, found = self.nats, self.logs(suspects), list[Hypothesis]()
         alone, roots = logs.diagonal(), (1.0 + np.maximum(self.J.diagonal(), 0.0)) ** -0.5
-        for k, (suspect, root) in enumerate(zip(suspects, roots[:, None, None], strict=True)):
+        least = logs.max(initial=0.0) + np.log(LEAST_WEIGHT)
+        for k in np.flatnonzero(every | (alone > least - np.log(max(len(alone), 1)))).tolist():
+            root = roots[k : k + 1, None]
             g = self.d[k : k + 1] * root[0]
             parts = float(nats[k, k]), abs(float(g[0] * root[0, 0])), _NONE[0], root, g, self.D[:, k : k + 1] * root
-            found.append(Hypothesis(suspect, (), 1.0, *parts, (k,)))
+            found.append(Hypothesis(suspects[k], (), 1.0, *parts, (k,)))
         second = logs - np.maximum(alone, alone[:, None]) > np.log(LIKELIER)
-        likely = np.triu(second & (logs > max(0.0, logs.max(initial=0.0)) + np.log(LEAST_WEIGHT)), 1)
+        likely = np.triu(second & (logs > least), 1)
         for k, other in np.argwhere(likely).tolist():
             (mean, half), both = self.sizes((k, other)), _both(suspects[k], suspects[other])
             told = float(nats[k, other]), float(np.abs(mean).max()), _NONE[0], half, half.T @ self.d[[k, other]]
@@ -179,78 +181,12 @@ class Weighed(NamedTuple):
             return (f"{self.too_far} is farther from what is stated than any error that is estimated",), ()
         return (), (f"not as stated: {' or '.join(self.names)}",) if self.names else ()
 
-    def mixed(self, part: Callable[[Hypothesis], Known]) -> "Mixture":
+    def mixed(self, part: Callable[[Hypothesis], Known]) -> Mixture:
         """Mixture of the hypotheses that an answer covers; ``part`` gives mean and covariance under each."""
         some = self.counting
         weights = np.array([one.weight for one in some])
         means, covariances = (np.array(each) for each in zip(*map(part, some), strict=True))
         return Mixture(weights / weights.sum(), means, covariances)
-
-
-class Mixture(NamedTuple):
-    """A mixture of Gaussians."""
-
-    weights: FloatArray  # (k,), of sum one
-    means: FloatArray  # (k, p)
-    covariances: FloatArray  # (k, p, p)
-
-    @property
-    def known(self) -> Known:
-        """Its mean and covariance."""
-        mean = self.weights @ self.means
-        apart = self.means - mean
-        return mean, np.tensordot(self.weights, self.covariances, 1) + (self.weights * apart.T) @ apart
-
-    def wider(self, covariance: FloatArray) -> "Mixture":
-        """With a doubt of this covariance, (p, p), common to all."""
-        return self._replace(covariances=self.covariances + covariance)
-
-    def ends(self, along: FloatArray, below: ArrayLike) -> FloatArray:
-        """Quantiles of linear functions of it, (q, m), about their means.
-
-        Args:
-            along: the functions, (m, p).
-            below: probability of less than each quantile, (q,); rounded away from the median by a few thousandths of
-                the distance between the same quantiles of the Gaussians.
-        """
-        apart, sigma = self._of(along)
-        share = np.asarray(below, np.float64)[:, None]
-        each = apart + ndtri(share)[..., None] * sigma  # (q, k, m)
-        low, high = each.min(axis=1), each.max(axis=1)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            less = np.einsum("k,qkm->qm", self.weights, ndtr((middle[:, None] - apart) / sigma)) < share
-            low, high = np.where(less, [middle, high], [low, middle])
-        return np.asarray(np.where(share < 0.5, low, high), np.float64)
-
-    def covering(self, along: FloatArray) -> FloatArray:
-        """Sigmas of linear functions of it, (m,), of which 3.29 contain its 99.9 % intervals; no less than its own.
-
-        A large error of low probability hardly changes the variance, but determines the 99.9 % interval: of two
-        Gaussians of one sigma, the second with weight 0.01 and ten sigmas away, 99.9 % lie within 11.5 sigmas of the
-        mean, and 3.29 times the root of the variance is 4.6.
-
-        Args:
-            along: the functions, (m, p).
-        """
-        far = np.abs(self.ends(along, tails(LEAST_WEIGHT))).max(axis=0) / sigmas(LEAST_WEIGHT)
-        return np.asarray(np.maximum(far, np.sqrt(np.einsum("ij,jk,ik->i", along, self.known[1], along))), np.float64)
-
-    def shares(self, along: FloatArray, ends: FloatArray) -> FloatArray:
-        """Of what lies beyond intervals of linear functions, the share of each Gaussian, (k, m).
-
-        Args:
-            along: the functions, (m, p).
-            ends: lower and upper ends about their means, (2, m).
-        """
-        apart, sigma = self._of(along)
-        each = self.weights[:, None] * (ndtr((ends[0] - apart) / sigma) + ndtr((apart - ends[1]) / sigma))
-        return np.asarray(each / each.sum(axis=0), np.float64)
-
-    def _of(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Means about that of the mixture, and sigmas, of the functions under each Gaussian, (k, m)."""
-        apart = (self.means - self.weights @ self.means) @ along.T
-        return apart, np.sqrt(np.einsum("ij,kjl,il->ki", along, self.covariances, along))
 
 
 class Bank:
@@ -329,18 +265,27 @@ class Bank:
         columns = np.concatenate([np.arange(self._columns[k].start, self._columns[k].stop) for k in which])
         return self._of_all[:, columns], self._inner[np.ix_(columns, columns)]
 
-    def weigh(self, stated: Known, steps: Sequence[Hypothesis] = ()) -> Weighed:
+    def nats(self, stated: Known, which: Sequence[int]) -> float:
+        """Evidence of every suspect of these numbers being wrong, over that of none of all."""
+        (x, P), (U, inner) = stated, self._of_these(which)
+        M, g = inner - U.T @ P[np.ix_(self.at, self.at)] @ U, U.T @ x[self.at]
+        values, V = np.linalg.eigh(M)
+        values = np.maximum(values, 1.0)  # below one by rounding
+        return float(0.5 * ((V.T @ g) ** 2 / values).sum() - 0.5 * np.log(values).sum())
+
+    def weigh(self, stated: Known, steps: Sequence[Hypothesis] = (), beyond: FloatArray | float = 0.0) -> Weighed:
         """All hypotheses; where a fault is more probable than the file as stated, also pairs of probable faults.
 
         Args:
             stated: mean and covariance if nothing is wrong.
             steps: further hypotheses.
+            beyond: nats of each suspect that its evidence in this linear model does not have.
         """
         x, P = stated
         M = [alike.inner - alike.slopes_T @ (P.take(alike.inside) @ alike.slopes) for alike in self._alone]
         slope = [(x[alike.at][:, None] @ alike.slopes)[:, 0] for alike in self._alone]
         found, pairs = self._each(M, slope), list[Hypothesis]()
-        logs = np.append(0.0, self._log_weights(found))
+        logs = np.append(0.0, self._log_weights(found) + beyond)
         likeliest = int(np.argmax(logs)) - 1
         if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found[likeliest].size < FARTHEST_SIZE:
             counting = np.flatnonzero(logs[1:] > logs.max() + np.log(LEAST_WEIGHT))

@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dtrtrs
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, refused_from
-from onboard.identification.evidence.bank import Known
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit

@@ -17,7 +17,8 @@ from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, REFUSE, contradicted_text, tails
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
-from onboard.identification.evidence.bank import Known, Mixture, Weighed
+from onboard.identification.evidence.bank import Weighed
+from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.held_against import Corrections, HeldAgainst

@@ -18,14 +18,14 @@ r of the solution and the transition F to its end,
 A time that is no longer kept, the one of the least likely hypotheses, leaves its odds to the one after it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.policy import LIKELY_SIZE, STEPS_PER_HOUR
-from onboard.identification.evidence.bank import Changed, Suspect
+from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect
 from onboard.identification.evidence.bodies import EACH
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
@@ -36,33 +36,52 @@ _TIMES = 8  # that are kept; with twelve, five flights with a step told the same
 
 
 class Inside(NamedTuple):
-    """Steps of one sigma each at times inside a window."""
+    """Steps of one sigma each at times inside a window: of every kind at every time, the kinds of a time together."""
 
-    lines: IndexArray  # of the load cells
-    at: IndexArray  # (m,) places in the state
-    size: FloatArray  # (m,)
-    first: IndexArray  # (m,) ticks of the window from which on they are there
+    at: IndexArray  # (k,) places in the state
+    along: FloatArray  # (k, kinds) by what each step changes these
+    every: int  # ticks from one time to the next; there is none at the first tick
+    times: int
 
-    def seen(self, rows: FloatArray, tick: int) -> FloatArray:
-        """What they do to the cells' readings, (n, lines, m); ``rows``: derivatives of these from a tick on."""
-        there = np.arange(tick, tick + len(rows))[:, None] >= self.first
-        return np.asarray(rows[..., self.at] * (self.size * there)[:, None], np.float64)
+    def seen(self, rows: FloatArray) -> FloatArray:
+        """What they do to readings, (n, lines, kinds), from their times on; ``rows``: derivatives of these."""
+        return np.asarray(rows[..., self.at] @ self.along, np.float64)
+
+    def starts(self, first: int, ticks: int) -> tuple[IndexArray, IndexArray]:
+        """Where parts of so many ticks begin between two times, and the number of each part in the window."""
+        bounds = np.arange(first // self.every, (first + ticks - 1) // self.every + 1)
+        return np.maximum(bounds * self.every - first, 0), np.minimum(bounds, self.times)
 
     def changed(self, size: int) -> FloatArray:
         """What they do to a state of so many elements, (p, m)."""
-        return np.asarray((np.arange(size)[:, None] == self.at) * self.size, np.float64)
+        each = np.zeros((size, self.along.shape[1]))
+        each[self.at] = self.along
+        return np.tile(each, self.times)
+
+    def taken(self, which: Sequence[int]) -> "StepsTaken":
+        """Some of them, by their numbers in the order of :meth:`changed`."""
+        at, kinds = np.asarray(which, np.intp), max(self.along.shape[1], 1)
+        return StepsTaken(self.at, self.along[:, at % kinds], self.every * (1 + at // kinds))
+
+
+class StepsTaken(NamedTuple):
+    """Steps whose sizes are unknowns of a window."""
+
+    at: IndexArray  # (k,) places in the state
+    along: FloatArray  # (k, r) by what one sigma of each changes these
+    first: IndexArray  # (r,) ticks of the window from which on they are there
 
 
 class Adds(NamedTuple):
-    """What a step adds to a state that is estimated as if there were none."""
+    """What steps add to a state that is estimated as if there were none."""
 
-    at: IndexArray  # places of what stepped
+    at: tuple[IndexArray, ...]  # places of what stepped
     shift: FloatArray  # (p,)
     root: FloatArray  # (p, r) of what is added to the covariance
 
 
-_NONE: IndexArray = np.zeros(0, np.intp)
-NO_STEPS = Inside(_NONE, _NONE, np.zeros(0), _NONE)
+NO_STEPS = Inside(np.zeros(0, np.intp), np.zeros((0, 0)), BATCH_TICKS, 0)
+NONE_TAKEN = NO_STEPS.taken(())
 
 
 class Steps:
@@ -78,6 +97,12 @@ class Steps:
     def __init__(self, predictor: ImuPredictor) -> None:
         self._predictor, self._every_s = predictor, _EVERY * BATCH_TICKS * predictor.period_s
         self._what = tuple(_steps_of(predictor, self._every_s))
+        self._at = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in self._what)]))
+        self._along = np.zeros((len(self._at), len(self._what)))
+        for k, one in enumerate(self._what):
+            self._along[np.searchsorted(self._at, one.at), k] = one.along[:, 0]
+        for part in (self._at, self._along):
+            part.setflags(write=False)  # a checkpoint names it
         self.forget()
 
     def forget(self) -> None:
@@ -86,17 +111,16 @@ class Steps:
 
     def inside(self, ticks: int) -> Inside:
         """Those that are looked for in a window of so many ticks, in the order in which :meth:`begin` takes them."""
-        times = np.arange(0, ticks, _EVERY * BATCH_TICKS)[1:]
-        at = np.array([one.at[0] for one in self._what], np.intp)
-        size = np.array([one.along[0, 0] for one in self._what], np.float64)
-        predictor = self._predictor
-        lines = [
-            own.start
-            for one, own in zip(predictor.further, predictor.lines[1:], strict=True)
-            if isinstance(one, FurtherCell)
-        ]
-        steps = np.tile(at, len(times)), np.tile(size, len(times)), np.repeat(times, len(at))
-        return Inside(np.array(lines, np.intp), *steps)
+        every = _EVERY * BATCH_TICKS
+        return Inside(self._at, self._along, every, max((ticks - 2) // every, 0))
+
+    def of_window(self, inside: Changed) -> list[Hypothesis]:
+        """Those of a window, in that order."""
+        return inside.hypotheses([*self._what] * (len(inside.d) // max(len(self._what), 1)))
+
+    def what(self, which: int) -> Suspect:
+        """What one of these is of."""
+        return self._what[which % len(self._what)]
 
     def begin(self, inside: Changed) -> None:
         """The filter goes on from a window with these steps."""
@@ -144,13 +168,26 @@ class Steps:
         self._stands = np.append(self._stands[kept], 1.0)
 
 
+def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
+    """Places of the errors of a kind among those of an instrument."""
+    return own[[predictor.names[at].startswith(kind) for at in own]]
+
+
 def _steps_of(predictor: ImuPredictor, every_s: float) -> Iterator[Suspect]:
+    """Of a cell its scale or its zero; of an IMU the scale of its gyro, of its accelerometer, or of both alike."""
     odds = STEPS_PER_HOUR * every_s / 3600.0
+    ways = list[tuple[str, IndexArray, float]]()
+    for name, own in zip(predictor.instruments, predictor.of_each[: len(predictor.imu_frames)], strict=False):
+        scales = [at for sensor in ("gyro", "accelerometer") if (at := named(predictor, own, f"{sensor}_scale")).size]
+        both = [np.concatenate(scales)] if len(scales) > 1 else []
+        ways += [(name, at, LIKELY_SIZE) for at in (*scales, *both)]
     for one in predictor.further:
         for kind in ("scale", "bias") if isinstance(one, FurtherCell) else ():
             if (name := f"{kind}_{one.name}") in predictor.names:
                 at = np.array([predictor.names.index(name)])
-                along = np.full((1, 1), LIKELY_SIZE if kind == "scale" else EACH * predictor.sigma[at[0]])
-                for part in (at, along):
-                    part.setflags(write=False)  # a checkpoint names it
-                yield Suspect(f"a step of {one.name}", at, along, odds)
+                ways.append((one.name, at, LIKELY_SIZE if kind == "scale" else EACH * predictor.sigma[at[0]]))
+    for name, at, size in ways:
+        along = np.full((len(at), 1), size)
+        for part in (at, along):
+            part.setflags(write=False)  # a checkpoint names it
+        yield Suspect(f"a step of {name}", at, along, odds)

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     LIKELY_SIZE,
     ODDS,
@@ -24,11 +24,12 @@ from onboard.estimation.policy import (
     LIKELY_DELAY_s,
     LIKELY_PLACE_m,
 )
-from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Suspect, Weighed
 from onboard.identification.evidence.bodies import EACH, ways
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.steps import Adds, Steps
+from onboard.identification.exiddm.steps import Adds, Steps, named
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
@@ -63,6 +64,8 @@ class Rivals:
         self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), tuple[int, ...]()
         self.steps = Steps(predictor)
         self._of: tuple[FloatArray, FloatArray, Changed] | None = None
+        self._nats = self._nats_before = 0.0  # evidence of what is free, by the last window and by what is not in it
+        self._beyond = 0.0  # of that, what the linear model does not have
         self._weighed: Weighed | None = None
 
     def step(self, state: FloatArray, covariance: FloatArray) -> Believed | None:
@@ -76,7 +79,7 @@ class Rivals:
         if (step := self.step(state, covariance)) is None:
             return None
         D, of = self.steps.changed.D[:, [*step.which]], self.steps.suspects
-        return Adds(np.concatenate([of[k].at for k in step.which]), D @ step.size, D @ step.root)
+        return Adds(tuple(of[k].at for k in step.which), D @ step.size, D @ step.root)
 
     def adopting(self, known: Known, step: Adds | None, initial: Known) -> tuple[Known, Known]:
         """What is known of all that comes after a step, and before the first tick.
@@ -85,11 +88,70 @@ class Rivals:
         """
         if step is None:
             return known, initial
-        before, (state, covariance) = self.freed, known
-        alike = (k for k, one in enumerate(self._bank.suspects) if len(one.at) == 1 and one.at[0] in step.at)
-        self.freed, self._of = tuple(sorted({*before, *alike})), None
-        known = state + step.shift, covariance + step.root @ step.root.T
-        return known, initial if self.freed == before else self._free(initial, before, self.freed)
+        state, covariance = known
+        return (state + step.shift, covariance + step.root @ step.root.T), self._as_constants(step.at)(initial)
+
+    def _as_constants(self, stepped: Sequence[IndexArray]) -> Callable[[Known], Known]:
+        """Free constants that have stepped, by their places; what that makes of a prior."""
+        places = {tuple(at.tolist()) for at in stepped}
+        own = enumerate(self._bank.suspects)
+        return self._also([k for k, one in own if one.along.shape[1] == 1 and (*one.at.tolist(),) in places])
+
+    def _also(self, numbers: Iterable[int]) -> Callable[[Known], Known]:
+        """Free suspects; what that makes of a prior."""
+        before = self.freed
+        self.freed, self._of = now, _ = tuple(sorted({*before, *numbers})), None
+        return partial(self._free, before=before, now=now) if now != before else _as_it_is
+
+    def wrong(self, known: Known, inside: Changed) -> tuple[tuple[int, ...], tuple[int, ...], float]:
+        """What is likelier than what a window was solved for, by what is known at its end.
+
+        Returns:
+            Suspects, or steps in it; and their odds.
+        """
+        steps = self._bank.steps_as_stated(known, self.freed, inside) if self.freed else inside
+        weighed = self._bank.weigh(self.stated(known), self.steps.of_window(steps))
+        one = weighed.likeliest
+        already = bool(one.numbers) and set(one.numbers) <= set(self.freed)
+        if one.suspect is None or already or not weighed.contradicts:
+            return (), (), 1.0
+        return () if one.steps else _counting(weighed), one.steps, one.suspect.odds
+
+    def stated(self, known: Known) -> Known:
+        """What is known if nothing is free."""
+        return self._stated(known, self.freed)
+
+    def solved(self, known: Known, nats: float, *, at_least: bool) -> None:
+        """Take in the evidence of what is free, by two solutions of a window, and not by a linear model about one.
+
+        Args:
+            known: at its end.
+            nats: evidence over that of nothing being free.
+            at_least: it may be more.
+        """
+        self._of, linear = None, self._linear(known)
+        self._nats = self._nats_before + nats
+        self._beyond = max(self._nats - linear, 0.0) if at_least else self._nats - linear
+
+    def begin(self, known: Known | None) -> None:
+        """A window begins with what is known, which ticks before it told; None: with what was before other ticks."""
+        self._nats_before = self._nats if known is None else self._linear(known) + self._beyond
+
+    def _concerned(self) -> BoolArray:
+        """Which suspects have a constant that is free."""
+        at = set(self.freed_at.tolist())
+        return np.array([not at.isdisjoint(one.at.tolist()) for one in self._bank.suspects], np.bool_)
+
+    def _linear(self, known: Known) -> float:
+        return self._bank.nats(self.stated(known), self.freed) if self.freed else 0.0
+
+    def with_free(self, known: Known, numbers: Sequence[int]) -> Known:
+        """A prior if these suspects may be wrong, too."""
+        return self._free(known, self.freed, tuple(sorted({*self.freed, *numbers}))) if numbers else known
+
+    def taken(self, freed: Sequence[int], stepped: Sequence[int]) -> Callable[[Known], Known]:
+        """So it was in a window: what stepped is a constant from then on; what that makes of a prior."""
+        return self._as_constants([self.steps.what(k).at for k in stepped]) if stepped else self._also(freed)
 
     @property
     def at(self) -> IndexArray:
@@ -115,7 +177,7 @@ class Rivals:
             if self.freed:
                 steps = self._bank.steps_as_stated(known, self.freed, steps)
             alone = steps.hypotheses(self.steps.suspects)
-            self._weighed = self._bank.weigh(self._stated(known, self.freed), alone)
+            self._weighed = self._bank.weigh(self.stated(known), alone, np.where(self._concerned(), self._beyond, 0.0))
         return self._weighed
 
     def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
@@ -128,8 +190,7 @@ class Rivals:
         if not weighed.contradicts or set(weighed.likeliest.numbers) <= set(self.freed):
             return None
         before = self.freed
-        counting = (k for one in weighed.likely for k in one.numbers)
-        self.freed, self._of = tuple(sorted({*before, *counting})), None
+        self._also(_counting(weighed))
         known, steps = (state, covariance), self.steps.changed
         if before:
             known, steps = self._stated(known, before), self._bank.steps_as_stated(known, before, steps)
@@ -141,6 +202,15 @@ class Rivals:
 
     def _stated(self, known: Known, freed: Sequence[int]) -> Known:
         return self._bank.as_stated(known, freed) if freed else known
+
+
+def _counting(weighed: Weighed) -> tuple[int, ...]:
+    """Numbers of all suspects that count."""
+    return tuple(k for one in weighed.likely for k in one.numbers)
+
+
+def _as_it_is(known: Known) -> Known:
+    return known
 
 
 def suspects_of(predictor: ImuPredictor) -> list[Suspect]:
@@ -209,11 +279,6 @@ def _imus(predictor: ImuPredictor) -> Iterator[Suspect]:
             at = np.setdiff1d(named(predictor, own, kind), wander)
             ways += [(at, size * np.eye(at.size))] if at.size else []
         yield from (Suspect(name, at, along, ODDS_OF_PART / len(ways)) for at, along in ways)
-
-
-def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
-    """Places of the errors of a kind among those of an instrument."""
-    return own[[predictor.names[at].startswith(kind) for at in own]]
 
 
 def _cells(predictor: ImuPredictor, *, alike: bool) -> Iterator[Suspect]:

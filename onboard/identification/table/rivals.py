@@ -29,7 +29,8 @@ from onboard.estimation.policy import (
     STEPS_PER_HOUR,
     LIKELY_DELAY_s,
 )
-from onboard.identification.evidence.bank import Bank, Changed, Known, Mixture, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Suspect, Weighed
+from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.quantities import Findings
 from onboard.identification.table import joints
@@ -123,7 +124,8 @@ def _weighed(
     Bh = step.derivative.T @ h
     moves = -step.covariance @ Bh
     changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider)
-    alone = [one for one in changed.hypotheses([one.suspect for one in errors]) if len(one.steps) == 1]
+    each = changed.hypotheses([one.suspect for one in errors], every=True)
+    alone = [one for one in each if len(one.steps) == 1]
     return Bank((), np.ones(p)).weigh(_known_of(step), alone), _Some(errors, changed)
 
 

@@ -9,7 +9,8 @@ from scipy.stats import multivariate_normal, norm
 from onboard.estimation import policy
 from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, tails
 from onboard.identification.evidence import bank as bank_module
-from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Mixture, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Suspect, Weighed
+from onboard.identification.evidence.mixture import Mixture
 
 SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known
 BODY = Suspect("body", np.array([1, 2, 3]), np.array([[0.9, 0.3], [-0.4, 0.0], [2.0, 1.5]]), 1e-2)
@@ -195,6 +196,17 @@ LIMITS = {
     "LIKELIER": lambda: weighed(0.6, 0.4).names,
     "FARTHEST_SIZE": lambda: weighed(0.1, 0.9, size=4.0).contradicts,
 }
+
+
+def test_evidence_of_some_is_that_of_the_readings_and_what_a_linear_model_does_not_have_is_added(
+    linear: Linear,
+) -> None:
+    bank, stated = Bank([BODY, CELL], SIGMA), linear.solved()
+    for which, wrong in (((0,), (BODY,)), ((1,), (CELL,)), ((0, 1), (BODY, CELL))):
+        assert bank.nats(stated, which) == pytest.approx(linear.nats(*wrong) - linear.nats(), abs=1e-6)
+    plain, more = (bank.weigh(stated, (), beyond).every for beyond in (0.0, np.array([0.0, 3.0])))
+    ratio = [np.log(one[k].weight / one[0].weight) for one in (plain, more) for k in (1, 2)]
+    assert ratio[2:] == pytest.approx([ratio[0], ratio[1] + 3.0])
 
 
 @pytest.mark.parametrize("name", LIMITS)

@@ -10,7 +10,8 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.estimation.gates import GateReason
 from onboard.identification.corrections import DOUBTFUL, contradicted, expected_sigma
-from onboard.identification.evidence.bank import Hypothesis, Mixture, Weighed
+from onboard.identification.evidence.bank import Hypothesis, Weighed
+from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from onboard.estimation.policy import ODDS_OF_PART
-from onboard.identification.evidence.bank import Bank, Changed, Known, Suspect
+from onboard.estimation.policy import LEAST_WEIGHT, ODDS_OF_PART
+from onboard.identification.evidence.bank import Bank, Changed, Suspect
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm import steps as steps_module
 from onboard.identification.exiddm.innovation import Innovation
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
@@ -19,6 +20,8 @@ from onboard.identification.exiddm.suspects import Believed
 CELL = FurtherCell("cell", "", (), 1, CellPrior(0.1, 0.0, 0.0025, 0.0))
 NAMES = ("rate", "a", "b", "bias_cell", "scale_cell")
 SIGMA = np.array([3.0, 1.0, 0.5, 0.1, 0.0025])
+OF_IMUS: dict[str, Any] = {"instruments": ("cell",), "imu_frames": (), "of_each": ()}  # none
+WITH_A_CELL = {"names": NAMES, "sigma": SIGMA, "further": (CELL,), "changing": np.array([0]), **OF_IMUS}
 BATCHES, LINES = 6, 4
 BODY = Suspect("body", np.array([1, 2]), np.array([[2.0], [1.0]]), 1e-2)
 
@@ -86,16 +89,32 @@ def filtered(flight: Flight, steps: Steps) -> Known:
 @pytest.fixture
 def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
     monkeypatch.setattr(steps_module, "_EVERY", 1)
-    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, further=(CELL,), changing=np.array([0]))
+    predictor: Any = SimpleNamespace(**WITH_A_CELL, period_s=0.01)
     return Steps(predictor)
+
+
+def likely(steps: Steps) -> list[Suspect]:
+    """All of them, so likely that none is left out."""
+    return [one._replace(odds=1.0) for one in steps.suspects]
+
+
+def test_steps_without_odds_or_evidence_are_left_out_and_hardly_change_a_weight(flight: Flight, steps: Steps) -> None:
+    known, bank = filtered(flight, steps), Bank([BODY], SIGMA)
+    rare = [one._replace(odds=1e-5 if k % 2 else 1.0) for k, one in enumerate(steps.suspects)]
+    found = steps.changed.hypotheses(rare)
+    assert [one.steps for one in found if len(one.steps) == 1] == [(k,) for k in range(0, 2 * (BATCHES + 1), 2)]
+    each = [one for one in steps.changed.hypotheses(rare, every=True) if len(one.steps) == 1]
+    assert len(each) == 2 * (BATCHES + 1)
+    with_all, without = (bank.weigh(known, some) for some in (each, [one for one in found if len(one.steps) == 1]))
+    assert without.every[0].weight == pytest.approx(with_all.every[0].weight, rel=LEAST_WEIGHT)
 
 
 def test_each_is_the_fit_with_the_step_as_an_unknown_and_has_the_evidence_of_its_readings(
     flight: Flight, steps: Steps
 ) -> None:
     known = filtered(flight, steps)
-    weighed = Bank([BODY], SIGMA).weigh(known, steps.changed.hypotheses(steps.suspects))
-    found = [one for one in weighed.every if one.moves is not None]
+    weighed = Bank([BODY], SIGMA).weigh(known, steps.changed.hypotheses(likely(steps)))
+    found = [one for one in weighed.every if len(one.steps) == 1]
     assert len(found) == 2 * (BATCHES + 1)
     for k, one in enumerate(found):
         at, which = k // 2, (4, 3)[k % 2]
@@ -150,8 +169,10 @@ def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back
     known, bank = filtered(flight, steps), Bank([BODY], SIGMA)
     before = steps.changed
     wide = bank.freed(known, (0,)), bank.steps_freed(known, (0,), before)
-    weighed = bank.weigh(wide[0], wide[1].hypotheses(steps.suspects))
-    for k, one in enumerate(one for one in weighed.every if one.moves is not None):
+    weighed = bank.weigh(wide[0], wide[1].hypotheses(likely(steps)))
+    found = [one for one in weighed.every if len(one.steps) == 1]
+    assert len(found) == 2 * (BATCHES + 1)
+    for k, one in enumerate(found):
         at, which = k // 2, (4, 3)[k % 2]
         assert one.nats == pytest.approx(flight.nats((at, which), wrong=True), abs=1e-8)
         for part, wanted in zip(weighed.known(one), flight.solved((at, which), wrong=True), strict=True):
@@ -178,8 +199,7 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
 
 
 def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as_likely_as_a_wrong_part() -> None:
-    further: Any = {"further": (CELL,), "lines": (slice(6), slice(6, 7))}
-    predictor: Any = SimpleNamespace(names=NAMES, sigma=SIGMA, period_s=0.01, changing=np.array([0]), **further)
+    predictor: Any = SimpleNamespace(**WITH_A_CELL, period_s=0.01)
     steps, counts = Steps(predictor), list[int]()
     for _ in range(600):  # batches of ten ticks
         m = steps.changed.D.shape[1]

@@ -151,14 +151,13 @@ def test_a_scale_of_all_axes_is_noticed_long_before_it_is_many_stated_sigmas(
 
 
 def test_what_is_farther_off_than_any_error_is_not_freed_but_told(predictor: ImuPredictor) -> None:
-    rivals, at = Rivals(predictor), [predictor.names.index(f"gyro_scale_{axis}_imu_2") for axis in "xyz"]
+    at = [predictor.names.index(f"gyro_scale_{axis}_imu_2") for axis in "xyz"]
     x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
     P[at, at] = 1e-6 * P[at, at]
     for size, told in ((0.2, ""), (0.4, "imu_2")):
-        x[at] = size  # the prior hardly counts
+        rivals, x[at] = Rivals(predictor), size  # the prior hardly counts
         assert rivals.too_far(x.copy(), P) == told
         assert (rivals.freeing(x.copy(), P) is None) == bool(told)
-        rivals.freed = ()
 
 
 def test_one_cell_and_all_masses_are_alike(predictor: ImuPredictor) -> None:
@@ -204,12 +203,14 @@ def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predict
     rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")
     x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
     assert rivals.adds(x, P) is None
-    D, d, J = np.zeros((len(x), 2)), np.zeros(2), np.zeros((2, 2))
-    D[scale, 0], d[0], J[0, 0] = 0.1, 2e3, 1e4 - 1.0
+    of = rivals.steps.suspects
+    (k,) = (k for k, one in enumerate(of) if one.at.tolist() == [scale])
+    D, d, J = np.zeros((len(x), len(of))), np.zeros(len(of)), np.zeros((len(of), len(of)))
+    D[scale, k], d[k], J[k, k] = 0.1, 2e3, 1e4 - 1.0
     rivals.steps.changed = Changed(D, d, J)
     step = rivals.adds(x, P)
     assert step is not None
-    assert step.at.tolist() == [scale]
+    assert [at.tolist() for at in step.at] == [[scale]]
     assert (step.shift[scale], step.root[scale, 0]) == (pytest.approx(0.02), pytest.approx(1e-3))
     initial = x.copy(), P
     (mean, covariance), before = rivals.adopting((x, P), step, initial)
@@ -237,3 +238,33 @@ def test_a_base_s_centre_of_mass_is_off_by_a_tenth_of_the_rms_distance_of_its_ma
         moved = (body.centre_of_mass_m - drawn.centre_of_mass_m) / _FEW
         np.testing.assert_allclose(moved, off * np.eye(3)[axis], atol=1e-3 * off)
         np.testing.assert_allclose(body.inertia_kg_m2, drawn.inertia_kg_m2, atol=1e-9)
+
+
+def test_evidence_of_what_is_free_is_that_of_windows_and_is_kept_when_their_ticks_are_not(
+    predictor: ImuPredictor,
+) -> None:
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    at, _ = predictor.drawn["base"]
+    x[at], P[at, at] = 3.0, 0.01  # the linear model has more than a thousand nats
+    rivals = Rivals(predictor)
+    *_, whole = (k for k, one in enumerate(suspects_of(predictor)) if one.name == "base")  # each of its parameters
+    known = rivals.taken([whole], [])((x, P))
+    assert rivals.freed == (whole,)
+
+    def against_as_stated() -> float:
+        none, *every = rivals.weighed(*(part.copy() for part in known)).every
+        (one,) = (one for one in every if one.numbers == (whole,))
+        assert one.suspect is not None
+        return float(np.log(one.weight / none.weight / one.suspect.odds))
+
+    rivals.solved(known, 5.0, at_least=False)
+    assert against_as_stated() == pytest.approx(5.0)
+    for carried in (None, known):
+        rivals.begin(carried)
+        rivals.solved(known, 3.0, at_least=False)
+    assert against_as_stated() == pytest.approx(5.0 + 2 * 3.0)
+    rivals.begin(None)
+    rivals.solved(known, -11.0, at_least=False)
+    assert against_as_stated() == pytest.approx(0.0, abs=1e-9)
+    rivals.solved(known, 9.0, at_least=True)
+    assert against_as_stated() > 15.0

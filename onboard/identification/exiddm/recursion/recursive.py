@@ -17,87 +17,25 @@ The effect of the joints' noise, mainly gear transmission error, is added to the
 The work of a call is bounded (:mod:`onboard.identification.exiddm.recursion.bounded_work`).
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
-from onboard.estimation.change import ChangeDetector
 from onboard.estimation.errors import SingularError
 from onboard.identification.change import Change
-from onboard.identification.evidence.bank import Known
-from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.fusion import Accusation
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.innovation import Innovations, TickBatch
-from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.exiddm.recursion.claims import Claim, after_a_change, at_first, kind_of
-from onboard.identification.exiddm.recursion.holding import Holding
-from onboard.identification.exiddm.recursion.linearised import Linearised
-from onboard.identification.exiddm.recursion.lines import InnovationLines, Unexplained
-from onboard.identification.exiddm.recursion.snapshots import Before, Snapshots, initially
+from onboard.identification.exiddm.innovation import TickBatch
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.identification.exiddm.recursion.claims import after_a_change, kind_of
 from onboard.identification.exiddm.recursion.stepped import SteppedTicks
-from onboard.identification.exiddm.recursion.trials import CellTrials, Exclusion, WindowFits, WindowProblem, trials_of
+from onboard.identification.exiddm.recursion.trials import Exclusion, WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
-from onboard.identification.exiddm.suspects import Rivals
+from onboard.identification.exiddm.recursion.windowed import SOLVED_AT_s, Windowed, WINDOWS_s
 
-SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
-_WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
-class RecursiveExiddm(Holding):
-    """Recursive estimate of a payload.
-
-    Args:
-        predictor: of the vehicle's IMU.
-        payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
-        held: a payload is held at the start.
-        false_alarms_per_hour: of the change detector, at most.
-        call_ticks: ticks of a call that does not come late.
-        known: standard parameters of the payload held last, (10,), and their covariance, (10, 10): the first window
-            decides whether it is still held, or nothing or another one, regardless of ``held``.
-
-    Attributes:
-        ticks_used: with an IMU, taken in since the start or the last change.
-        glitches: number of ticks left out as outliers.
-        changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
-        exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
-            the model changed, and the estimate contradicts what was known before.
-        unexplained: windows that no hypothesis explains.
-        undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
-        lines: coherent lines in the reference IMU's innovations.
-        innovations: of its batches; takes note of the reference IMU's.
-        fusion: the instruments, and which of them are left out.
-        rivals: what may not be as stated.
-        misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
-    """
-
-    def __init__(
-        self,
-        predictor: ImuPredictor,
-        payload_sigma: FloatArray,
-        held: bool,
-        false_alarms_per_hour: float = 0.1,
-        known: Known | None = None,
-        call_ticks: int = BATCH_TICKS,
-    ) -> None:
-        super().__init__(predictor, call_ticks)
-        self.payload_sigma = np.asarray(payload_sigma, np.float64)
-        self.held = self._before = held if known is None else None
-        self._suspected: Change | None = None  # not yet classified
-        self._claim, self._none = Claim(), predictor.no_ticks
-        self._left: FloatArray | None = None  # by the last one
-        self.exchanged, self.undecided, self.ticks_used, self.glitches = False, "", 0, 0
-        self.changes: list[Change] = []
-        self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
-        self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
-        self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self.snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
-        self.rivals, self.initial = Rivals(predictor), initially(predictor, known)
-        self.innovations = Innovations(predictor, self.fusion, self.rivals)
-        self._open(at_first(held, known is not None), self.initial)
+class RecursiveExiddm(Windowed):
+    """Recursive estimate of a payload; arguments and attributes as of :class:`Windowed`."""
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
@@ -113,15 +51,6 @@ class RecursiveExiddm(Holding):
         """
         return not self._awaits and (not self._hypotheses or self.ticks_used * self._period_s > SOLVED_AT_s[1])
 
-    def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
-        seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
-        imu = next(k for k in self.fusion.imus if k not in trial.without)
-        prior, start = self.innovations.freed(self.initial if trial.anew else self._prior, trial.freed), self._start
-        if self._stepped is not None and self._earlier is not None and self.state is not None:
-            prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
-        steps = self.rivals.steps.inside(len(seen.time_s) - 2)
-        return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu, steps)
-
     def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
             self.exchanged, self._suspected = False, None
@@ -130,42 +59,9 @@ class RecursiveExiddm(Holding):
 
     # ------------------------------------------------------------------ a window, as a whole
 
-    def _open(self, hypotheses: tuple[HeldPayload, ...], prior: Known, begun: Ticks | None = None) -> None:
-        """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
-        self._hypotheses, self._prior = hypotheses, prior
-        self._solves, self._grown, self._awaits = int(begun is not None), 1.0, False  # what was before a change
-        self.unexplained.begin(change=self._suspected is not None)
-        self._start: FloatArray | None = None
-        self._window, self._pending = self._none, self._none if begun is None else begun
-        self._trials: WindowFits | CellTrials | None = None  # fits that tell which instrument is wrong
-        self._stepped: SteppedTicks | None = None  # ticks of the window and of the steps since
-        self._earlier: Before | None = None  # motion before the change, while it is not known what was held
-        self._accused: Accusation | None = None  # the window is solved without it
-        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
-            one.forget()
-        self.snapshots.clear()
-
-    def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None) -> None:
-        """Begin a window with what was known so many batches ago; None: before the first tick."""
-        now = self._prior if self.state is None else (self.state, self.covariance)
-        self._noise_before = self.noise_added * (batches_back is not None)
-        if batches_back is None:
-            now = self.initial
-        elif len(self.snapshots):
-            now, self.initial = self.rivals.adopting(*self.snapshots.back(batches_back), self.initial)
-        self.state, self.held, self.ticks_used = None, None, 0
-        self._open(hypotheses, now)
-
     def _ready(self) -> None:
         self.fusion.run(float(self._pending.time_s[-1]))
         self._begin_window() if self._hypotheses else self._step()
-
-    def _wanted(self) -> int:
-        whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
-        return max(whole - len(self._pending.time_s), 0)
-
-    def _window_ticks(self) -> int:
-        return round(self._grown * _WINDOWS_s[self._solves] / self.predictor.period_s)
 
     def _begin_window(self) -> None:
         """Ask for the window; where one instrument is accused, for the fits that tell whether it is wrong."""
@@ -174,16 +70,19 @@ class RecursiveExiddm(Holding):
         self._trials = None if self._accused is None else self._trials_now(self._accused.instrument)
         self._ask()
 
-    def _trials_now(self, accused: int | None) -> WindowFits | CellTrials:
-        window = self._solves or int(accused is None and self.unexplained.count > 0)  # no contact takes so long
-        return trials_of(self.fusion, self._hypotheses, accused, window, len(_WINDOWS_s))
-
     def _ask(self) -> None:
         """Ask for the window with all instruments, or for the next trial."""
         self._asked = self._window, (self._trials and self._trials.next()) or WindowProblem(self._hypotheses)
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
+        if self._trials is None and self._earlier is None:
+            touched = self._suspected is not None or self._claim.held is not None
+            if (more := self._rounds.next(self._of[1], solve, disturbed=touched)) is not None:
+                self._asked = self._of[0], more
+                return
+            solve = self._rounds.result
+            self._free_before(self._rounds.settle())
         found, self._left = solve.found, solve.left
         self._linearised.forget()
         if self._stepped is not None and self._earlier is not None:
@@ -217,7 +116,7 @@ class RecursiveExiddm(Holding):
             self._acquit(accused)
         elif choice is None or (accused is None and not choice.clear):
             self._not_explained(choice.doubt(self.fusion.names) if choice else "")
-        elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
+        elif not choice.clear and self._solves + 1 < len(WINDOWS_s):
             self._solves += 1  # wait for a longer window
         else:
             self._accused, self.undecided = None, self.undecided or choice.doubt(self.fusion.names)
@@ -275,6 +174,8 @@ class RecursiveExiddm(Holding):
                 self._begin_window()
             elif not whole:
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+                self.rivals.begin(None)
+                self._rounds.forget()
                 if told:
                     self._start = first_state(self.predictor, self._pending, solved.start, self.fusion.imus[0])
         else:
@@ -348,16 +249,6 @@ class RecursiveExiddm(Holding):
         self.snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare()
-
-    def _free(self, free: Callable[[Known], Known]) -> None:
-        """Go on as if everything may be wrong that is suspected."""
-        assert self.state is not None
-        first, self.initial = self._prior[0] is self.initial[0], free(self.initial)
-        self._prior = self.initial if first else free(self._prior)
-        self.state, self.covariance = free((self.state, self.covariance))
-        self.snapshots.become(free)
-        self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
-        self._linearised.begin_anew()
 
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.evidence.bank import Known
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks

@@ -18,7 +18,7 @@ Known limit: in a window the drift of a bias is constant, in steps it is a rando
 
 import numpy as np
 
-from onboard.identification.evidence.bank import Known
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.further import fade
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks

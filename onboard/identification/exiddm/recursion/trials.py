@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import REFUSE
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
@@ -33,6 +34,15 @@ class WindowProblem(NamedTuple):
     without: tuple[int, ...] = ()  # instruments
     freed: int | None = None  # an instrument whose errors may be of any size
     anew: bool = False  # with nothing known of before: it may come from what is left out
+    stated: bool = False  # as if nothing were free
+    free: tuple[int, ...] = ()  # suspects that may be wrong, besides those that are free
+    stepped: tuple[int, ...] = ()  # steps inside it that are there
+    start: FloatArray | None = None  # where a solve begins of something that is not, or all, as stated; None: guesses
+
+    @property
+    def wrong(self) -> bool:
+        """Something that is not free is not as stated."""
+        return bool(self.free or self.stepped)
 
 
 class Exclusion(NamedTuple):

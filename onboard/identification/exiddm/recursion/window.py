@@ -14,15 +14,14 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import block_diag
 from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
-from onboard.estimation.policy import DOUBT, READING, REFUSE, of_each
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, READING, REFUSE, of_each, sigmas
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.exiddm.prediction.imu_prediction import (
@@ -32,19 +31,17 @@ from onboard.identification.exiddm.prediction.imu_prediction import (
 )
 from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.recursion.pieces import Pieces
-from onboard.identification.exiddm.steps import NO_STEPS, Inside
+from onboard.identification.exiddm.recursion.pieces import Pieces, Problem, evidence_of
+from onboard.identification.exiddm.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40  # predictions
 _ROUGHLY = 5.0  # promised decrease of the squares at which the iteration from a guess ends; steps to the minimum follow
 _SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 _FEW = 0.03  # largest share of outliers
-_EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
+EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-9  # damping of the first step from a minimum of other ticks or other sigmas
-_UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
-_AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
 _BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
 _GROWTH, _LONGEST = 1.5, 8.0  # of such a window
 _TOLD = 0.5  # relative sigma of the payload's mass below which ticks tell a payload
@@ -82,6 +79,7 @@ class Solved(NamedTuple):
     kept: FloatArray  # (p, p) covariance with which a filter goes on
     steps: Changed  # inside it
     noise_added: FloatArray  # (p,) by noise of the joints' samples to the gradient
+    evidence: float  # logarithm of the density of the readings, but for what is common to all hypotheses on the window
 
     @property
     def mass_sigma(self) -> float:
@@ -93,6 +91,12 @@ class Solved(NamedTuple):
     def tells_mass(self) -> bool:
         """The payload's mass is known so well that there is one."""
         return self.mass_sigma < _TOLD
+
+    @property
+    def has_mass(self) -> bool:
+        """The payload's mass may be positive; else the minimum is a wrong one."""
+        sigma = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
+        return bool(self.state[PAYLOAD.start] > -sigmas(LEAST_WEIGHT) * sigma)
 
     def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
         """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.
@@ -116,6 +120,7 @@ class WindowSolve:
     Attributes:
         over: there is nothing more to do.
         found: the solution; None if no hypothesis explains the window, and while it is not over.
+        nearest: of solutions that do not explain it the one of the least cost.
         left: whitened residuals of the IMU that guesses are made of, where they were least, (n, 6); None before a fit.
 
     Args:
@@ -127,6 +132,7 @@ class WindowSolve:
         start: (p,) the state at the first tick as it was found before; None: guesses are made.
         imu: the one of which guesses are made.
         steps: that may be inside.
+        taken: steps that are, r of them.
     """
 
     def __init__(
@@ -139,13 +145,16 @@ class WindowSolve:
         start: FloatArray | None,
         imu: int = 0,
         steps: Inside = NO_STEPS,
+        taken: StepsTaken = NONE_TAKEN,
     ) -> None:
-        self._predictor, self._payload_sigma, self._steps = predictor, payload_sigma, steps
+        self._predictor, self._payload_sigma = predictor, payload_sigma
+        self._steps, self._taken = steps, taken
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self._prior, self._given = ticks, prior, start
         self._sigma = ticks.sigma
         self.over = False
         self.found: Solved | None = None
+        self.nearest: Solved | None = None
         self.left: FloatArray | None = None
         self._least = np.inf  # squares of the residuals of all instruments, of that fit
         self._left = list(hypotheses)
@@ -188,7 +197,7 @@ class WindowSolve:
 
     def _is_hopeless(self, prospect: float) -> bool:
         """Whether the iteration from a guess will not come so far that it explains the window."""
-        return self._stage is _Stage.GUESS and prospect > float(chdtri(float(self._use.sum()), _EXPLAINED))
+        return self._stage is _Stage.GUESS and prospect > float(chdtri(float(self._use.sum()), EXPLAINED))
 
     def _give_up(self, descent: Descent, whole: Pieces) -> None:
         """Go on without the worst outlier, which may be why, or with the next guess and all ticks."""
@@ -202,7 +211,13 @@ class WindowSolve:
         """Begin to predict the window with these values of what is active."""
         self._at = x
         ticks, lines = self._use.shape
-        self._pieces = Pieces(self._problem.state(x), self._problem.active, ticks, lines, self._steps)
+        (state, sizes), r = self._parted(self._problem.state(x)), len(self._taken.first)
+        active = self._problem.active[: len(x) - r]
+        self._pieces = Pieces(state, active, ticks, lines, self._steps, self._taken, sizes)
+
+    def _parted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """State of the vehicle, (p,), and sizes of the steps that are taken, (r,)."""
+        return state[: len(self._prior[0])], state[len(self._prior[0]) :]
 
     # ------------------------------------------------------------------ a hypothesis
 
@@ -221,9 +236,9 @@ class WindowSolve:
             self._guesses = list(self._guessed())
             self._next_guess()
         else:
-            self._settle(self._given)
+            self._settle(np.append(self._given, np.zeros(len(self._taken.first))))
 
-    def _problem_of(self, hypothesis: HeldPayload) -> "Problem":
+    def _problem_of(self, hypothesis: HeldPayload) -> Problem:
         (mean, covariance), p = self._predictor.anew(*self._prior), len(self._prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
@@ -236,7 +251,10 @@ class WindowSolve:
             mean[PAYLOAD] = 0.0
         if hypothesis is HeldPayload.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
-        return Problem(mean, information, active)
+        r = len(self._taken.first)
+        return Problem(
+            np.append(mean, np.zeros(r)), block_diag(information, np.eye(r)), np.append(active, p + np.arange(r))
+        )
 
     def _next_guess(self) -> None:
         """Fit from the next guess, stopping at a good fit; settle on the best one."""
@@ -244,10 +262,13 @@ class WindowSolve:
         if best is not None and chdtrc(float(self._use.sum()), best.residual_sum) > DOUBT:
             self._guesses.clear()
         if self._guesses:
-            x = self._problem.mean.copy()
+            x, sizes = self._parted(self._problem.mean.copy())
             x[PAYLOAD] = self._guesses.pop(0)
             start = first_state(self._predictor, self._ticks, x, self._imu)
-            self._next_guess() if start is None else self._descend(_Stage.GUESS, start, _ROUGHLY)
+            if start is None:
+                self._next_guess()
+            else:
+                self._descend(_Stage.GUESS, np.append(start, sizes), _ROUGHLY)
         elif best is not None:
             self._settle(self._problem.state(best.x))
         else:
@@ -262,7 +283,7 @@ class WindowSolve:
     ) -> None:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]
-        noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
+        noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, self._parted(start)[0])
         self._sigma = np.hypot(self._ticks.sigma, noise)
         beyond = 0 if stage is _Stage.GUESS else BEYOND  # far from a minimum a step that leads up leads nowhere
         self._descent = Descent(
@@ -312,7 +333,7 @@ class WindowSolve:
 
     def _explains(self, squares: float) -> bool:
         """Whether residuals and deviations from the prior of this sum are no worse than chance."""
-        return float(chdtrc(float(self._use.sum()), squares)) > _EXPLAINED
+        return float(chdtrc(float(self._use.sum()), squares)) > EXPLAINED
 
     def _check(self, fitted: Fit, whole: Pieces) -> None:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
@@ -347,31 +368,35 @@ class WindowSolve:
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
         """A result under the hypothesis: the solution if that explains the window."""
-        if not self._explains(fitted.residual_sum):
-            self._begin()
+        solved = self._solution(fitted, whole)
+        if self._explains(fitted.residual_sum):
+            self.found, self.over, self._descent = solved, True, None
             return
-        start, F, use = self._problem.state(fitted.x), whole.transition, self._use
+        if self.nearest is None or solved.cost < self.nearest.cost:
+            self.nearest = solved
+        self._begin()
+
+    def _solution(self, fitted: Fit, whole: Pieces) -> Solved:
+        (start, _), F, use = self._parted(self._problem.state(fitted.x)), whole.transition, self._use
         used, glitches, covariance = int(use[:, self._own.start].sum()), self._glitches, F @ fitted.covariance @ F.T
         squares = float(whole.squares.sum())
         strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), DOUBT)))
         end = whole.state + F @ (fitted.x - self._at)
         cost = fitted.residual_sum + glitches * float(chdtri(1.0, READING))
-        kept = covariance
+        active, kept = self._problem.active, covariance
+        stated = self._problem.information[np.ix_(active, active)]
         if self._predictor.bends.size:  # what drives them is not exact: hardly a window's period counts
-            active = self._problem.active
-            informed = whole.normal.information / _DRIVEN + self._problem.information[np.ix_(active, active)]
-            kept = F @ np.asarray(np.linalg.inv(informed), np.float64) @ F.T
-        products, along, across = whole.of_steps
-        moves = fitted.covariance @ across.T
-        steps = Changed(
-            self._steps.changed(len(start)) - F @ moves,
-            -along - across @ (fitted.x - self._at),
-            products - across @ moves,
-        )
+            kept = F @ np.asarray(np.linalg.inv(whole.normal.information / _DRIVEN + stated), np.float64) @ F.T
+        (products, along, across), informed = whole.of_steps, whole.normal.information + stated
+        # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
+        moves = np.linalg.solve(informed, across.T)
+        uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
+        steps = Changed(self._steps.changed(len(start)) - F @ moves, uphill @ moves - along, products - across @ moves)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise)
-        self.over, self._descent = True, None
+        there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
+        evidence = evidence_of(whole, use.sum(axis=0), there, cost - squares, (stated, informed))
+        return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, evidence)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""
@@ -382,35 +407,3 @@ class WindowSolve:
         frame = self._predictor.imu_frames[self._imu]
         rough = partial(rough_payload, vehicle, frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
         yield from (standard_of(guess) for guess in guesses(rough))
-
-
-class Problem(NamedTuple):
-    """A prior, and the parameters that a solve estimates."""
-
-    mean: FloatArray  # (p,)
-    information: FloatArray  # (p, p)
-    active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean
-
-    def as_stated(self, x: FloatArray, told: FloatArray) -> FloatArray | None:
-        """The same with what the ticks do not tell at its prior mean; None if it is near that.
-
-        A damped iteration from a guess may move two unknowns that cancel each other, as a joint's place and what hangs
-        on it, and hardly takes it back, as each has a large effect by itself.
-
-        Args:
-            x: of what is active, (a,).
-            told: the ticks' information on it, (a, a).
-        """
-        stated = self.information[np.ix_(self.active, self.active)]
-        both = told + stated
-        scale = np.sqrt(np.diag(both))
-        share, V = eigh(stated / np.outer(scale, scale), both / np.outer(scale, scale))  # V' both V = 1
-        untold = V[:, share > 1.0 - _UNTOLD]
-        away = untold.T @ (both @ (x - self.mean[self.active]) / scale)  # in prior sigmas
-        return x - untold @ away / scale if np.abs(away).max(initial=0.0) > _AWAY else None
-
-    def state(self, x: FloatArray) -> FloatArray:
-        """The whole state with these values of what is active."""
-        state = self.mean.copy()
-        state[self.active] = x
-        return state

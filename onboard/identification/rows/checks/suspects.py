@@ -34,8 +34,9 @@ from onboard.estimation.policy import (
     contradicted_text,
     sigmas,
 )
-from onboard.identification.evidence.bank import Bank, Known, Mixture, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
+from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import DOUBTFUL_UNEXPLAINED, MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS, RowsRemade

@@ -170,3 +170,22 @@ def test_what_a_window_told_of_a_base_far_from_its_drawing_is_solved_again_once_
     assert weighed.names == ("base",)
     mean, covariance = weighed.known(weighed.likeliest, PAYLOAD)
     assert abs(mean[0] - BOX.mass_kg) < 3.0 * np.sqrt(covariance[0, 0]) < 1.0
+
+
+@pytest.mark.parametrize(("seed", "tick"), [(3, 60), (3, 300), (4, 300)])
+def test_an_imu_whose_scales_step_while_the_payload_is_not_known_is_named_and_the_payload_inside(flown, seed, tick):
+    """A tenth, while readings are so noisy that the window is explained as stated: by 2.5 to 3 kg of 5."""
+    rng = np.random.default_rng(seed)
+    signals = recorded(flown.flight, rng)
+    ticks = ticks_of(signals)
+    ticks = ticks._replace(sigma=60.0 * ticks.sigma)
+    ticks.measured[tick:] *= 0.9
+    ticks.measured[:] += ticks.sigma * rng.standard_normal(ticks.sigma.shape)
+    recursive = online(signals, imu_prior=PRIOR)
+    recursive.update(ticks)
+    recursive.finish()
+    weighed = recursive.rivals.weighed(recursive.state, recursive.covariance)
+    assert weighed.names
+    assert {"imu", "a step of imu"}.issuperset(weighed.names)
+    mass, variance = (part.item(0) for part in weighed.mixed(lambda one: weighed.known(one, PAYLOAD)).known)
+    assert mass == pytest.approx(5.0, abs=3.0 * variance**0.5)

@@ -25,6 +25,7 @@ def solved(strained: float) -> Solved:
         np.eye(3),
         NONE,
         np.zeros(3),
+        0.0,
     )
 
 
@@ -78,6 +79,7 @@ def of_payload(hypothesis: HeldPayload, cost: float, mass_kg: float = 0.5) -> So
         np.eye(PAYLOAD.stop),
         NONE,
         state,
+        0.0,
     )
 
 

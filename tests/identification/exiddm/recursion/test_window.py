@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from onboard.estimation.maximum_likelihood import Descent
-from onboard.identification.evidence.bank import Changed
+from onboard.identification.evidence.bank import Bank, Changed
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
-from onboard.identification.exiddm.recursion.pieces import Pieces
-from onboard.identification.exiddm.recursion.window import HeldPayload, Problem, Solved, WindowSolve
-from onboard.identification.exiddm.steps import Steps
+from onboard.identification.exiddm.recursion.pieces import Pieces, Problem
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
+from onboard.identification.exiddm.steps import NO_STEPS, Steps, StepsTaken
+from onboard.identification.exiddm.suspects import Rivals, suspects_of
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 
@@ -116,7 +117,7 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     state[PAYLOAD.start] = mass_kg
     for sigma_kg, kept in ((0.13, True), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
-        rest = 2000.0, none, covariance, Changed.none(13), np.zeros(13)
+        rest = 2000.0, none, covariance, Changed.none(13), np.zeros(13), 0.0
         found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
@@ -146,7 +147,9 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
     measured = np.zeros((122, lines))
     measured[1:-1] = true.values + noise[1:-1] * rng.standard_normal(true.values.shape)
     inside = Steps(predictor).inside(120)
-    assert (inside.first.min(), inside.first.max()) == (20, 100)
+    kinds = inside.along.shape[1]
+    assert (inside.every, inside.times, kinds) == (20, 5, 5)  # scales of gyro, accelerometer and both; the cell's two
+    first, size = np.repeat(inside.every * np.arange(1, 6), kinds), inside.changed(p)
 
     def ended(readings):
         window = ticks._replace(measured=readings, sigma=noise)
@@ -157,18 +160,19 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
         return solve.found
 
     plain, costs = ended(measured), dict[tuple[int, ...], float]()
-    for which in ((0,), (1,), (8,), (9,), (0, 8), (1, 9)):
+    for which in ((0,), (1,), (2,), (3,), (4,), (22,), (23,), (24,), (6,), (1, 6), (3, 23), (4, 24)):
         by = 0.1 / np.sqrt(1.0 + plain.steps.J.diagonal()[[*which]])
         after, of_step = measured.copy(), np.zeros(p)
         for k, one in zip(which, by, strict=True):
-            step = np.where(np.arange(120) < inside.first[k], 0.0, one * inside.size[k])
-            after[1:-1, -1] += step * (true.values[:, -1] if k % 2 == 0 else 1.0)  # a scale, a zero
-            of_step[inside.at[k]] += one * inside.size[k]
+            lines = [slice(0, 3), slice(3, 6), slice(0, 6), slice(-1, None), slice(-1, None)][k % 5]
+            step = np.where(np.arange(120) < first[k], 0.0, one * np.abs(size[:, k]).max())[:, None]
+            after[1:-1, lines] += step * (true.values[:, lines] if k % 5 < 4 else 1.0)  # a scale, a zero
+            of_step += one * size[:, k]
         found = ended(after)
         costs[which] = found.cost - plain.cost
         moved = (found.state - plain.state) / np.sqrt(np.diag(plain.covariance))
         wanted = (of_step - plain.steps.D[:, which] @ by) / np.sqrt(np.diag(plain.covariance))
-        assert np.abs(wanted).max() > 0.03
+        assert np.abs(wanted).max() > 0.02
         np.testing.assert_allclose(moved, wanted, atol=0.004)
         together = 2.0 * float(np.prod(by)) * plain.steps.J[which[0], which[-1]]  # of two: beyond what each costs
         if len(which) == 1:
@@ -177,3 +181,79 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
         else:
             assert abs(together) > 0.003
             assert costs[which] - costs[which[:1]] - costs[which[1:]] == pytest.approx(together, abs=0.001)
+
+
+def test_a_step_that_is_taken_is_an_unknown_whose_size_the_window_tells(held):
+    """A tenth off from the middle on; where it is not taken no payload explains the window."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    ticks.measured[61:] *= 0.9
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    inside = Steps(predictor).inside(120)
+    both = inside.taken([2 * inside.along.shape[1] + 2])  # scales of gyro and accelerometer, at the third time
+    assert both.first.tolist() == [60]
+    none, found = (
+        WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), None, 0, inside, one)
+        for one in (inside.taken([]), both)
+    )
+    for solve in (none, found):
+        while not solve.over:
+            solve.advance()
+    assert none.found is None
+    assert found.found is not None
+    sigma = np.sqrt(np.diag(found.found.covariance))
+    assert found.found.state[PAYLOAD.start] == pytest.approx(5.0, abs=3.0 * sigma[PAYLOAD.start])
+    assert sigma[PAYLOAD.start] < 0.3
+    scales = [k for k, name in enumerate(predictor.names) if "_scale_" in name]
+    assert len(scales) == 6
+    np.testing.assert_allclose(found.found.state[scales], -0.1, atol=0.02)
+    np.testing.assert_allclose(found.found.start[scales], 0.0, atol=0.01)
+
+
+@pytest.mark.parametrize("first", [59, 60, 61, 80, 100])
+def test_pieces_with_a_step_between_them_are_the_ticks_before_and_after_it(held, first):
+    predictor = online(held, imu_prior=PRIOR).predictor
+    ticks, p, use = ticks_of(held).part(slice(0, 122)), len(predictor.names), np.ones((120, 6), np.bool_)
+    state, active, at = np.full(p, 1e-3), np.arange(p), np.array([predictor.names.index("gyro_scale_z")])
+    state[PAYLOAD] = [4.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    taken = StepsTaken(at, np.array([[0.1]]), np.array([first]))
+
+    def predicted(size):
+        whole = Pieces(state, active, *use.shape, NO_STEPS, taken, np.array([size]))
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+        return whole
+
+    none, some, more = (predicted(size) for size in (0.0, 1.0, 1.001))
+    changed = some.residual - none.residual
+    np.testing.assert_allclose(changed[:first], 0.0, atol=1e-9)
+    np.testing.assert_allclose(changed[first:, [0, 1, 3, 4, 5]], 0.0, atol=1e-9)
+    assert np.abs(changed[first:, 2]).min() > 1e-3
+    assert some.state[at] - none.state[at] == pytest.approx(0.1)
+    np.testing.assert_allclose(some.transition[:, p], np.eye(p)[:, at[0]] * 0.1, atol=1e-12)
+    slope = (more.normal.squares - some.normal.squares) / 0.002
+    assert some.normal.gradient[p] == pytest.approx(slope, rel=2e-3)
+
+
+def test_the_evidence_of_two_solutions_is_that_of_the_linear_model_where_that_is_exact(held):
+    """A known payload, and a gyro whose scales are 2 % off where 0.3 are stated."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    ticks.measured[:, :3] *= 1.02
+    rivals, sigma = Rivals(predictor), np.nan_to_num(predictor.sigma)
+    mean = np.zeros(len(sigma))
+    mean[PAYLOAD] = solved(predictor, ticks_of(held).part(slice(0, 600)), HeldPayload.NEW)[0].found.state[PAYLOAD]
+    sigma[PAYLOAD] = [1e-3, *[1e-4] * 3, *[1e-5] * 6]
+    stated = mean, np.diag(sigma**2)
+    gyro = [predictor.names.index(f"gyro_scale_{axis}") for axis in "xyz"]
+    (scales,) = (k for k, one in enumerate(suspects_of(predictor)) if one.at.tolist() == gyro and one.along.size == 3)
+
+    def ended(prior):
+        solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.SAME,), None)
+        while not solve.over:
+            solve.advance()
+        return solve.found
+
+    as_stated, free = ended(stated), ended(rivals.with_free(stated, (scales,)))
+    known = as_stated.state - mean, as_stated.covariance  # of deviations from the prior's mean, which is not zero
+    nats = Bank(suspects_of(predictor), predictor.sigma).nats(known, (scales,))
+    assert nats > 3.0
+    assert free.evidence - as_stated.evidence == pytest.approx(nats, rel=0.01)  # but for the noise, which is scaled

@@ -1,0 +1,97 @@
+"""The solves of one window: as it is asked for, as stated, and with what is likelier than that.
+
+What a hypothesis makes of a window is told by the linear model about a solution. That is wrong where the payload is
+half or twice as heavy by it: of 80 flights of a twin with a step of a tenth in the scales of its IMU, and 20 or 60
+times its noise, 42 had the mass outside of its 99.9 % interval, and 2 where the window is solved under the hypothesis,
+from guesses. Its evidence is that of two solutions, not of the linear model.
+
+A window that is not explained is solved with what contradicts it most, unless something touched the vehicle.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.evidence.mixture import Known
+from onboard.identification.exiddm.recursion.trials import WindowProblem
+from onboard.identification.exiddm.recursion.window import EXPLAINED, HeldPayload, Solved, WindowSolve
+from onboard.identification.exiddm.suspects import Rivals
+
+_NOTHING = WindowProblem(())
+
+
+class WindowRounds:
+    """Of one window after the other.
+
+    Args:
+        rivals: what may not be as stated.
+
+    Attributes:
+        result: the solve that counts, of the last window.
+    """
+
+    result: WindowSolve
+
+    def __init__(self, rivals: Rivals) -> None:
+        self._rivals = rivals
+        self._first: WindowSolve | None = None  # of the window, while others of it are under way
+        self._stated: Solved | None = None  # the window as stated
+        self.forget()
+        self._wrong, self._odds = _NOTHING, 1.0  # what is not as stated in the result, and its odds
+
+    def forget(self) -> None:
+        """The next window has another first tick."""
+        # of a solve with something free, and as stated; None: by guesses, as another explanation may be far off
+        self._start: FloatArray | None = None
+        self._stated_start: FloatArray | None = None
+
+    def next(self, trial: WindowProblem, solve: WindowSolve, *, disturbed: bool) -> WindowProblem | None:
+        """What is to be solved after this solve; None: nothing, there is a result.
+
+        Args:
+            trial: what was solved.
+            solve: what came of it.
+            disturbed: something touched the vehicle, which may be why the window is not explained as it is asked for.
+        """
+        first = self._first or solve
+        asked = first.found or (None if disturbed else first.nearest)
+        self.result, self._wrong = (solve, trial) if trial.wrong and self._is_likelier(solve) else (first, _NOTHING)
+        if trial.wrong or asked is None:
+            return None
+        if self._first is None and self._rivals.freed:
+            self._first = solve
+            return WindowProblem((asked.hypothesis,), stated=True, start=self._stated_start)
+        self._first, self._stated = first, solve.found
+        self._stated_start = self._stated_start if self._stated is None else self._stated.start
+        if asked.hypothesis is not HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
+            freed, stepped, self._odds = self._rivals.wrong(_corrected(asked), asked.steps)
+            if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
+                return WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
+        return None
+
+    def _is_likelier(self, solve: WindowSolve) -> bool:
+        """Whether the window as it was asked for is less likely than this solution, the odds of what is wrong counted.
+
+        It is not explained, or has less evidence: the linear model about its solution does not know other minima.
+        """
+        if solve.found is None or self._first is None or not solve.found.has_mass:
+            return False
+        asked = self._first.found
+        return asked is None or solve.found.evidence + np.log(self._odds) > asked.evidence
+
+    def settle(self) -> Callable[[Known], Known]:
+        """Take in the result; what the constants that are not as stated make of what was known before the window."""
+        free = self._rivals.taken(self._wrong.free, self._wrong.stepped)
+        if (found := self.result.found) is not None:
+            unexplained = self._stated is None  # as stated
+            nats = -np.log(EXPLAINED) if self._stated is None else found.evidence - self._stated.evidence
+            self._rivals.solved(_corrected(found), float(nats), at_least=unexplained)
+            self._start = found.start if self._rivals.freed else None
+        self._first = self._stated = None
+        return free
+
+
+def _corrected(found: Solved) -> Known:
+    """At the end of a window, without what noise of the joints adds."""
+    return found.state + found.covariance @ found.noise_added, found.covariance

@@ -1,0 +1,169 @@
+"""Under what a window is solved, and by which evidence it is told that something is not as stated."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from onboard.identification.evidence.bank import Changed
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.recursion.rounds import WindowRounds
+from onboard.identification.exiddm.recursion.trials import WindowProblem
+from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
+
+ODDS = 0.01
+ASKED = WindowProblem((HeldPayload.SAME, HeldPayload.NEW))
+
+
+class SuspectsThat:
+    """What the bank of hypotheses says, and what it is told."""
+
+    def __init__(self, likelier: tuple[tuple[int, ...], tuple[int, ...]], freed: tuple[int, ...] = ()) -> None:
+        self.likelier, self.freed = likelier, freed
+        self.told: list[tuple[float, bool]] = []
+        self.taken_as: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+
+    def wrong(self, known: object, inside: object) -> tuple[tuple[int, ...], tuple[int, ...], float]:
+        return *self.likelier, ODDS
+
+    def taken(self, freed: Sequence[int], stepped: Sequence[int]) -> None:
+        self.taken_as.append((tuple(freed), tuple(stepped)))
+
+    def solved(self, known: object, nats: float, *, at_least: bool) -> None:
+        self.told.append((nats, at_least))
+
+
+def solved(evidence: float, hypothesis: HeldPayload = HeldPayload.NEW, mass_kg: float = 3.0) -> Solved:
+    state = np.zeros(PAYLOAD.stop)
+    state[PAYLOAD.start] = mass_kg
+    parts = np.zeros((9, 6)), np.eye(len(state)), Changed.none(len(state)), np.zeros(len(state))
+    return Solved(hypothesis, state, state, np.eye(len(state)), 100, 0, 0.0, 0.0, *parts, evidence)
+
+
+def of(found: Solved | None, nearest: Solved | None = None) -> Any:
+    return SimpleNamespace(found=found, nearest=nearest)
+
+
+def rounds(suspects: SuspectsThat) -> WindowRounds:
+    told: Any = suspects
+    return WindowRounds(told)
+
+
+def test_where_all_is_as_stated_one_solve_is_all() -> None:
+    suspects = SuspectsThat(((), ()))
+    one, first = rounds(suspects), of(solved(-10.0))
+    assert one.next(ASKED, first, disturbed=False) is None
+    assert one.result is first
+    one.settle()
+    assert suspects.taken_as == [((), ())]
+    assert suspects.told == [(0.0, False)]
+
+
+@pytest.mark.parametrize(("free", "stepped"), [((3, 4), ()), ((), (7,))])
+def test_what_is_likelier_is_solved_under_the_same_hypothesis_and_its_evidence_is_that_of_both(
+    free: tuple[int, ...], stepped: tuple[int, ...]
+) -> None:
+    suspects = SuspectsThat((free, stepped))
+    one, first, second = rounds(suspects), of(solved(-10.0)), of(solved(-3.0))
+    more = one.next(ASKED, first, disturbed=True)  # also after a change: it is explained
+    assert more == WindowProblem((HeldPayload.NEW,), free=free, stepped=stepped)
+    assert one.next(more, second, disturbed=True) is None
+    assert one.result is second
+    one.settle()
+    assert suspects.taken_as == [(free, stepped)]
+    assert suspects.told == [(pytest.approx(7.0), False)]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "mass_kg", "taken"), [(-6.0, 3.0, False), (-5.0, 3.0, True), (-5.0, -3.2, True), (-5.0, -3.4, False)]
+)
+def test_what_is_likelier_by_the_linear_model_counts_where_its_evidence_exceeds_its_odds(
+    evidence: float, mass_kg: float, taken: bool
+) -> None:
+    """And where the payload may have a mass, of a sigma of 1 kg here."""
+    found = solved(evidence, mass_kg=mass_kg)
+    one, first, second = rounds(SuspectsThat(((), (7,)))), of(solved(-10.0)), of(found)
+    more = one.next(ASKED, first, disturbed=False)
+    assert more is not None
+    assert one.next(more, second, disturbed=False) is None
+    assert one.result is (second if taken else first)
+
+
+def test_where_that_explains_nothing_it_stays_as_it_was_asked_for() -> None:
+    suspects = SuspectsThat(((), (7,)))
+    one, first = rounds(suspects), of(solved(-10.0))
+    more = one.next(ASKED, first, disturbed=False)
+    assert more is not None
+    assert one.next(more, of(None, solved(-2.0)), disturbed=False) is None
+    assert one.result is first
+    one.settle()
+    assert suspects.taken_as == [((), ())]
+    assert suspects.told == [(0.0, False)]
+
+
+def test_what_is_free_is_solved_as_stated_too_and_where_that_explains_nothing_its_evidence_is_a_bound() -> None:
+    suspects = SuspectsThat(((), ()), freed=(1,))
+    one, first = rounds(suspects), of(solved(-10.0))
+    more = one.next(ASKED, first, disturbed=False)
+    assert more == WindowProblem((HeldPayload.NEW,), stated=True)
+    assert one.next(more, of(solved(-25.0)), disturbed=False) is None
+    assert one.result is first
+    one.settle()
+    more = one.next(ASKED, first, disturbed=False)
+    assert more is not None
+    assert one.next(more, of(None), disturbed=False) is None
+    one.settle()
+    (exact, exact_at_least), (bound, at_least) = suspects.told
+    assert (exact, exact_at_least) == (pytest.approx(15.0), False)
+    assert at_least
+    assert 9.0 < bound < 15.0  # one window of 16, of one flight in ten thousand
+
+
+def test_an_unexplained_window_is_solved_with_what_contradicts_it_unless_something_touched_the_vehicle() -> None:
+    suspects = SuspectsThat(((5,), ()))
+    one, unexplained, second = rounds(suspects), of(None, solved(-80.0)), of(solved(-3.0))
+    assert one.next(ASKED, unexplained, disturbed=True) is None
+    assert one.result is unexplained
+    one.settle()
+    more = one.next(ASKED, unexplained, disturbed=False)
+    assert more == WindowProblem((HeldPayload.NEW,), free=(5,))
+    assert one.next(more, second, disturbed=False) is None
+    assert one.result is second
+    one.settle()
+    ((nats, at_least),) = suspects.told
+    assert at_least
+    assert nats > 9.0
+    assert one.next(ASKED, of(None, None), disturbed=False) is None
+
+
+def test_nothing_is_freed_while_nothing_is_held() -> None:
+    one, first = rounds(SuspectsThat(((5,), ()))), of(solved(-3.0, HeldPayload.NOTHING))
+    assert one.next(ASKED, first, disturbed=False) is None
+    assert one.result is first
+
+
+def test_what_explained_it_in_the_window_before_begins_the_same_in_the_next_one_of_the_same_first_tick() -> None:
+    one, first = rounds(SuspectsThat(((), (7,)), freed=(1,))), of(solved(-10.0))
+    starts = list[object]()
+    for _ in range(2):
+        trial: WindowProblem | None = ASKED
+        for evidence in (-10.0, -30.0, -1.0):
+            assert trial is not None
+            starts.append(trial.start)
+            trial = one.next(trial, of(solved(evidence)) if trial is not ASKED else first, disturbed=False)
+        assert trial is None
+        one.settle()
+    assert [start is None for start in starts] == [True, True, True, True, False, False]
+    one.forget()
+    more = one.next(ASKED, first, disturbed=False)
+    assert more is not None
+    assert more.start is None
+
+
+def test_a_payload_that_is_not_told_frees_no_constant() -> None:
+    """So much explains a window that tells little."""
+    one, first = rounds(SuspectsThat(((5,), ()))), of(solved(-3.0, mass_kg=0.5))
+    assert one.next(ASKED, first, disturbed=False) is None
+    assert one.result is first
