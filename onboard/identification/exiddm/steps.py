@@ -1,4 +1,4 @@
-"""Steps of a load cell's scale or zero in flight, each from a time on, weighed beside what may be wrong all flight.
+"""Steps in flight of an IMU's scales or a load cell's scale or zero, weighed beside what may be wrong all flight.
 
 Each alone, and each two, for what steps may go back.
 
