@@ -40,8 +40,9 @@ class Inside(NamedTuple):
 
     at: IndexArray  # (k,) places in the state
     along: FloatArray  # (k, kinds) by what each step changes these
-    every: int  # ticks from one time to the next; there is none at the first tick
+    every: int  # ticks from one time to the next
     times: int
+    begins: int = 1  # number of the first time: none at the first tick, where one is a wrong constant, or 0
 
     def seen(self, rows: FloatArray) -> FloatArray:
         """What they do to readings, (n, lines, kinds), from their times on; ``rows``: derivatives of these."""
@@ -50,7 +51,7 @@ class Inside(NamedTuple):
     def starts(self, first: int, ticks: int) -> tuple[IndexArray, IndexArray]:
         """Where parts of so many ticks begin between two times, and the number of each part in the window."""
         bounds = np.arange(first // self.every, (first + ticks - 1) // self.every + 1)
-        return np.maximum(bounds * self.every - first, 0), np.minimum(bounds, self.times)
+        return np.maximum(bounds * self.every - first, 0), np.minimum(bounds, self.times + self.begins - 1)
 
     def changed(self, size: int) -> FloatArray:
         """What they do to a state of so many elements, (p, m)."""
@@ -61,7 +62,7 @@ class Inside(NamedTuple):
     def taken(self, which: Sequence[int]) -> "StepsTaken":
         """Some of them, by their numbers in the order of :meth:`changed`."""
         at, kinds = np.asarray(which, np.intp), max(self.along.shape[1], 1)
-        return StepsTaken(self.at, self.along[:, at % kinds], self.every * (1 + at // kinds))
+        return StepsTaken(self.at, self.along[:, at % kinds], self.every * (self.begins + at // kinds))
 
 
 class StepsTaken(NamedTuple):
@@ -109,10 +110,13 @@ class Steps:
         """Nothing is known of any before now."""
         self.begin(Changed.none(len(self._predictor.names)))
 
-    def inside(self, ticks: int) -> Inside:
-        """Those that are looked for in a window of so many ticks, in the order in which :meth:`begin` takes them."""
+    def inside(self, ticks: int, *, carried: bool = False) -> Inside:
+        """Those that are looked for in a window of so many ticks, in the order in which :meth:`begin` takes them.
+
+        ``carried``: ticks before it have told of the constants, so that one of its first tick may have stepped.
+        """
         every = _EVERY * BATCH_TICKS
-        return Inside(self._at, self._along, every, max((ticks - 2) // every, 0))
+        return Inside(self._at, self._along, every, max((ticks - 2) // every, 0) + carried, int(not carried))
 
     def of_window(self, inside: Changed) -> list[Hypothesis]:
         """Those of a window, in that order."""

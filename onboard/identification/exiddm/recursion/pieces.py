@@ -62,7 +62,7 @@ class Pieces:
         self.normal = Normal(np.zeros((a + r, a + r)), np.zeros(a + r), 0.0)
         self.residual, self._steps = np.zeros((ticks, lines)), steps
         self._taken, self._sizes = taken, sizes
-        parts, kinds = steps.times + 1, steps.along.shape[1]
+        parts, kinds = steps.times + steps.begins, steps.along.shape[1]
         each = (kinds, kinds), (kinds,), (kinds, a + r)
         self._of_steps: tuple[FloatArray, ...] = tuple(np.zeros((parts, *shape)) for shape in each)
         self._done, self._left = 0, -(-ticks // PIECE)  # ticks, pieces
@@ -126,7 +126,7 @@ class Pieces:
 
         A step is there in the part that begins at its time and all later ones; of two, both are from the later on.
         """
-        products, along, across = (np.cumsum(x[::-1], axis=0)[::-1][1:] for x in self._of_steps)
+        products, along, across = (np.cumsum(x[::-1], axis=0)[::-1][self._steps.begins :] for x in self._of_steps)
         later, kinds = np.arange(len(products)), products.shape[1]
         both = products[np.maximum(later[:, None], later)].swapaxes(1, 2)
         m = kinds * len(later)

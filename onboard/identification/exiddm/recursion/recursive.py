@@ -103,7 +103,7 @@ class RecursiveExiddm(Windowed):
         if self._trials is not None:
             self._trials.take(found)
         elif found is not None or self._grown > 1.0 or self._claim.unseen:  # a change before a wrong instrument
-            self._not_explained() if found is None else self._explained(found)
+            self._not_explained() if found is None else self._explained(found, instrument=self._rounds.wrong)
             return
         else:
             self._trials = self._trials_now(None)
@@ -153,7 +153,7 @@ class RecursiveExiddm(Windowed):
         self._pending = self._pending.part(slice(-self._window_ticks(), None))
 
     def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
-        """Take in a solved window; ``instrument``: an instrument was wrong, and is left out of it."""
+        """Take in a solved window; ``instrument``: one was found to be wrong."""
         ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
             self.changes.append(self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument)))

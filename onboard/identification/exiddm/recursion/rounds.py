@@ -40,6 +40,11 @@ class WindowRounds:
         self.forget()
         self._wrong, self._odds = _NOTHING, 1.0  # what is not as stated in the result, and its odds
 
+    @property
+    def wrong(self) -> bool:
+        """Something is not as stated in the result."""
+        return self._wrong.wrong
+
     def forget(self) -> None:
         """The next window has another first tick."""
         # of a solve with something free, and as stated; None: by guesses, as another explanation may be far off
@@ -55,14 +60,14 @@ class WindowRounds:
             disturbed: something touched the vehicle, which may be why the window is not explained as it is asked for.
         """
         first = self._first or solve
-        asked = first.found or (None if disturbed else first.nearest)
+        asked = first.nearest if _exchanged(first) else first.found or (None if disturbed else first.nearest)
         self.result, self._wrong = (solve, trial) if trial.wrong and self._is_likelier(solve) else (first, _NOTHING)
         if trial.wrong or asked is None:
             return None
         if self._first is None and self._rivals.freed:
             self._first = solve
             return WindowProblem((asked.hypothesis,), stated=True, start=self._stated_start)
-        self._first, self._stated = first, solve.found
+        self._first, self._stated = first, None if solve is first and _exchanged(first) else solve.found
         self._stated_start = self._stated_start if self._stated is None else self._stated.start
         if asked.hypothesis is not HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
             freed, stepped, self._odds = self._rivals.wrong(_corrected(asked), asked.steps)
@@ -77,7 +82,7 @@ class WindowRounds:
         """
         if solve.found is None or self._first is None or not solve.found.has_mass:
             return False
-        asked = self._first.found
+        asked = None if _exchanged(self._first) else self._first.found
         return asked is None or solve.found.evidence + np.log(self._odds) > asked.evidence
 
     def settle(self) -> Callable[[Known], Known]:
@@ -90,6 +95,12 @@ class WindowRounds:
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
         return free
+
+
+def _exchanged(solve: WindowSolve) -> bool:
+    """Whether the window is explained by another payload than the one before, which no gripper takes up unseen."""
+    new = solve.found is not None and solve.found.hypothesis is HeldPayload.NEW
+    return new and solve.nearest is not None and solve.nearest.hypothesis is HeldPayload.SAME
 
 
 def _corrected(found: Solved) -> Known:

@@ -197,7 +197,8 @@ class WindowSolve:
 
     def _is_hopeless(self, prospect: float) -> bool:
         """Whether the iteration from a guess will not come so far that it explains the window."""
-        return self._stage is _Stage.GUESS and prospect > float(chdtri(float(self._use.sum()), EXPLAINED))
+        guessing = self._stage is _Stage.GUESS and self._hypothesis is not HeldPayload.SAME  # of it one is made
+        return guessing and prospect > float(chdtri(float(self._use.sum()), EXPLAINED))
 
     def _give_up(self, descent: Descent, whole: Pieces) -> None:
         """Go on without the worst outlier, which may be why, or with the next guess and all ticks."""
@@ -372,8 +373,7 @@ class WindowSolve:
         if self._explains(fitted.residual_sum):
             self.found, self.over, self._descent = solved, True, None
             return
-        if self.nearest is None or solved.cost < self.nearest.cost:
-            self.nearest = solved
+        self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
         self._begin()
 
     def _solution(self, fitted: Fit, whole: Pieces) -> Solved:

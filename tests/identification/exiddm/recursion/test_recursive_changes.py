@@ -254,3 +254,19 @@ class _Later(NamedTuple):
         away, first = q - self.motion.at(np.zeros(1))[0], self.motion.at(np.zeros(1))[0]
         rate, bend = share[0] * dq + share[1] * away, share[0] * ddq + 2.0 * share[1] * dq + curved * away
         return first + share[0] * away, rate, bend
+
+
+@pytest.mark.parametrize(("tick", "by"), [(500, 0.9), (600, 1.02)])
+def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
+    """It is named, and what was known of the payload stays."""
+    ticks, recursive = ticks_of(held), online(held, imu_prior=PRIOR)
+    ticks.measured[tick:] *= by
+    recursive.update(ticks)
+    recursive.finish()
+    assert [change.kind for change in recursive.changes] == ["change", "instrument"]
+    assert not recursive.exchanged
+    weighed = recursive.rivals.weighed(recursive.state, recursive.covariance)
+    assert "imu" in weighed.names
+    mass, variance = (part.item(0) for part in weighed.mixed(lambda one: weighed.known(one, PAYLOAD)).known)
+    assert mass == pytest.approx(5.0, abs=3.3 * variance**0.5)
+    assert variance**0.5 < 0.05

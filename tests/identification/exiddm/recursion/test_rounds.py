@@ -167,3 +167,22 @@ def test_a_payload_that_is_not_told_frees_no_constant() -> None:
     one, first = rounds(SuspectsThat(((5,), ()))), of(solved(-3.0, mass_kg=0.5))
     assert one.next(ASKED, first, disturbed=False) is None
     assert one.result is first
+
+
+def test_another_payload_without_a_release_counts_only_where_no_instrument_s_error_explains_the_one_before() -> None:
+    new, same = solved(-10.0), solved(-900.0, HeldPayload.SAME)
+    for found, taken in ((solved(-12.0, HeldPayload.SAME), True), (None, False)):
+        suspects = SuspectsThat(((), (0,)))
+        one, first, second = rounds(suspects), of(new, same), of(found)
+        more = one.next(ASKED, first, disturbed=True)
+        assert more == WindowProblem((HeldPayload.SAME,), stepped=(0,))
+        assert one.next(more, second, disturbed=True) is None
+        assert one.result is (second if taken else first)
+        assert one.wrong is taken
+        one.settle()
+        ((_, at_least),) = suspects.told
+        assert at_least
+    one = rounds(SuspectsThat(((), (0,))))
+    nothing_held_before = of(new, solved(-900.0, HeldPayload.NOTHING))
+    more = one.next(ASKED, nothing_held_before, disturbed=True)
+    assert more == WindowProblem((HeldPayload.NEW,), stepped=(0,))

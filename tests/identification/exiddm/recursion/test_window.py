@@ -146,6 +146,8 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
     noise = np.column_stack([ticks.sigma, np.full(len(ticks.sigma), 0.02)])
     measured = np.zeros((122, lines))
     measured[1:-1] = true.values + noise[1:-1] * rng.standard_normal(true.values.shape)
+    carried = Steps(predictor).inside(120, carried=True)
+    assert (carried.times, carried.taken([0]).first.item(), carried.taken([5]).first.item()) == (6, 0, 20)
     inside = Steps(predictor).inside(120)
     kinds = inside.along.shape[1]
     assert (inside.every, inside.times, kinds) == (20, 5, 5)  # scales of gyro, accelerometer and both; the cell's two
