@@ -29,6 +29,7 @@ from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursion.bounded_work import last_work
 from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
+from onboard.identification.exiddm.recursion.windowed import SOLVED_AT_s
 from onboard.identification.leaning import PART, Causes
 from onboard.identification.quantities import (
     BODY,
@@ -107,6 +108,7 @@ class ExiddmIdentifier:
         self._attached: bool | None = None
         self._told = 0
         self._mixed: tuple[Weighed, Mixture, float] | None = None  # the last answer, and what it is of
+        self._newest_s = self._taken_s = 0.0  # times of the last tick, and of the last that a line was measured at
         self._ended = True  # or what the flight's end left to be solved was given up
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
@@ -125,6 +127,9 @@ class ExiddmIdentifier:
         found = gated(signals, excluded)
         measured = np.where((found == 0), signals.measured, np.nan)
         ticks = ticks_of(signals, measured)
+        if n:
+            self._newest_s = float(signals.time_s[-1])
+            self._taken_s = float(signals.time_s[(found == 0).any(axis=1)].max(initial=self._taken_s))
         first, glitches = 0, self.exiddm.glitches
         for last in [*(np.flatnonzero(np.diff(attached)) + 1), n]:
             held = bool(attached[first]) if n else self._attached
@@ -179,6 +184,8 @@ class ExiddmIdentifier:
         ends, z = np.full((4, 10), np.nan), ndtri(chances)[:, None]
         exiddm = self.exiddm
         note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
+        if exiddm.held is False and self._newest_s - self._taken_s > SOLVED_AT_s[0]:
+            note = "nothing was held when motion was last taken in"
         fine = np.zeros(10, np.bool_)
         leans: tuple[str, ...] = ("",) * 10
         if exiddm.held and not exiddm.holds:

@@ -1,6 +1,7 @@
 """What is reported of a payload while an instrument is left out."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
+from onboard.regressor.signals import Signals
+from tests.identification.exiddm.recorded_flights import online, ticks_of
 
 
 def as_stated(state: np.ndarray, covariance: np.ndarray) -> Weighed:
@@ -258,3 +261,20 @@ def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeyp
     online.findings()
     online.estimate()
     assert len(asked) == 3
+
+
+def test_what_is_held_is_not_said_of_motion_that_is_not_taken_in(mission: Any) -> None:
+    """As where an encoder has jumped before a capture: no row counts from there on."""
+    some = ticks_of(mission)
+    identifier = ExiddmIdentifier(online(mission, held=False))
+    unused_motion: Any = None
+    whys = []
+    for first, last, reason in ((0, 280, 0), (280, 370, int(GateReason.JUMPED)), (370, 460, int(GateReason.JUMPED))):
+        ticks = some.part(slice(first, last))
+        n = last - first
+        parts = ticks.q, ticks.dq, ticks.ddq, unused_motion, ticks.measured, ticks.sigma
+        signals = Signals(ticks.time_s, *parts)
+        identifier.update(signals, np.zeros(n, np.bool_), np.full(n, reason, np.int64))
+        identifier.finish()
+        whys.append({one.note for one in identifier.estimate().quantities})
+    assert whys == [{"nothing is held"}, {"nothing is held"}, {"nothing was held when motion was last taken in"}]
