@@ -44,7 +44,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
         ("hil dymaflex --faults", 0, _HEAVY, 1310, 10),
         ("hil rocksat --faults", 0, _HEAVY, 1310, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 1030, 0),
-        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1080, 1),
+        ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1105, 1),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 635, 1),
     ],
 )
