@@ -102,15 +102,38 @@ class PairPort(_WiresPort):
 
 
 class SpiSocketPort(_WiresPort):
-    """SPI on a Unix socket; kernel tier and this one share it."""
+    """SPI on a Unix socket for each of two select lines; kernel tier and this one share it."""
 
     def __init__(self, path: Path) -> None:
-        self._spi = SpiBus()
+        other, self._others = path.with_suffix(".second"), SpiBus()
+        self._second = _WiresPort("spi", other, self._others, 1_000_000)
+        self._spi = SpiBus(self._others)
         super().__init__("spi", path, self._spi, 1_000_000)
+        self.url += f"?second={other}"
+
+    @property
+    def files(self) -> list[int]:
+        """See ``Port``."""
+        return [*super().files, *self._second.files]
+
+    @property
+    def due_ns(self) -> int:
+        """See ``Port``."""
+        return min(super().due_ns, self._second.due_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """See ``Port``."""
+        super().advance(now_ns)
+        self._second.advance(now_ns)
 
     def counts(self) -> dict[str, int]:
         """See ``Port``."""
-        return {"frames": self._spi.frames}
+        return {"frames": self._spi.frames + self._others.frames}
+
+    def close(self) -> None:
+        """See ``Port``."""
+        super().close()
+        self._second.close()
 
 
 WIRES: Final = {"pair": PairPort, "spi": SpiSocketPort}

@@ -14,7 +14,7 @@ from drivers.transports.url import BusUrl, parse
 Clock = Callable[[], int]
 
 I2C_URLS = {"i2c": ("path",), "i2c+unix": ("path", "timeout_s")}
-SPI_URLS = {"spi": ("path", "speed"), "spi+unix": ("path",)}
+SPI_URLS = {"spi": ("path", "speed", "second"), "spi+unix": ("path", "second")}
 CAN_URLS = {
     "can+socketcan": ("host", "bitrate", "receive_buffer"),
     "can+virtual": ("host", "timestamps"),
@@ -48,25 +48,29 @@ def open_i2c(url: str, clock: Clock) -> I2cPort:
     return UnixI2cPort(bus.path, clock, bus.number("timeout_s", 1.0))
 
 
-def open_spi(url: str, clock: Clock, mode: int) -> SpiPort:
+def open_spi(url: str, clock: Clock, mode: int, *, second: bool = False) -> SpiPort:
     """Open an SPI master with one chip's select line. A node that went is opened again when it is back.
 
     Args:
         url: ``spi:///dev/spidev0.0`` (kernel node; ``speed=1000000`` Hz), or ``spi+unix:///path.sock`` (a simulator's).
         clock: CLOCK_MONOTONIC, ns.
         mode: CPOL x 2 + CPHA, of the chip.
+        second: The node of a chip's second select line, ``second=/dev/spidev0.1`` of either URL.
 
     Raises:
         UrlError: The URL is not one of these.
         OSError: The node cannot be opened.
     """
     bus = parse(url, SPI_URLS)
+    if second and "second" not in bus.options:
+        raise UrlError(f"bus URL {url!r} has one select line: add '?second=/dev/spidev0.1'")
+    path = bus.options["second"] if second else bus.path
     from drivers.transports.spi import ReopeningSpi, SpidevPort, UnixSpi  # noqa: PLC0415
 
     if bus.kind == "spi+unix":
-        return UnixSpi(bus.path, clock)
+        return UnixSpi(path, clock)
     speed_hz = bus.integer("speed", 1_000_000)
-    return ReopeningSpi(lambda: SpidevPort(bus.path, clock, mode, speed_hz), clock)
+    return ReopeningSpi(lambda: SpidevPort(path, clock, mode, speed_hz), clock)
 
 
 def open_can(url: str, clock: Clock) -> CanPort:

@@ -128,6 +128,8 @@ def _wrong(scheme: str, name: str, value: str) -> str:
     words = ONE_OF.get(f"{scheme} {name}", ONE_OF.get(name))
     if words is not None:
         return "" if value in words else f"is none that it can have: use any of {', '.join(words)}"
+    if name == "second":
+        return "" if value.startswith("/") else "is no path: write /dev/..."
     low, high = RANGES[name]
     if not (_SECONDS if name == "timeout_s" else _DIGITS).fullmatch(value):
         return "is not a number: give digits" if name == "timeout_s" else "is not a whole number: give digits"

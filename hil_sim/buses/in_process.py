@@ -201,12 +201,14 @@ class _PairPort(Port):
 
 class _SpiPort(Port):
     def __init__(self, path: Path, clock: Callable[[], int]) -> None:
-        bus = SpiBus()
-        self._uninstall = install_spi(path, bus, clock)
-        super().__init__(bus, f"spi://{path}")
+        second, other = SpiBus(), path.with_suffix(".second")
+        bus = SpiBus(second)
+        self._installed = [install_spi(path, bus, clock), install_spi(other, second, clock)]
+        super().__init__(bus, f"spi://{path}?second={other}")
 
     def close(self) -> None:
-        self._uninstall()
+        for uninstall in self._installed:
+            uninstall()
 
 
 class _CanPort(Port):

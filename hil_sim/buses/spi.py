@@ -1,4 +1,4 @@
-"""SPI with one chip on it: its wires, and the kernel's spidev node in this process.
+"""SPI with one chip on it: its wires, and the kernel's spidev nodes in this process, one for each select line.
 
 A node is an empty file of a directory: ``fcntl.ioctl`` is replaced by one that answers spidev's requests (``'k'``, with
 the numbers and the structure of ``uapi/linux/spi/spidev.h``) at such a file, and passes on all others.
@@ -32,10 +32,15 @@ class SpiChip(Protocol):
 
 
 class SpiBus:
-    """The wires. A frame is an instant; where no chip drives the line to the computer, it reads zeros."""
+    """The wires. A frame is an instant; where no chip drives the line to the computer, it reads zeros.
 
-    def __init__(self) -> None:
+    Args:
+        second: The same wires with another select line, for a chip of two ``dies``.
+    """
+
+    def __init__(self, second: "SpiBus | None" = None) -> None:
         self.frames = 0
+        self._second = second
         self._chip: SpiChip | None = None
         self._faults = NO_FAULTS
 
@@ -44,15 +49,18 @@ class SpiBus:
         """Never: the chip is asked."""
         return NEVER
 
-    def add(self, chip: SpiChip) -> None:
-        """Connect the chip.
+    def add(self, chip: Any) -> None:
+        """Connect the chip, an ``SpiChip``, or one with two of them as ``dies``.
 
         Raises:
             ValueError: there is one already.
         """
-        if self._chip is not None:
+        first, *others = getattr(chip, "dies", (chip,))
+        if self._chip is not None or (others and self._second is None):
             raise ValueError("There is a chip on this select line; give the other one a line of its own.")
-        self._chip = chip
+        self._chip = first
+        if others and self._second is not None:
+            self._second.add(*others)
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.
@@ -61,6 +69,8 @@ class SpiBus:
             FaultError: a fault that an SPI adapter cannot have.
         """
         self._faults = faults.require(FaultKind.UNPLUG)
+        if self._second is not None:
+            self._second.inject(faults)
 
     def advance(self, now_ns: int) -> None:
         """Let the chip do what is due."""

@@ -11,8 +11,10 @@ import pytest
 
 from drivers.errors import UrlError
 from drivers.transports import open_spi
+from hil_sim.buses.in_process import in_process
 from hil_sim.buses.spi import SpiBus, install_spi
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.scenario import bus_tables
 from hil_sim.serve import SpiSocketPort
 from tests.conftest import VirtualClock
 
@@ -92,6 +94,10 @@ def test_no_node_and_no_such_url(tmp_path):
         open_spi(f"spi://{tmp_path}/spidev9.9", VirtualClock(), 1)
     with pytest.raises(UrlError):
         open_spi("spi:///dev/spidev0.0?mode=1", VirtualClock(), 1)
+    with pytest.raises(UrlError, match="one select line: add"):
+        open_spi("spi:///dev/spidev0.0", VirtualClock(), 1, second=True)
+    with pytest.raises(UrlError, match="no path"):
+        open_spi("spi:///dev/spidev0.0?second=spidev0.1", VirtualClock(), 1, second=True)
 
 
 class Echo:
@@ -141,9 +147,34 @@ def test_the_simulated_node_answers_spidev_and_leaves_others_alone(tmp_path):
     assert not node.exists()
 
 
+class Pair:
+    """A chip with two select lines."""
+
+    def __init__(self) -> None:
+        self.dies = Echo(), Echo()
+
+
+def test_a_chip_of_two_dies_has_two_nodes_that_go_together(tmp_path):
+    clock = VirtualClock()
+    start_ns = clock()
+    with in_process({"one": bus_tables.SpiBusTable(kind="spi")}, tmp_path, clock) as ports:
+        bus = ports.buses["one"]
+        bus.add(Pair())
+        lines = [open_spi(ports.urls["one"], clock, 1, second=second) for second in (False, True)]
+        assert [line.transfer(data, 2).data for line, data in zip(lines, (b"ab", b"cd"), strict=True)] == [b"\0\0"] * 2
+        assert [line.transfer(b"ef", 2).data for line in lines] == [b"ab", b"cd"]
+        bus.inject(FaultPlan([Fault("unplug", "bus", 1.0, 2.0)], start_ns).of("bus"))
+        clock.advance(1_500_000_000)
+        for line in lines:
+            with pytest.raises(OSError, match="No such device"):
+                line.transfer(b"ef", 2)
+    with pytest.raises(ValueError, match="select line"):
+        SpiBus().add(Pair())
+
+
 def test_a_simulator_over_a_socket(tmp_path):
     served = SpiSocketPort(tmp_path / "spi.sock")
-    served.bus.add(Echo())
+    served.bus.add(Pair())
     done = threading.Event()
 
     def serve():
@@ -158,7 +189,10 @@ def test_a_simulator_over_a_socket(tmp_path):
         assert port.transfer(b"abcdef", 2).data == b"\0\0abcd"
         with pytest.raises(OSError, match="Invalid"):
             port.transfer(b"abc", 2)
-        assert served.counts() == {"frames": 3}
+        other = open_spi(served.url, time.monotonic_ns, 1, second=True)
+        assert other.transfer(b"ghij", 2).data == b"\0\0gh"
+        other.close()
+        assert served.counts() == {"frames": 5}
     finally:
         done.set()
         thread.join()
