@@ -1,14 +1,19 @@
-"""Bosch BMI088: an accelerometer (18h, 19h) and a gyroscope (68h, 69h), two dies with an oscillator each, on I2C.
+"""Bosch BMI088: an accelerometer (18h, 19h) and a gyroscope (68h, 69h), two dies with an oscillator each.
 
 Source: data sheet BST-BMI088-DS001. A reading is two transfers: force and sensor time (12h to 1Ah), rates (02h to 07h),
 low byte first. Its FIFOs are not read: they are filled at two rates that no clock relates, and the gyroscope's has no
 time stamp. So each word is up to a period of its die old; the faster the die, the less. The sensor time, 24 bits of
 39.0625 us, tells an accelerometer that has stopped; a gyroscope that has is told by its registers. The accelerometer
 comes up suspended: it takes 1 ms for a write until it is active, and 50 ms to its first sample; the gyroscope 30 ms
-after a reset. Known limits: SPI and self tests are not used; the data sheet states bandwidths of the filters, no
-delays.
+after a reset. Known limits: self tests are not used; the data sheet states bandwidths of the filters, no delays.
+
+SPI, modes 0 and 3: a select line for each die. Bit 7 of the first byte reads; the accelerometer's answer comes a byte
+later than the gyroscope's. It comes up on I2C, also by a soft reset, and loses its first frame, which takes it to SPI.
+An absent chip cannot be told from one that reads zeros, so each transfer first reads the die's identity in a frame of
+its own, which is that first frame, too.
 """
 
+import errno
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +25,7 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError, FrameError, WrongDeviceError
 from drivers.i2c.bus import RegisterBus
 from drivers.i2c.sensor import MS, I2cSensor, Watched
-from drivers.ports import I2cPort, I2cReply
+from drivers.ports import I2cPort, I2cReply, SpiPort
 from drivers.records import IMU, SampleStatus, Severity
 
 # Accelerometer
@@ -30,12 +35,14 @@ CHIP_ID, FORCES, TEMPERATURE, ACC_CONF, ACC_RANGE, PWR_CONF, PWR_CTRL, ACC_SOFTR
 # Gyroscope: 256 more
 GYRO_CHIP_ID, RATES, GYRO_RANGE, GYRO_BANDWIDTH, GYRO_LPM1, GYRO_SOFTRESET = 0x100, 0x102, 0x10F, 0x110, 0x111, 0x114
 IDENTITIES = {CHIP_ID: 0x1E, GYRO_CHIP_ID: 0x0F}
+SPI_MODE, SPI_READ, SPI_NOTHING = 0, 0x80, (0x00, 0xFF)  # the last: identities of a line that no chip drives
 ACTIVE, ON, SOFTRESET = 0x00, 0x04, 0xB6
 STANDARD_GRAVITY_M_S2 = 9.80665
 ACCEL_RANGES_G, GYRO_RANGES_DEG_S = (3, 6, 12, 24), (2000, 1000, 500, 250, 125)  # by their codes
 RESET_NS, WRITE_NS, WAKE_NS = 30 * MS, 5 * MS, 50 * MS
 TEMPERATURE_NS = 1280 * MS  # in which it is measured once
 TICK_NS, TICKS = 39_062.5, 1 << 24  # of the sensor time
+GYRO_ADDRESSES = (0x68, 0x69)
 CLOCK_OFF = 0.1  # of the sensor time, at most: twice what an RC oscillator is off
 
 
@@ -82,7 +89,7 @@ class Bmi088Config:
     filter_code: int = 2
 
     def __post_init__(self) -> None:
-        if self.address not in {0x18, 0x19} or self.gyro_address not in {0x68, 0x69}:
+        if self.address not in {0x18, 0x19} or self.gyro_address not in GYRO_ADDRESSES:
             text = f"{self.address:#x} and {self.gyro_address:#x}: a BMI088 has 0x18 or 0x19, and 0x68 or 0x69"
             raise ConfigurationError(text)
         if self.accel_range_g not in ACCEL_RANGES_G or self.gyro_range_deg_s not in GYRO_RANGES_DEG_S:
@@ -155,6 +162,45 @@ class DiesBus(RegisterBus):
         super().write(register & 0xFF, value)
 
 
+class Bmi088SpiPort:
+    """An ``I2cPort`` of both dies, by their addresses on I2C.
+
+    Args:
+        accel: Select line CSB1.
+        gyro: CSB2.
+    """
+
+    def __init__(self, accel: SpiPort, gyro: SpiPort) -> None:
+        self._dies = accel, gyro
+
+    def write(self, address: int, data: bytes) -> None:
+        """See ``I2cPort``."""
+        self._dies[address in GYRO_ADDRESSES].transfer(data, len(data))
+
+    def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
+        """See ``I2cPort``.
+
+        Raises:
+            OSError: ENXIO where nothing answers, EBADMSG for a wrong identity before another register.
+        """
+        die = address in GYRO_ADDRESSES
+        begin = 1 if die else 2
+        size = begin + count
+        asked = [bytes([SPI_READ | register]).ljust(size, b"\0") for register in (CHIP_ID, data[0])]
+        got, host_ns = self._dies[die].transfer(b"".join(asked), size)
+        identity = got[begin] if data[0] != CHIP_ID else got[size + begin]
+        if identity in SPI_NOTHING:
+            raise OSError(errno.ENXIO, "no chip drives the line")
+        if data[0] != CHIP_ID and identity != IDENTITIES[die << 8]:
+            raise OSError(errno.EBADMSG, f"CHIP_ID reads {identity:02x}h")
+        return I2cReply(got[size + begin :], host_ns)
+
+    def close(self) -> None:
+        """Release both."""
+        for port in self._dies:
+            port.close()
+
+
 class Bmi088(I2cSensor):
     """A BMI088 on an ``I2cPort``, as IMU rows on the channel of its name.
 
@@ -162,14 +208,16 @@ class Bmi088(I2cSensor):
 
     Args:
         name: Channel, and source of its events.
-        port: The bus.
+        port: The bus, or a ``Bmi088SpiPort``.
         config: Settings.
+        bus: Its name, for messages.
     """
 
-    def __init__(self, name: str, port: I2cPort, config: Bmi088Config | None = None) -> None:
+    def __init__(self, name: str, port: I2cPort, config: Bmi088Config | None = None, bus: str = "I2C") -> None:
         self.config = own = config or Bmi088Config()
         super().__init__(name, port, own.address, round(own.sample_period_ms * MS))
         self._bus: DiesBus = DiesBus(port, own.address, own.gyro_address)
+        self._where = f"I2C {own.address:#x} and {own.gyro_address:#x}" if bus == "I2C" else bus
         self._next = 0
         self._last_ns: int | None = None
         self._seen: tuple[int, int, int] | None = None  # of the last reading: sensor time, request, answer
@@ -192,14 +240,13 @@ class Bmi088(I2cSensor):
         for register, identity in IDENTITIES.items():
             found = self._bus.byte(register)
             if found != identity:
-                part, address = (
-                    ("gyroscope", self.config.gyro_address) if register >> 8 else ("accelerometer", self._address)
-                )
-                text = f"I2C {address:#x} has CHIP_ID {found:#04x}, a BMI088's {part} has {identity:#04x}"
-                raise WrongDeviceError(f"{self.name}: {text}: fit that chip or correct the address")
+                part = "gyroscope" if register >> 8 else "accelerometer"
+                text = f"the {part} on {self._where} has CHIP_ID {found:#04x}, a BMI088's has {identity:#04x}"
+                raise WrongDeviceError(f"{self.name}: {text}: fit that chip or correct its address or node")
         self._bus.write(ACC_SOFTRESET, SOFTRESET)
         self._bus.write(GYRO_SOFTRESET, SOFTRESET)
         yield RESET_NS
+        self._bus.byte(CHIP_ID)  # on SPI this takes the accelerometer from I2C to there
         accel, gyro = self._watched()[:4], self._watched()[4:]
         for one in (*accel[:2], None, *accel[2:], *gyro):
             if one is None:

@@ -16,7 +16,7 @@ from hil_sim.devices.hx711 import Hx711Twin
 from hil_sim.devices.i2c.as5048 import As5048aTwin, As5048bTwin
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
-from hil_sim.devices.inertial.bmi088 import Bmi088Twin
+from hil_sim.devices.inertial.bmi088 import Bmi088SpiTwin, Bmi088Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.net_box import HexBox, NetBox
@@ -131,7 +131,7 @@ class MixedWorld:
             "robot": bus_tables.TcpBusTable(kind="tcp"),
             "box": bus_tables.UdpBusTable(kind="udp"),
             "hex": bus_tables.UdpBusTable(kind="udp"),
-            "spi_1": bus_tables.SpiBusTable(kind="spi"),
+            **dict.fromkeys(("spi_1", "spi_2"), bus_tables.SpiBusTable(kind="spi")),
             "i2c_2": bus_tables.I2cBusTable(kind="i2c"),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
@@ -147,6 +147,7 @@ class MixedWorld:
         bus["i2c_1"].add(As5600Twin(Analog(angle(5)), START_NS, zero_count=77))
         bus["i2c_1"].add(As5048bTwin(Analog(angle(10)), START_NS, address=0x42, zero_count=5000))
         bus["i2c_2"].add(Bmi088Twin(StairImu(), (RateClock(0.005), RateClock(-0.004)), START_NS))
+        bus["spi_2"].add(Bmi088SpiTwin(StairImu(), (RateClock(0.005), RateClock(-0.004)), START_NS))
         bus["spi_1"].add(As5048aTwin(Analog(angle(11)), START_NS, zero_count=16000))
         bus["i2c_1"].add(Nau7802Twin(Analog(force_n), RateClock(0.007), START_NS))
         bus["cell_lines"].add(Hx711Twin(Analog(force_n), RateClock(0.012), START_NS))

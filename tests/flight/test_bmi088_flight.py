@@ -14,11 +14,14 @@ from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 from tests.hil_sim.devices.twin_bench import MS
 
-INERTIAL = ["--base", "free", "--joints", "2", "--imu", "bmi088"]
+FREE = ["--base", "free", "--joints", "2", "--imu"]
+INERTIAL = [*FREE, "bmi088"]
+KINDS = pytest.mark.parametrize("kind", ["bmi088", "bmi088_spi"])
 
 
-def test_a_free_arm_weighs_with_it(tmp_path):
-    result, log, _ = rehearsed(tmp_path, INERTIAL, swing=8.0)
+@KINDS
+def test_a_free_arm_weighs_with_it(tmp_path, kind):
+    result, log, _ = rehearsed(tmp_path, [*FREE, kind], swing=8.0)
     honest(answers(result))
     assert answers(result)["m_payload"]["supported"]
     rows = log.read("imu_base")
@@ -43,11 +46,27 @@ def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
     assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
 
 
-def test_its_samples_are_put_between_request_and_answer(tmp_path):
+def test_on_spi_it_survives_unplugging_brown_out_and_garbage(tmp_path):
+    faults = [
+        *("--fault", "off:imu_base:3:4", "--fault", "unplug:imu_spi:5:5.5", "--fault", "silent:imu_base:6.7:7"),
+        *("--fault", "reset:imu_base:7.5", "--fault", "garbage:imu_base:8.1:8.2"),
+    ]
+    result, log, _ = rehearsed(tmp_path, [*FREE, "bmi088_spi"], *faults)
+    honest(answers(result))
+    told = codes_of(log, b"imu_base")
+    assert told.count(b"bus_recovered") >= 3
+    assert told.count(b"brown_out") + told.count(b"no_samples") >= 2
+    rows = log.read("imu_base")
+    assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == told.count(b"started") - 1
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+
+
+@pytest.mark.parametrize("name", ["imu_hand", "imu_foot"])
+def test_its_samples_are_put_between_request_and_answer(tmp_path, name):
     with MixedWorld(tmp_path) as world:
         flying = vehicle(tmp_path, world.urls)
         heard = world.fly(world.open(flying), 3.0)
-        _, sigma_ns, _ = timed(flying, heard, "imu_hand")
+        _, sigma_ns, _ = timed(flying, heard, name)
     assert sigma_ns < 0.3e6
 
 
@@ -60,23 +79,36 @@ def test_a_gyroscope_at_an_address_that_is_taken_is_refused(tmp_path, capsys):
     assert "shares its I2C address" in capsys.readouterr().err
 
 
+def test_a_bus_without_the_gyroscope_s_node_is_refused(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "it"), *FREE, "bmi088_spi"]) == 0
+    path = tmp_path / "it" / "vehicle.toml"
+    said = path.read_text()
+    assert 'url = "spi:///dev/spidev1.0?second=/dev/spidev1.1"' in said
+    path.write_text(said.replace("?second=/dev/spidev1.1", ""))
+    assert main(["preflight", str(path)]) != 0
+    assert "the gyroscope's node is missing" in capsys.readouterr().err
+
+
+@KINDS
 @pytest.mark.realtime
 @pytest.mark.timeout(180)
-def test_it_flies_in_real_time_and_comes_back(tmp_path):
-    _, log, _ = rehearsed(tmp_path, INERTIAL, "--realtime", "--fault", "silent:imu_base:2:3", swing=4.0)
+def test_it_flies_in_real_time_and_comes_back(tmp_path, kind):
+    _, log, _ = rehearsed(tmp_path, [*FREE, kind], "--realtime", "--fault", "silent:imu_base:2:3", swing=4.0)
     assert len(log.read("imu_base")) > 0.6 * 7.0 * 200
     assert b"bus_recovered" in codes_of(log, b"imu_base")
 
 
+@KINDS
 @pytest.mark.realtime
-def test_it_is_found_and_tried_on_the_desk(tmp_path):
-    assert main(["init", str(tmp_path / "mine"), *INERTIAL]) == 0
+def test_it_is_found_and_tried_on_the_desk(tmp_path, kind):
+    assert main(["init", str(tmp_path / "mine"), *FREE, kind]) == 0
     report = tmp_path / "report.json"
     with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
         while time.monotonic_ns() < urls["start_ns"] + 500 * MS:
             time.sleep(0.05)
-        asked = ["devices", "--test", "bmi088", "--url", urls["i2c_1"], "--seconds", "2"]
+        url = urls["i2c_1" if kind == "bmi088" else "imu_spi"]
+        asked = ["devices", "--test", kind, "--url", url, "--seconds", "2"]
         assert main([*asked, "--json", str(report)]) in (0, 4)  # a busy computer reads too slowly, and that is told
     [one] = json.loads(report.read_text())["tests"]
-    assert (one["kind"], len(one["signals"])) == ("bmi088", 6)
+    assert (one["kind"], len(one["signals"])) == (kind, 6)
     assert one["rows"] > 150

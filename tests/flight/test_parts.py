@@ -193,7 +193,8 @@ def recorded(*channels: str) -> Timebase:
 def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
     roles = roles_of(mixed_vehicle(tmp_path))
     wrist = tuple(f"wrist_{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz")
-    assert [imu.channels for imu in roles.imus] == [("imu_base",), ("imu_elbow",), ("imu_tip",), wrist, ("imu_hand",)]
+    imus = [("imu_base",), ("imu_elbow",), ("imu_tip",), wrist, ("imu_hand",), ("imu_foot",)]
+    assert [imu.channels for imu in roles.imus] == imus
     assert roles.imu.frame == "body"
     assert {joint.joint: joint.channel for joint in roles.joints} == {
         "joint_1": "shoulder",
@@ -220,7 +221,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "wrist_force",
         "thumb",
     ]
-    assert roles.signals.keys() == {"imu_base", "imu_elbow", "imu_tip", "imu_hand", *wrist} | {
+    assert roles.signals.keys() == {"imu_base", "imu_elbow", "imu_tip", "imu_hand", "imu_foot", *wrist} | {
         j.channel for j in roles.joints
     } | {cell.channel for cell in roles.cells}
 

@@ -111,7 +111,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | URL | carries |
 |---|---|
 | `i2c:///dev/i2c-1` | several I2C devices, by address |
-| `spi:///dev/spidev0.0` (`speed=1000000`) | one device: its select line is the last number |
+| `spi:///dev/spidev0.0` (`speed=1000000`, `second=/dev/spidev0.1`) | one device, by its one or two select lines |
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |

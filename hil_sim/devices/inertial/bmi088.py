@@ -1,4 +1,4 @@
-"""A Bosch BMI088 (data sheet BST-BMI088-DS001) behind its I2C interface: two dies with an address and a clock each.
+"""A Bosch BMI088 (data sheet BST-BMI088-DS001) behind I2C or SPI: two dies with an address or select line, and a clock.
 
 Accelerometer: 00h chip ID (1Eh), 02h errors, 03h status (7 new data, which a read of it clears), 12h to 17h force, low
 bytes first, 18h to 1Ah sensor time (39.0625 us a count), 22h and 23h temperature (11 bits, 8 counts a kelvin, 0 at 23
@@ -8,9 +8,11 @@ after power-up, takes a write each millisecond while it is suspended, and measur
 Gyroscope: 00h chip ID (0Fh), 02h to 07h rates, 0Ah status (7 new data), 0Fh range (0 2000 deg/s to 4 125), 10h
 bandwidth (0 2000/532 Hz, 1 2000/230, 2 1000/116, 3 400/47, 4 200/23, 5 100/12, 6 200/64, 7 100/32; bit 7 reads 1), 11h
 LPM1 (00h on, 80h suspended), 14h soft reset (B6h), after which it is away for 30 ms.
+SPI: the first byte is the register, its bit 7 reads; the gyroscope answers from the next byte on, the accelerometer a
+byte later. That is on I2C from power-up or soft reset until its select line first rises: that frame is lost.
 
 Where the data sheet is silent: sensor time and data stand still while the accelerometer is off; a word is that of the
-die's last period, and its filter's delay is that of one pole. Left out: FIFOs, interrupts, self tests, SPI, rates and
+die's last period, and its filter's delay is that of one pole. Left out: FIFOs, interrupts, self tests, rates and
 filters but those of the table of ``_FILTERS``, whose bits are stored and give the slowest of them.
 """
 
@@ -66,8 +68,9 @@ class Bmi088Twin(I2cTwin):
         *,
         addresses: tuple[int, int] = (0x18, 0x68),
         faults: DeviceFaults = NO_FAULTS,
+        kinds: tuple[FaultKind, ...] = _FAULTS,
     ) -> None:
-        super().__init__(addresses[_ACCEL], start_ns, faults, _FAULTS)
+        super().__init__(addresses[_ACCEL], start_ns, faults, kinds)
         self.addresses = addresses
         self._imu = FaultyImu(analog, faults, start_ns)
         self._clocks = tuple(FaultyClock(clock, faults) for clock in clocks)
@@ -155,6 +158,55 @@ class Bmi088Twin(I2cTwin):
             own[register] = value & 0x0F | 0x80 if die == _GYRO and register == 0x10 else value
 
 
+class _Select:
+    """The select line of a die."""
+
+    mode = 0
+
+    def __init__(self, chip: "Bmi088SpiTwin", die: int) -> None:
+        self._chip, self._die = chip, die
+
+    def advance(self, now_ns: int) -> None:
+        """See ``SpiChip``."""
+        self._chip.advance(now_ns)
+
+    def exchange(self, frame: bytes, now_ns: int) -> bytes:
+        """See ``SpiChip``."""
+        return self._chip.exchange(self._die, frame, now_ns)
+
+
+class Bmi088SpiTwin(Bmi088Twin):
+    """One chip on SPI; see ``Bmi088Twin``. Off, or silent, it drives no line: zeros."""
+
+    _on_i2c = True  # its accelerometer
+
+    def __init__(self, analog: ImuAnalog, clocks: tuple[ChipClock, ChipClock], start_ns: int, **options: Any) -> None:
+        kinds = tuple(kind for kind in _FAULTS if kind not in (FaultKind.NACK, FaultKind.TIMEOUT))
+        super().__init__(analog, clocks, start_ns, kinds=kinds, **options)
+        self.dies = _Select(self, _ACCEL), _Select(self, _GYRO)
+
+    def _reset(self, die: int, now_ns: int) -> None:
+        super()._reset(die, now_ns)
+        self._on_i2c = die == _ACCEL or self._on_i2c
+
+    def exchange(self, die: int, frame: bytes, now_ns: int) -> bytes:
+        """A frame of a die's select line."""
+        self._settle(now_ns)
+        nothing = bytes(len(frame))
+        if now_ns < self._off_until_ns or (self._is_faulty and self._faults.is_away(now_ns)):
+            return nothing
+        if die == _ACCEL and self._on_i2c:
+            self._on_i2c = False
+            return nothing
+        address, begin = self.addresses[die], 2 if die == _ACCEL else 1
+        if not frame[0] & 0x80:
+            self.transfer(address, frame, 0, now_ns)
+            return nothing
+        count = max(len(frame) - begin, 0)
+        answer = self.transfer(address, bytes([frame[0] & 0x7F]), count, now_ns)
+        return (bytes(begin) + answer)[: len(frame)]
+
+
 class Bmi088Table(MeasuringEmulator):
     """A BMI088."""
 
@@ -177,13 +229,25 @@ class Bmi088Table(MeasuringEmulator):
         table |= {"measures": name, "at": said["frame"]}
         return Equivalent(table, {name: sheets.imu("bmi088", said)}, {name: "gyro", f"{name}_gyro": "gyro"})
 
+    def chip(self, *parts: Any, **options: Any) -> Bmi088Twin:
+        """The chip."""
+        return Bmi088Twin(*parts, addresses=(self.address, self.gyro_address), **options)
+
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
-        imu = Bmi088Twin(
-            bench.sensor(ImuSensor),
-            (bench.clock, bench.clocks[f"{bench.name}_gyro"]),
-            bench.start_ns,
-            addresses=(self.address, self.gyro_address),
-            faults=bench.faults,
-        )
+        clocks = bench.clock, bench.clocks[f"{bench.name}_gyro"]
+        imu = self.chip(bench.sensor(ImuSensor), clocks, bench.start_ns, faults=bench.faults)
         return Twin(imu, lambda: imu.answered, (bench.name,))
+
+
+class Bmi088SpiTable(Bmi088Table):
+    """A BMI088 on SPI."""
+
+    needs = "spi"
+    where = "the select lines"
+
+    kind: Literal["bmi088_spi"]  # type: ignore[assignment]
+
+    def chip(self, *parts: Any, **options: Any) -> Bmi088Twin:
+        """See ``Bmi088Table``."""
+        return Bmi088SpiTwin(*parts, **options)

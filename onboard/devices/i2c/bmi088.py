@@ -1,4 +1,4 @@
-"""Bosch BMI088 on I2C."""
+"""Bosch BMI088 on I2C, and what it has in common with one on SPI."""
 
 import math
 from typing import Annotated, ClassVar, Literal
@@ -8,21 +8,24 @@ from pydantic import Field
 from drivers.inertial.bmi088 import FILTERS, Bmi088, Bmi088Config, identify
 from drivers.ports import I2cPort
 from drivers.records import IMU
-from onboard.devices.base import ImuDevice, Surroundings
+from onboard.devices.base import BusDevice, ImuDevice, Surroundings
 from onboard.devices.buses import I2cDevice, Identify, SamplePeriod
 from onboard.section import NotNegative
 from onboard.timebase.delays import Delay
 from onboard.timebase.timebase import ChannelClock, PolledChannel
 
 DELAY_SIGMA_MS = 0.3  # a period of 1000 Hz / sqrt(12): the age of a sample that is read
+NEW_KEYS = """sample_period_ms = 5
+accel_range_g = 3
+gyro_range_deg_s = 250
+filter_code = 2                # 145 Hz and 116 Hz
+accel_noise_m_s2 = 0.026       # of a sample: 175 ug/sqrt(Hz) x sqrt(1.57 x 145 Hz), the data sheet's
+gyro_noise_rad_s = 3.3e-3      # of a sample: 0.014 deg/s/sqrt(Hz) x sqrt(1.57 x 116 Hz)
+"""
 
 
-class Bmi088Device(I2cDevice, ImuDevice):
-    """BMI088, both its dies, read once in `sample_period_ms`.
-
-    The data sheet states no delay of its filters: it is that of one pole at their bandwidth and half a period of the
-    die, to `delay_sigma_ms`. Pins: PS to the supply (I2C), SDO1 and SDO2 to ground (0x18, 0x68).
-    """
+class Bmi088Sensor(BusDevice, ImuDevice):
+    """A BMI088 on either bus."""
 
     about_clock = (
         "The middle between the first request and the last answer, by the host's clock; half their distance is its "
@@ -31,21 +34,7 @@ class Bmi088Device(I2cDevice, ImuDevice):
     )
     records = IMU
     driver_configs = (Bmi088Config,)
-    new_keys = """address = 0x18
-gyro_address = 0x68
-sample_period_ms = 5
-accel_range_g = 3
-gyro_range_deg_s = 250
-filter_code = 2                # 145 Hz and 116 Hz
-accel_noise_m_s2 = 0.026       # of a sample: 175 ug/sqrt(Hz) x sqrt(1.57 x 145 Hz), the data sheet's
-gyro_noise_rad_s = 3.3e-3      # of a sample: 0.014 deg/s/sqrt(Hz) x sqrt(1.57 x 116 Hz)
-"""
-    addresses: ClassVar[tuple[int, ...]] = (0x18, 0x19)
-    identify: ClassVar[Identify | None] = staticmethod(identify)
     kelvin_per_count: ClassVar[float] = 0.125
-    kind: Literal["bmi088"]
-    address: Annotated[int, Field(ge=0x18, le=0x19)] = Bmi088Config.address
-    gyro_address: Annotated[int, Field(ge=0x68, le=0x69)] = Bmi088Config.gyro_address
     sample_period_ms: SamplePeriod = Bmi088Config.sample_period_ms
     accel_range_g: Literal[3, 6, 12, 24] = 3
     gyro_range_deg_s: Literal[125, 250, 500, 1000, 2000] = 250
@@ -59,11 +48,6 @@ gyro_noise_rad_s = 3.3e-3      # of a sample: 0.014 deg/s/sqrt(Hz) x sqrt(1.57 x
         gyro_s = 0.5 / math.pi / one.gyro_hz + 0.5 / one.gyro_rate_hz
         return gyro_s, 0.5 / math.pi / one.accel_hz + 0.5 / one.accel_rate_hz
 
-    @property
-    def places(self) -> tuple[int, ...]:
-        """See ``I2cDevice``."""
-        return self.address, self.gyro_address
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
         return {name: PolledChannel()}
@@ -73,6 +57,26 @@ gyro_noise_rad_s = 3.3e-3      # of a sample: 0.014 deg/s/sqrt(Hz) x sqrt(1.57 x
         gyro_s, accel_s = self.filter_delays_s
         sigma_s, why = 1e-3 * self.delay_sigma_ms, f"low-pass filter {self.filter_code}, and age of a sample"
         return [Delay(name, "gyro", gyro_s, sigma_s, why), Delay(name, "accel", accel_s, sigma_s, why)]
+
+
+class Bmi088Device(I2cDevice, Bmi088Sensor):
+    """BMI088, both its dies, read once in `sample_period_ms`.
+
+    The data sheet states no delay of its filters: it is that of one pole at their bandwidth and half a period of the
+    die, to `delay_sigma_ms`. Pins: PS to the supply (I2C), SDO1 and SDO2 to ground (0x18, 0x68).
+    """
+
+    new_keys = f"address = 0x18\ngyro_address = 0x68\n{NEW_KEYS}"
+    addresses: ClassVar[tuple[int, ...]] = (0x18, 0x19)
+    identify: ClassVar[Identify | None] = staticmethod(identify)
+    kind: Literal["bmi088"]
+    address: Annotated[int, Field(ge=0x18, le=0x19)] = Bmi088Config.address
+    gyro_address: Annotated[int, Field(ge=0x68, le=0x69)] = Bmi088Config.gyro_address
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """See ``I2cDevice``."""
+        return self.address, self.gyro_address
 
     def driver(self, name: str, port: I2cPort) -> Bmi088:
         """See ``I2cDevice``."""

@@ -9,7 +9,8 @@ from smbus2 import smbus2
 
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import I2cBus
-from hil_sim.devices.inertial.bmi088 import Bmi088Twin
+from hil_sim.buses.spi import SpiBus
+from hil_sim.devices.inertial.bmi088 import Bmi088SpiTwin, Bmi088Twin
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock
 
@@ -189,3 +190,50 @@ def test_pollen_s_driver_reads_it_once_its_power_register_is_right(monkeypatch):
         sensor.close()
     finally:
         installed.uninstall()
+
+
+class SpiSession:
+    """A chip on two select lines, and the time; frames in hex."""
+
+    def __init__(self, *faults) -> None:
+        plan = FaultPlan([Fault(*one) for one in faults], START_NS)
+        clocks = RateClock(start_ns=START_NS), RateClock(start_ns=START_NS)
+        second = SpiBus()
+        self.lines = SpiBus(second), second
+        self.lines[0].add(Bmi088SpiTwin(FlatImu(WORDS), clocks, START_NS, faults=plan.of("imu")))
+        self.at_ms = 40.0
+
+    def __call__(self, die, frame):
+        data = bytes.fromhex(frame)
+        self.at_ms += 2
+        return self.lines[die].transfer(len(data), data, len(data), START_NS + round(self.at_ms * MS)).hex(" ")
+
+
+def test_on_spi_the_accelerometer_answers_a_byte_later_and_loses_its_first_frame():
+    one = SpiSession()
+    assert one(1, "80 00") == "00 0f"
+    assert one(0, "80 00 00") == "00 00 00"
+    assert one(0, "80 00 00") == "00 00 1e"
+    for frame in ("7c 00", "7d 04", "41 01"):
+        assert one(0, frame) == "00 00"
+    one.at_ms += 60
+    assert one(0, "92" + "00" * 7) == "00 00 " + np.array(WORDS[:3], "<i2").tobytes().hex(" ")
+    assert one(1, "82" + "00" * 6) == "00 " + np.array(WORDS[4:], "<i2").tobytes().hex(" ")
+    assert one(0, "c1 00 00") == "00 00 01"
+    assert one(0, "80") == "00"
+    one(0, "7e b6")
+    assert [one(0, "c1 00 00") for _ in range(2)] == ["00 00 00", "00 00 01"]  # to I2C, and back
+    one(0, "41 03")
+    one(1, "14 b6")
+    assert one(0, "c1 00 00") == "00 00 03"  # the gyroscope's reset leaves it there
+
+
+def test_on_spi_one_that_is_off_drives_no_line():
+    one = SpiSession(("off", "imu", 1.0, 1.1), ("silent", "imu", 2.0, 2.1), ("garbage", "imu", 3.0, 3.1))
+    for at_ms, expected in ((500, "00 0f"), (1050, "00 00"), (1500, "00 0f"), (2050, "00 00"), (2500, "00 0f")):
+        one.at_ms = at_ms
+        assert one(1, "80 00") == expected
+    one.at_ms = 3050
+    assert len({one(1, "80 00") for _ in range(20)}) > 1
+    with pytest.raises(FaultError):
+        SpiSession(("nack", "imu", 0.0, 1.0))

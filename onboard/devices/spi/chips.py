@@ -1,0 +1,65 @@
+"""ams AS5048A above a magnet on a joint's axis, and Bosch BMI088, on SPI."""
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+from drivers import transports
+from drivers.device import Device
+from drivers.i2c import as5048
+from drivers.inertial import bmi088
+from drivers.ports import SpiPort
+from drivers.transports.url import parse
+from onboard.devices.base import OpeningBus, Problem, Surroundings
+from onboard.devices.buses import SpiDevice
+from onboard.devices.i2c.as5048 import As5048Device
+from onboard.devices.i2c.bmi088 import NEW_KEYS, Bmi088Sensor
+
+
+class As5048aDevice(SpiDevice, As5048Device):
+    """AS5048A, the absolute angle of a magnet on the joint's axis in 14 bits, once in `sample_period_ms`.
+
+    A magnet that is too weak or too strong is a fault: its samples are not valid. One beside the axis is a once-a-turn
+    error, `eccentricity_rad`. On the motor side of a gear its zero is lost with a turn of the magnet.
+    """
+
+    mode = as5048.SPI_MODE
+    new_keys: ClassVar[str] = """zero_count = 0                 # yours: what it reads at joint angle zero, 0 to 16383
+sample_period_ms = 5
+noise_rad = 1.05e-3            # one sample: 0.06 degrees
+"""
+    kind: Literal["as5048a"]
+
+    def driver(self, name: str, port: SpiPort) -> as5048.As5048:
+        """See ``SpiDevice``."""
+        return as5048.As5048(name, as5048.As5048aPort(port), 0, self.settings(name))
+
+
+class Bmi088SpiDevice(SpiDevice, Bmi088Sensor):
+    """BMI088 on SPI, both its dies, read once in `sample_period_ms`.
+
+    Each die has a select line: the URL of the bus is the accelerometer's node (CSB1), its `second` the gyroscope's
+    (CSB2). The data sheet states no delay of its filters: it is that of one pole at their bandwidth and half a period
+    of the die, to `delay_sigma_ms`. Pins: PS to ground (SPI), SDO1 and SDO2 together.
+    """
+
+    new_bus = "imu_spi"
+    new_url = "spi:///dev/spidev1.0?second=/dev/spidev1.1"
+    new_keys: ClassVar[str] = NEW_KEYS
+    mode = bmi088.SPI_MODE
+    kind: Literal["bmi088_spi"]
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """See ``BusDevice``."""
+        accel, gyro = (
+            bus.own(transports.open_spi(bus.url, bus.clock, cls.mode, second=second)) for second in (False, True)
+        )
+        port = bmi088.Bmi088SpiPort(accel, gyro)
+        return [bmi088.Bmi088(name, port, device.settings(name), "SPI") for name, device in bus.devices.items()]
+
+    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
+        """See ``DeviceSection``."""
+        yield from super().problems(name, around)
+        if "second" not in parse(around.url(self.bus), self.urls).options:
+            text = "the gyroscope's node is missing; add ?second=/dev/spidev0.1"
+            yield ["bus", self.bus, "url"], f"{self.bus!r} of {name!r}: {text}"
