@@ -62,11 +62,12 @@ class Changed(NamedTuple):
     D: FloatArray  # (p, m) true state less the filter's
     d: FloatArray  # (m,) gradient of the evidence by their sizes
     J: FloatArray  # (m, m) information of these
+    step: FloatArray  # (p, m) what steps
 
     @staticmethod
     def none(size: int) -> "Changed":
         """No steps, of a state of this size."""
-        return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros((0, 0)))
+        return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((size, 0)))
 
     @property
     def nats(self) -> FloatArray:
@@ -253,12 +254,13 @@ class Bank:
     ) -> tuple[Known, Changed]:
         """Bayes' rule on the joint state and steps; the priors of the steps stay as they are."""
         (x, P), (U, inner) = known, self._of_these(which)
-        D, d, J = steps or Changed.none(len(x))
-        PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ D[self.at]
+        D, d, J, step = steps or Changed.none(len(x))
+        # a prior is that of constants before a step
+        PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ (D - step)[self.at]
         solved = np.linalg.solve(inner + sign * (U.T @ PU[self.at]), np.column_stack([PU.T, along]))
         gain, of_steps = solved[:, : len(x)], sign * solved[:, len(x) :]
         now = x - sign * (own @ gain), P - sign * (PU @ gain)
-        return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + along.T @ of_steps)
+        return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + along.T @ of_steps, step)
 
     def _of_these(self, which: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """``U`` at all suspects' constants and ``1 + D' U`` of some suspects' columns."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from onboard.dynamics.model.inertia import RigidBody
-from onboard.dynamics.model.payload import body_of, standard_of
+from onboard.dynamics.model.payload import body_of, standard_covariance, standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import LIKELY_SIZE
 
@@ -44,3 +44,14 @@ def of_centre(chi: FloatArray) -> FloatArray:
     size, few = np.sqrt(0.5 * np.trace(inertia) / mass), 1e-6
     moved = [standard_of(RigidBody(mass, centre + few * size * axis, inertia)) for axis in np.eye(3)]
     return (np.array(moved).T - chi[:, None]) / few
+
+
+def changed(chi: FloatArray) -> FloatArray:
+    """Covariance of a body's standard parameters, (10, 10), whose mass, place and inertia have changed by a tenth.
+
+    Raises:
+        SignalError: a mass that is not positive.
+    """
+    mass, _, inertia = body_of(chi)
+    size = np.sqrt(max(0.5 * float(np.trace(inertia)) / mass, 0.0))
+    return standard_covariance(chi, LIKELY_SIZE, LIKELY_SIZE * float(size), LIKELY_SIZE)

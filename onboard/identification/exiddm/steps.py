@@ -144,18 +144,18 @@ class Steps:
             told: of its lines ``L^-1 H P``, (lines, p), whitened innovations, (lines,), and ``L^-1 H D``, (lines, m).
             transition: of what changes, (c, p).
         """
-        (D, d, J), changing = self.changed, self._predictor.changing
+        (D, d, J, stepped), changing = self.changed, self._predictor.changing
         W, e, seen = told
         D = D - W.T @ seen
         D[changing] = transition @ D
-        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen)
+        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen, stepped)
         self._batches += 1
         if self._batches % _EVERY == 0:
             self._may_be()
 
     def _may_be(self) -> None:
         """From now on, too; of too many times the least likely but the newest is left to the one after it."""
-        (D, d, J), each = self.changed, len(self._what)
+        (D, d, J, stepped), each = self.changed, len(self._what)
         if not each:
             return
         logs, kept = self.changed.logs(self.suspects), np.arange(len(self._stands))
@@ -168,7 +168,7 @@ class Steps:
         for k, one in enumerate(self._what):
             new[one.at, k] = one.along[:, 0]
         d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
-        self.changed = Changed(np.hstack([D[:, steps], new]), d, J)
+        self.changed = Changed(np.hstack([D[:, steps], new]), d, J, np.hstack([stepped[:, steps], new]))
         self._stands = np.append(self._stands[kept], 1.0)
 
 

@@ -123,7 +123,7 @@ def _weighed(
     h, p, wider = _columns(exiddm, fit.x, errors), fit.x.size, max(1.0, exiddm.found(step.fit).misfit)
     Bh = step.derivative.T @ h
     moves = -step.covariance @ Bh
-    changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider)
+    changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider, np.zeros_like(moves[:p]))
     each = changed.hypotheses([one.suspect for one in errors], every=True)
     alone = [one for one in each if len(one.steps) == 1]
     return Bank((), np.ones(p)).weigh(_known_of(step), alone), _Some(errors, changed)

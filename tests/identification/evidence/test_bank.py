@@ -220,7 +220,7 @@ def test_two_steps_whose_information_rounding_made_negative_are_weighed_all_the_
     """Two that do the same to what is read, of which large numbers were subtracted: their covariance is one still."""
     suspects = [Suspect(f"step {k}", np.arange(1), np.ones((1, 1)), 0.1) for k in range(2)]
     J = np.array([[1e4, 1.001e4], [1.001e4, 1e4]])
-    changed = Changed(rng.normal(size=(3, 2)), np.array([150.0, -150.0]), J)
+    changed = Changed(rng.normal(size=(3, 2)), np.array([150.0, -150.0]), J, np.zeros((3, 2)))
     assert np.linalg.eigvalsh(np.eye(2) + J)[0] < 0.0
     mean, root = changed.sizes((0, 1))
     assert np.linalg.eigvalsh(root @ root.T)[0] > 0.0
@@ -231,7 +231,7 @@ def test_two_steps_whose_information_rounding_made_negative_are_weighed_all_the_
 def test_sizes_of_steps_are_those_of_their_normal_equations(rng):
     A, d = rng.normal(size=(4, 9)), rng.normal(size=4)
     J = A @ A.T
-    mean, root = Changed(np.zeros((3, 4)), d, J).sizes((0, 2, 3))
+    mean, root = Changed(np.zeros((3, 4)), d, J, np.zeros((3, 4))).sizes((0, 2, 3))
     at = np.ix_([0, 2, 3], [0, 2, 3])
     np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + J[at]))
     np.testing.assert_allclose(mean, np.linalg.solve(np.eye(3) + J[at], d[[0, 2, 3]]))

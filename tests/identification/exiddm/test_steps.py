@@ -20,6 +20,7 @@ from onboard.identification.exiddm.suspects import Believed
 CELL = FurtherCell("cell", "", (), 1, CellPrior(0.1, 0.0, 0.0025, 0.0))
 NAMES = ("rate", "a", "b", "bias_cell", "scale_cell")
 SIGMA = np.array([3.0, 1.0, 0.5, 0.1, 0.0025])
+SCALE = Suspect("cell", np.array([4]), np.array([[0.1]]), 1e-2)
 OF_IMUS: dict[str, Any] = {"instruments": ("cell",), "imu_frames": (), "of_each": ()}  # none
 WITH_A_CELL = {"names": NAMES, "sigma": SIGMA, "further": (CELL,), "changing": np.array([0]), **OF_IMUS}
 BATCHES, LINES = 6, 4
@@ -36,7 +37,7 @@ class Flight(NamedTuple):
     F: np.ndarray  # (batches, 1, p)
     y: np.ndarray  # (batches, lines)
 
-    def model(self, steps: Steps_, wrong: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def model(self, steps: Steps_, wrong: Suspect | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Readings by the first state and r steps, (n, p + r); the last state by these, (p, p + r); their prior."""
         T, rows = np.eye(5, 5 + len(steps)), []
         for k in range(BATCHES + 1):
@@ -46,17 +47,17 @@ class Flight(NamedTuple):
                 rows.append(self.H[k] @ T)
                 T[0] = (self.F[k] @ T)[0]
         prior = np.diag(np.append(SIGMA, [0.1 if which == 4 else 1.0 for _, which in steps]) ** 2)
-        if wrong:
-            prior[np.ix_(BODY.at, BODY.at)] += BODY.along @ BODY.along.T
+        if wrong is not None:
+            prior[np.ix_(wrong.at, wrong.at)] += wrong.along @ wrong.along.T
         return np.concatenate(rows), T, prior
 
-    def solved(self, *steps: tuple[int, int], wrong: bool = False) -> Known:
+    def solved(self, *steps: tuple[int, int], wrong: Suspect | None = None) -> Known:
         """The last state, the steps being unknowns."""
         A, T, prior = self.model(steps, wrong)
         P = np.linalg.inv(np.linalg.inv(prior) + A.T @ A)
         return T @ P @ A.T @ self.y.ravel(), T @ P @ T.T
 
-    def nats(self, *steps: tuple[int, int], wrong: bool = False) -> float:
+    def nats(self, *steps: tuple[int, int], wrong: Suspect | None = None) -> float:
         """Evidence of the steps over that of none."""
         A, _, prior = self.model(steps, wrong)
         none = prior.copy()
@@ -165,8 +166,11 @@ def test_what_is_judged_given_a_step_is_the_innovation_of_one_who_knows_of_it(rn
         assert judged.e[:first] @ judged.e[:first] == pytest.approx(squares)
 
 
-def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back(flight: Flight, steps: Steps) -> None:
-    known, bank = filtered(flight, steps), Bank([BODY], SIGMA)
+@pytest.mark.parametrize("free", [BODY, SCALE], ids=["body", "the scale that steps"])
+def test_with_a_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back(
+    flight: Flight, steps: Steps, free: Suspect
+) -> None:
+    known, bank = filtered(flight, steps), Bank([free], SIGMA)
     before = steps.changed
     wide = bank.freed(known, (0,)), bank.steps_freed(known, (0,), before)
     weighed = bank.weigh(wide[0], wide[1].hypotheses(likely(steps)))
@@ -174,8 +178,8 @@ def test_with_another_thing_free_it_is_the_fit_with_that_prior_and_is_taken_back
     assert len(found) == 2 * (BATCHES + 1)
     for k, one in enumerate(found):
         at, which = k // 2, (4, 3)[k % 2]
-        assert one.nats == pytest.approx(flight.nats((at, which), wrong=True), abs=1e-8)
-        for part, wanted in zip(weighed.known(one), flight.solved((at, which), wrong=True), strict=True):
+        assert one.nats == pytest.approx(flight.nats((at, which), wrong=free), abs=1e-8)
+        for part, wanted in zip(weighed.known(one), flight.solved((at, which), wrong=free), strict=True):
             np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
     for part, wanted in zip(bank.steps_as_stated(wide[0], (0,), wide[1]), before, strict=True):
         np.testing.assert_allclose(part, wanted, rtol=1e-7, atol=1e-9)
@@ -211,6 +215,8 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     assert max(counts) == 8 * scales_and_zeros  # right-hand sides of a batch: 2 % of what an estimate costs
     in_a_minute = sum(one.odds for one in steps.suspects[::2])  # each has the odds of those that are left to it
     assert abs(np.log(in_a_minute / ODDS_OF_PART)) < np.log(1.5)
-    steps.begin(Changed(np.zeros((5, 80)), np.zeros(80), np.zeros((80, 80))))  # of a window of eight seconds
+    steps.begin(
+        Changed(np.zeros((5, 80)), np.zeros(80), np.zeros((80, 80)), np.zeros((5, 80)))
+    )  # of a window of eight seconds
     assert len(steps.suspects) == 8 * scales_and_zeros
     assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)

@@ -207,7 +207,7 @@ def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predict
     (k,) = (k for k, one in enumerate(of) if one.at.tolist() == [scale])
     D, d, J = np.zeros((len(x), len(of))), np.zeros(len(of)), np.zeros((len(of), len(of)))
     D[scale, k], d[k], J[k, k] = 0.1, 2e3, 1e4 - 1.0
-    rivals.steps.changed = Changed(D, d, J)
+    rivals.steps.changed = Changed(D, d, J, D.copy())
     step = rivals.adds(x, P)
     assert step is not None
     assert [at.tolist() for at in step.at] == [[scale]]

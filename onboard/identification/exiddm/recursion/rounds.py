@@ -2,8 +2,8 @@
 
 What a hypothesis makes of a window is told by the linear model about a solution. That is wrong where the payload is
 half or twice as heavy by it: of 80 flights of a twin with a step of a tenth in the scales of its IMU, and 20 or 60
-times its noise, 42 had the mass outside of its 99.9 % interval, and 2 where the window is solved under the hypothesis,
-from guesses. Its evidence is that of two solutions, not of the linear model.
+times its noise, 42 had the mass outside of its 99.9 % interval, and one where the window is solved under the
+hypothesis, from guesses. Its evidence is that of two solutions, not of the linear model.
 
 A window that is not explained is solved with what contradicts it most, unless something touched the vehicle.
 """
@@ -13,7 +13,10 @@ from collections.abc import Callable
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import LEAST_WEIGHT
+from onboard.identification.evidence.bodies import changed
 from onboard.identification.evidence.mixture import Known
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import EXPLAINED, HeldPayload, Solved, WindowSolve
 from onboard.identification.exiddm.suspects import Rivals
@@ -78,12 +81,15 @@ class WindowRounds:
     def _is_likelier(self, solve: WindowSolve) -> bool:
         """Whether the window as it was asked for is less likely than this solution, the odds of what is wrong counted.
 
-        It is not explained, or has less evidence: the linear model about its solution does not know other minima.
+        It is not explained, or has less evidence: the linear model about its solution does not know other minima. That
+        the payload has changed is as likely beforehand as that an instrument has; this one must be far likelier.
         """
-        if solve.found is None or self._first is None or not solve.found.has_mass:
+        if (found := solve.found) is None or self._first is None or not found.has_mass:
             return False
-        asked = None if _exchanged(self._first) else self._first.found
-        return asked is None or solve.found.evidence + np.log(self._odds) > asked.evidence
+        if _exchanged(self._first):
+            return bool(found.evidence + np.log(LEAST_WEIGHT) > _if_changed(self._first))
+        asked = self._first.found
+        return asked is None or bool(found.evidence + np.log(self._odds) > asked.evidence)
 
     def settle(self) -> Callable[[Known], Known]:
         """Take in the result; what the constants that are not as stated make of what was known before the window."""
@@ -101,6 +107,22 @@ def _exchanged(solve: WindowSolve) -> bool:
     """Whether the window is explained by another payload than the one before, which no gripper takes up unseen."""
     new = solve.found is not None and solve.found.hypothesis is HeldPayload.NEW
     return new and solve.nearest is not None and solve.nearest.hypothesis is HeldPayload.SAME
+
+
+def _if_changed(solve: WindowSolve) -> float:
+    """Evidence of another payload, if it is the one of before, changed by a tenth; infinite where that is not known."""
+    assert solve.found is not None
+    told, spread = solve.found.state[PAYLOAD], solve.found.covariance[PAYLOAD, PAYLOAD]
+    mean, before = solve.prior[0][PAYLOAD], solve.prior[1][PAYLOAD, PAYLOAD]
+    if not mean[0] > 0.0:
+        return np.inf
+    like = _log_density(told - mean, spread + before + changed(mean))
+    return solve.found.evidence + like - _log_density(told, spread + np.diag(solve.payload_sigma**2))
+
+
+def _log_density(x: FloatArray, covariance: FloatArray) -> float:
+    """Of a Gaussian of mean zero, but for what its size gives."""
+    return -0.5 * float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 
 def _corrected(found: Solved) -> Known:

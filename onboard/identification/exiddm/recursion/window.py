@@ -121,6 +121,8 @@ class WindowSolve:
         over: there is nothing more to do.
         found: the solution; None if no hypothesis explains the window, and while it is not over.
         nearest: of solutions that do not explain it the one of the least cost.
+        prior: as below.
+        payload_sigma: as below.
         left: whitened residuals of the IMU that guesses are made of, where they were least, (n, 6); None before a fit.
 
     Args:
@@ -147,10 +149,10 @@ class WindowSolve:
         steps: Inside = NO_STEPS,
         taken: StepsTaken = NONE_TAKEN,
     ) -> None:
-        self._predictor, self._payload_sigma = predictor, payload_sigma
+        self._predictor, self.payload_sigma = predictor, payload_sigma
         self._steps, self._taken = steps, taken
         self._imu, self._own = imu, predictor.lines[imu]
-        self._ticks, self._prior, self._given = ticks, prior, start
+        self._ticks, self.prior, self._given = ticks, prior, start
         self._sigma = ticks.sigma
         self.over = False
         self.found: Solved | None = None
@@ -218,7 +220,7 @@ class WindowSolve:
 
     def _parted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """State of the vehicle, (p,), and sizes of the steps that are taken, (r,)."""
-        return state[: len(self._prior[0])], state[len(self._prior[0]) :]
+        return state[: len(self.prior[0])], state[len(self.prior[0]) :]
 
     # ------------------------------------------------------------------ a hypothesis
 
@@ -240,7 +242,7 @@ class WindowSolve:
             self._settle(np.append(self._given, np.zeros(len(self._taken.first))))
 
     def _problem_of(self, hypothesis: HeldPayload) -> Problem:
-        (mean, covariance), p = self._predictor.anew(*self._prior), len(self._prior[0])
+        (mean, covariance), p = self._predictor.anew(*self.prior), len(self.prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
         if hypothesis is HeldPayload.SAME:
@@ -248,7 +250,7 @@ class WindowSolve:
         else:
             apart = slice(PAYLOAD.stop, p)
             information[apart, apart] = np.linalg.inv(covariance[apart, apart])
-            information[own, own] = 1.0 / self._payload_sigma**2
+            information[own, own] = 1.0 / self.payload_sigma**2
             mean[PAYLOAD] = 0.0
         if hypothesis is HeldPayload.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
@@ -389,9 +391,9 @@ class WindowSolve:
             kept = F @ np.asarray(np.linalg.inv(whole.normal.information / _DRIVEN + stated), np.float64) @ F.T
         (products, along, across), informed = whole.of_steps, whole.normal.information + stated
         # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
-        moves = np.linalg.solve(informed, across.T)
+        moves, step = np.linalg.solve(informed, across.T), self._steps.changed(len(start))
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
-        steps = Changed(self._steps.changed(len(start)) - F @ moves, uphill @ moves - along, products - across @ moves)
+        steps = Changed(step - F @ moves, uphill @ moves - along, products - across @ moves, step)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
         there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
@@ -401,9 +403,9 @@ class WindowSolve:
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""
         if self._hypothesis is not HeldPayload.NEW:
-            yield self._prior[0][PAYLOAD] if self._hypothesis is HeldPayload.SAME else np.zeros(10)
+            yield self.prior[0][PAYLOAD] if self._hypothesis is HeldPayload.SAME else np.zeros(10)
             return
         vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1, self._own)
         frame = self._predictor.imu_frames[self._imu]
-        rough = partial(rough_payload, vehicle, frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
+        rough = partial(rough_payload, vehicle, frame, signals, ROUGH_WIDTH_s, self.payload_sigma)
         yield from (standard_of(guess) for guess in guesses(rough))

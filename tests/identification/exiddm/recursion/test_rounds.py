@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import standard_of
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.rounds import WindowRounds
@@ -42,8 +44,12 @@ def solved(evidence: float, hypothesis: HeldPayload = HeldPayload.NEW, mass_kg: 
     return Solved(hypothesis, state, state, np.eye(len(state)), 100, 0, 0.0, 0.0, *parts, evidence)
 
 
-def of(found: Solved | None, nearest: Solved | None = None) -> Any:
-    return SimpleNamespace(found=found, nearest=nearest)
+def of(found: Solved | None, nearest: Solved | None = None, before_kg: float = 3.0) -> Any:
+    """Of a payload that was known to a gram."""
+    before = standard_of(RigidBody(before_kg, np.zeros(3), 0.02 * np.eye(3)))
+    state = np.concatenate([np.zeros(PAYLOAD.start), before])
+    prior = state, 1e-6 * np.eye(len(state))
+    return SimpleNamespace(found=found, nearest=nearest, prior=prior, payload_sigma=np.full(10, 10.0))
 
 
 def rounds(suspects: SuspectsThat) -> WindowRounds:
@@ -169,20 +175,30 @@ def test_a_payload_that_is_not_told_frees_no_constant() -> None:
     assert one.result is first
 
 
-def test_another_payload_without_a_release_counts_only_where_no_instrument_s_error_explains_the_one_before() -> None:
+@pytest.mark.parametrize(
+    ("evidence", "before_kg", "taken"),
+    [(10.0, 3.0, False), (40.0, 3.0, True), (-12.0, 10.0, False), (40.0, -1.0, False), (None, 3.0, False)],
+)
+def test_another_payload_without_a_release_counts_unless_an_error_with_that_of_before_is_far_likelier(
+    evidence: float | None, before_kg: float, taken: bool
+) -> None:
+    """By its evidence if it was changed by a tenth; the evidence that it has where nothing was known of it is less."""
     new, same = solved(-10.0), solved(-900.0, HeldPayload.SAME)
-    for found, taken in ((solved(-12.0, HeldPayload.SAME), True), (None, False)):
-        suspects = SuspectsThat(((), (0,)))
-        one, first, second = rounds(suspects), of(new, same), of(found)
-        more = one.next(ASKED, first, disturbed=True)
-        assert more == WindowProblem((HeldPayload.SAME,), stepped=(0,))
-        assert one.next(more, second, disturbed=True) is None
-        assert one.result is (second if taken else first)
-        assert one.wrong is taken
-        one.settle()
-        ((_, at_least),) = suspects.told
-        assert at_least
+    suspects = SuspectsThat(((), (0,)))
+    found = None if evidence is None else solved(evidence, HeldPayload.SAME)
+    one, first, second = rounds(suspects), of(new, same, before_kg), of(found)
+    more = one.next(ASKED, first, disturbed=True)
+    assert more == WindowProblem((HeldPayload.SAME,), stepped=(0,))
+    assert one.next(more, second, disturbed=True) is None
+    assert one.result is (second if taken else first)
+    assert one.wrong is taken
+    one.settle()
+    ((_, at_least),) = suspects.told
+    assert at_least
+
+
+def test_a_payload_taken_up_from_nothing_is_none_exchanged() -> None:
     one = rounds(SuspectsThat(((), (0,))))
-    nothing_held_before = of(new, solved(-900.0, HeldPayload.NOTHING))
+    nothing_held_before = of(solved(-10.0), solved(-900.0, HeldPayload.NOTHING))
     more = one.next(ASKED, nothing_held_before, disturbed=True)
     assert more == WindowProblem((HeldPayload.NEW,), stepped=(0,))
