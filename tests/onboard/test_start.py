@@ -45,7 +45,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
         ("hil rocksat --faults", 0, _HEAVY, 1310, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 1030, 0),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1105, 1),
-        ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 635, 1),
+        ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 648, 1),
     ],
 )
 def test_modules_of_a_start(

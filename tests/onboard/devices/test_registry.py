@@ -9,7 +9,7 @@ import pytest
 
 from onboard import config
 from onboard.config import loader
-from onboard.devices import recorded, registry, ur_rtde
+from onboard.devices import net_ft, recorded, registry, ur_rtde
 from onboard.devices.base import BusDevice, DeviceSection
 from onboard.devices.can import canopen
 from onboard.devices.registry import DEVICES, GROUP, from_elsewhere, kind_of
@@ -38,7 +38,7 @@ def point(kind: str, value: str) -> EntryPoint:
 
 def test_every_kind_stands_in_a_module_of_its_name_but_for_those_of_one_family() -> None:
     families = {"canopen_sync": canopen, **{kind: recorded for kind in DEVICES if kind.startswith("recorded_")}}
-    families |= {kind: ur_rtde for kind in DEVICES if kind.startswith("ur_")}
+    families |= {"onrobot_hex": net_ft, **{kind: ur_rtde for kind in DEVICES if kind.startswith("ur_")}}
     assert len(DEVICES) >= 19
     for kind, section in DEVICES.items():
         assert section.__module__.startswith("onboard.devices.")
