@@ -1,5 +1,7 @@
 """Windows of ticks: a prediction in pieces is the whole one, and what cannot be explained is given up early."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from onboard.identification.exiddm.prediction.further import CellPrior, FurtherC
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
-from onboard.identification.exiddm.recursion.pieces import Pieces, Problem
+from onboard.identification.exiddm.recursion.pieces import Pieces, Problem, evidence_of
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
 from onboard.identification.exiddm.steps import NO_STEPS, Steps, StepsTaken
 from onboard.identification.exiddm.suspects import Rivals, suspects_of
@@ -259,3 +261,14 @@ def test_the_evidence_of_two_solutions_is_that_of_the_linear_model_where_that_is
     nats = Bank(suspects_of(predictor), predictor.sigma).nats(known, (scales,))
     assert nats > 3.0
     assert free.evidence - as_stated.evidence == pytest.approx(nats, rel=0.01)  # but for the noise, which is scaled
+
+
+def test_evidence_does_not_depend_on_how_large_noise_was_expected(rng):
+    squares, used, informations = rng.random((50, 3)), np.array([50, 50, 40]), (np.eye(5), 4.0 * np.eye(5))
+    found = [
+        evidence_of(SimpleNamespace(squares=squares / wider**2), used, np.full((50, 3), 0.1 * wider), 2.0, informations)
+        for wider in (1.0, 3.0)
+    ]
+    assert found[0] - found[1] == pytest.approx(10 * np.log(3.0))  # of the ten readings that were left out
+    more = evidence_of(SimpleNamespace(squares=2.0 * squares), used, np.full((50, 3), 0.1), 2.0, informations)
+    assert found[0] - more == pytest.approx(70 * np.log(2.0))
