@@ -177,7 +177,8 @@ class Rivals:
             if self.freed:
                 steps = self._bank.steps_as_stated(known, self.freed, steps)
             alone = steps.hypotheses(self.steps.suspects)
-            self._weighed = self._bank.weigh(self.stated(known), alone, np.where(self._concerned(), self._beyond, 0.0))
+            beyond = np.where(self._concerned(), self._beyond, 0.0) if self.freed else 0.0
+            self._weighed = self._bank.weigh(self.stated(known), alone, beyond)
         return self._weighed
 
     def too_far(self, state: FloatArray, covariance: FloatArray) -> str:

@@ -17,13 +17,12 @@ from scipy.linalg import eigh
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.exiddm.prediction.imu_prediction import PIECE, RATE, ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 
 _NO_SIZES = np.zeros(0)
 _UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
 _AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
-_FEWEST = 2  # ticks of a piece, for the differences in it
 
 
 class Pieces:
@@ -94,7 +93,9 @@ class Pieces:
             self.transition[self._taken.at, len(self._active) + k] += step
         last = first - (-(len(use) - first) // self._left)
         later = self._taken.first[self._taken.first > first].min(initial=len(use))
-        self._done = int(later) if later < last + _FEWEST else last  # a step begins with a piece
+        self._done = (
+            int(later) if later < last + BATCH_TICKS else last
+        )  # a step begins with a piece, none is of one tick
         self._left -= self._done >= last
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
         predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)

@@ -86,10 +86,8 @@ class Windowed(Holding):
         prior, start = self.innovations.freed(self.initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
-        self._of, steps = (
-            (ticks, trial),
-            self.rivals.steps.inside(len(seen.time_s) - 2, carried=self._prior[0] is not self.initial[0]),
-        )
+        carried = self._prior[0] is not self.initial[0]
+        self._of, steps = (ticks, trial), self.rivals.steps.inside(len(seen.time_s) - 2, carried=carried)
         if trial.stated or trial.wrong:
             prior = self.rivals.stated(prior) if trial.stated else self.rivals.with_free(prior, trial.free)
             start = trial.start
