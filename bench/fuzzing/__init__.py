@@ -7,7 +7,7 @@ DECODERS = (
     *("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "dynamixel", "node_frame", "sync_pulse"),
     "bota_ft",
 )
-I2C = ("nau7802", "as5600", "as5048", "icm20948", "bmi088")
+I2C = ("nau7802", "as5600", "as5048", "icm20948", "bmi088", "bmi088_spi")
 LINES = ("hx711",)
 AXES = ("odrive",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")

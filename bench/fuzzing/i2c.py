@@ -1,4 +1,4 @@
-"""Devices on I2C under fuzz: a chip that keeps what is written, whose registers, errors and clock the bytes say."""
+"""Devices on I2C and SPI under fuzz: a chip that keeps what is written, whose registers, errors and clock the bytes say."""
 
 import contextlib
 import os
@@ -102,6 +102,31 @@ class Dies(Registers):
         return reply._replace(data=reply.data[:6] + ticks.to_bytes(3, "little")) if is_forces else reply
 
 
+class DieLine:
+    """Select line of a die of a BMI088 (``drivers.ports.SpiPort``); ``spoil``: which of its frames have a bit turned."""
+
+    def __init__(self, chip: Dies, address: int, begin: int, spoil: int) -> None:
+        self._chip, self._address, self._begin, self._spoil, self._frames = chip, address, begin, spoil, 0
+
+    def transfer(self, data: bytes, size: int) -> I2cReply:
+        """See ``SpiPort``."""
+        got = b""
+        for at in range(0, len(data), size):
+            frame = data[at : at + size]
+            self._frames += 1
+            if frame[0] & 0x80:
+                asked = bytes([frame[0] & 0x7F])
+                got += bytes(self._begin) + self._chip.write_read(self._address, asked, size - self._begin).data
+            else:
+                self._chip.write(self._address, frame)
+                got += bytes(size)
+        spoils = self._frames % 16 == self._spoil & 15 and bool(self._spoil & 0x10)
+        return I2cReply(bytes([*got[:-1], got[-1] ^ spoils]), self._chip.clock())
+
+    def close(self) -> None:
+        """See ``SpiPort``."""
+
+
 def _fly(device: Device, chip: Registers, body: bytes, data_at: range) -> None:
     def steps() -> Iterator[None]:
         for _ in range(12):  # the setting up
@@ -175,12 +200,22 @@ def bmi088_chip(data: bytes) -> None:
     _fly(bmi088.Bmi088("imu", chip, config), chip, body, range(0x12, 0x1B))
 
 
+def bmi088_spi_chip(data: bytes) -> None:
+    """The device on two select lines, of which the bytes say when an answer has a bit turned."""
+    (which, spoil), body = leading(data, 2)
+    config = bmi088.Bmi088Config(filter_code=which & 3, sample_period_ms=(1.0, 5.0, 50.0)[which % 3])
+    chip = Dies(peers.Clock(), {})
+    port = bmi088.Bmi088SpiPort(DieLine(chip, 0x18, 2, spoil), DieLine(chip, 0x68, 1, spoil >> 3))
+    _fly(bmi088.Bmi088("imu", port, config, "SPI"), chip, body, range(0x12, 0x1B))
+
+
 CALLS: dict[str, Callable[[bytes], None]] = {
     "nau7802": nau7802_chip,
     "as5600": as5600_chip,
     "as5048": as5048_chip,
     "icm20948": icm20948_chip,
     "bmi088": bmi088_chip,
+    "bmi088_spi": bmi088_spi_chip,
 }
 SEEDS = [
     b"\3\x20" + bytes([2, 1, 2, 8, 0, 0, 16, 0, 0, 2, 9, 9]) * 6,

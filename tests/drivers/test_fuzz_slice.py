@@ -29,6 +29,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "as5048": 60,
     "icm20948": 60,
     "bmi088": 60,
+    "bmi088_spi": 60,
     "hx711": 60,
     "odrive": 60,
     "vehicle": 12,
