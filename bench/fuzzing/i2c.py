@@ -1,4 +1,4 @@
-"""Devices on I2C and SPI under fuzz: a chip that keeps what is written, whose registers, errors and clock the bytes say."""
+"""Devices of registers under fuzz: a chip that keeps what is written; bytes say its registers, errors and clock."""
 
 import contextlib
 import os
@@ -103,7 +103,7 @@ class Dies(Registers):
 
 
 class DieLine:
-    """Select line of a die of a BMI088 (``drivers.ports.SpiPort``); ``spoil``: which of its frames have a bit turned."""
+    """Select line of a die of a BMI088 (``drivers.ports.SpiPort``); ``spoil``: which frames have a bit turned."""
 
     def __init__(self, chip: Dies, address: int, begin: int, spoil: int) -> None:
         self._chip, self._address, self._begin, self._spoil, self._frames = chip, address, begin, spoil, 0
