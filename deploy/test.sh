@@ -1,7 +1,7 @@
 #!/bin/sh
 # The test suite, from nothing. Without arguments all of it, as .ci/run does: on all cores, a file a process at a time, and
 # beside them, before them in line for a core, the tests that run against the wall clock, for those mostly wait; then what
-# the latter said, and one closing line of both.
+# the latter said, and one closing line of both. HEFT_REALTIME_OVER names a file to be made when those have ended.
 # Arguments go to one pytest, which runs in the checkout's root: sh deploy/test.sh tests/drivers -k ring
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
@@ -11,8 +11,8 @@ cd "$root"
 [ $# -eq 0 ] || exec "$heft_venv/bin/python" -m pytest "$@"
 
 said=$(mktemp -d) beside='' most=''
-trap 'kill $beside $most 2>/dev/null || :; rm -rf "$said"' EXIT
-trap 'exit 130' INT TERM HUP
+trap 'trap "" INT TERM HUP PIPE; kill $beside $most 2>/dev/null || :; rm -rf "$said"' EXIT
+trap 'exit 130' INT TERM HUP PIPE
 code=0 began=$(date +%s)
 tests() {    # a part, in the background; one that hangs beyond each test's own limit is ended, and has failed
     exec timeout --kill-after=60 3600 "$@"
@@ -28,11 +28,12 @@ shown=$!
 tests nice -n 10 "$python" -m pytest -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder \
     >"$said/shown" &
 most=$!
-wait "$most" || echo $? >"$said/code"    # a signal ends a wait, and no pipe
+wait "$beside" || echo $? >"$said/code"    # a signal ends a wait, and no pipe
+beside=
+[ -z "${HEFT_REALTIME_OVER:-}" ] || : >"$HEFT_REALTIME_OVER"
+wait "$most" || echo $? >"$said/code"
 wait "$shown"
 most=
-wait "$beside" || echo $? >"$said/code"
-beside=
 printf '\n-- real time\n'
 cat "$said/realtime"
 tail -qn 1 "$said/cores" "$said/realtime" >"$said/last"
