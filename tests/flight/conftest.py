@@ -1,10 +1,13 @@
-"""RockSat-X missions, a whole and a short one, flown once for many tests; a fork server; rings of a test's own."""
+"""Flights flown once for many tests: RockSat-X's missions, a whole and a short one, and one of every kind of device.
+
+And a fork server; rings of a test's own.
+"""
 
 import fcntl
 import os
 import pickle
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +15,25 @@ import pytest
 
 from onboard.flight.supervise.runner_forks import ForkServer
 from tests.flight.missions import SHORT, Result, fly
+from tests.flight.mixed_flight import MixedFlight, fly_mixed
+
+
+def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], Any]) -> Any:
+    """What ``make`` returns, given the run's directory; made by the first process of the run that asks for it."""
+    of_all = factory.getbasetemp()
+    of_all = of_all.parent if "PYTEST_XDIST_WORKER" in os.environ else of_all
+    made = of_all / f"{name}.pickle"
+    with (of_all / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            made.write_bytes(pickle.dumps(make(of_all)))
+    return pickle.loads(made.read_bytes())
 
 
 def flown_once(factory: pytest.TempPathFactory, name: str, **overrides: Any) -> Result:
-    """Flown by the first process of the run that asks for it; each has its own copy of the log."""
+    """A mission; each process has its own copy of the log."""
     own = factory.mktemp("mission") / f"{name}.mcap"
-    of_all = factory.getbasetemp()
-    of_all = of_all.parent if "PYTEST_XDIST_WORKER" in os.environ else of_all
-    flown = of_all / f"{name}.pickle"
-    with (of_all / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not flown.exists():
-            flown.write_bytes(pickle.dumps(fly(of_all / own.name, **overrides)))
-    result: Result = pickle.loads(flown.read_bytes())
+    result: Result = once(factory, name, lambda of_all: fly(of_all / own.name, **overrides))
     shutil.copy(result.path, own)
     return result._replace(path=own, flown=result.flown._replace(log=own))
 
@@ -39,6 +48,13 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
 def short_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """For what hangs on no phase and no length of the flight: :data:`SHORT`."""
     return flown_once(tmp_path_factory, "short", sequence=SHORT)
+
+
+@pytest.fixture(scope="session")
+def mixed_flight(tmp_path_factory: pytest.TempPathFactory) -> MixedFlight:
+    """Of the vehicle with a device of every kind."""
+    flown: MixedFlight = once(tmp_path_factory, "mixed", lambda _: fly_mixed(tmp_path_factory.mktemp("mixed")))
+    return flown
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import pytest
 from drivers.records import SampleStatus
 from onboard.cli import main
 from tests.flight.check.test_desk import served
-from tests.flight.mixed import MixedWorld, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
@@ -62,11 +61,8 @@ def test_on_spi_it_survives_unplugging_brown_out_and_garbage(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["imu_hand", "imu_foot"])
-def test_its_samples_are_put_between_request_and_answer(tmp_path, name):
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = world.fly(world.open(flying), 3.0)
-        _, sigma_ns, _ = timed(flying, heard, name)
+def test_its_samples_are_put_between_request_and_answer(mixed_flight, tmp_path, name):
+    _, sigma_ns = timed(mixed_flight.vehicle(tmp_path), mixed_flight.rows, name)
     assert sigma_ns < 0.3e6
 
 

@@ -13,23 +13,20 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.store import rings
 from tests.flight.mixed import DEVICES, MixedWorld, angle, force_n, vehicle
+from tests.flight.mixed_flight import MIXED_s
 from tests.hil_sim.devices.twin_bench import MS, START_NS
 
-SECONDS = 4.0
 
-
-def fly(directory, world, text=DEVICES, seconds=SECONDS):
+def fly(directory, world, text, seconds):
     """The vehicle, and rows by channel."""
     flying = vehicle(directory, world.urls, text)
     heard = world.fly(world.open(flying), seconds)
     return flying, {channel: np.concatenate(rows) for channel, rows in heard.items()}
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("mixed")
-    with MixedWorld(directory) as world:
-        return fly(directory, world)
+@pytest.fixture
+def flight(mixed_flight, tmp_path):
+    return mixed_flight.vehicle(tmp_path), mixed_flight.rows
 
 
 def test_the_mixed_vehicle_has_every_kind_that_has_a_bus():
@@ -72,7 +69,7 @@ def test_rings_keep_ten_seconds_of_every_channel(flight):
     capacities = rings.capacities(flying)
     assert capacities.keys() == flying.channels.keys()
     for channel, capacity in capacities.items():
-        assert capacity >= 10.0 * (len(rows[channel]) / SECONDS), channel
+        assert capacity >= 10.0 * (len(rows[channel]) / MIXED_s), channel
 
 
 def test_the_rate_in_the_vehicle_file_is_the_rate_seen(flight):
@@ -108,7 +105,7 @@ def smoothed(flying, rows, seconds):
 def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
     """What the twins measured, at vehicle times, through each device's own clock, unit, zero and scale."""
     flying, rows = flight
-    signal = smoothed(flying, rows, SECONDS - 0.1)
+    signal = smoothed(flying, rows, 3.9)
     at_ns = START_NS + np.arange(4300, 4600, 50) * MS
     roles = roles_of(flying)
     assert len(roles.joints) == 11
@@ -135,13 +132,13 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
         assert signal(channel, at_ns).derivatives[0][:, 0] == pytest.approx(si, rel=1e-4)
 
 
-def timed(flying, heard, channel):
-    """Vehicle times of a channel's rows, 1 sigma of the last, and the mission's start, ns."""
-    timebase, rows = timebase_of(flying), np.concatenate(heard[channel])
+def timed(flying, rows, channel):
+    """Mission times of a channel's rows, and 1 sigma of the last, ns."""
+    timebase, rows = timebase_of(flying), rows[channel]
     for now in np.array_split(rows, len(rows) // 5):
         timebase.update(int(now["host_ns"][-1]), {channel: now})
     times_ns = timebase.time_ns(channel, rows)
-    return times_ns, timebase.sigma_ns(channel, int(times_ns[-1])), START_NS
+    return times_ns - START_NS, timebase.sigma_ns(channel, int(times_ns[-1]))
 
 
 def test_a_trackers_delay_holds_half_of_a_poll(flight):
@@ -174,7 +171,7 @@ def test_a_bus_that_cannot_be_opened_costs_its_own_devices_only(tmp_path):
     with MixedWorld(tmp_path) as world:
         world.urls["i2c_1"] = "i2c:///dev/no-such-bus"
         world.urls["tty_imu"] = "serial:///dev/no-such-tty?baud=115200"
-        flying, rows = fly(tmp_path, world, seconds=1.0)
+        flying, rows = fly(tmp_path, world, DEVICES, 1.0)
     said = {(e["source"], e["code"]) for e in rows["event"] if e["severity"] == Severity.ERROR}
     assert said == {(b"i2c_1", b"bus_failed"), (b"imu_tip", b"bus_error")}
     silent = {channel for channel in flying.channels if channel not in rows}

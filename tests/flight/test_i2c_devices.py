@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.records import SampleStatus
-from hil_sim.devices.hx711 import Hx711Twin
-from hil_sim.devices.i2c.nau7802 import Nau7802Twin
-from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from onboard.cli import main
 from onboard.flight.clocks import timebase_of
 from onboard.recording.reader import LogReader
-from tests.flight.mixed import MixedWorld, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_rehearsal import answers, honest
 from tests.hil_sim.devices.twin_bench import MS, START_NS
@@ -92,27 +88,13 @@ def test_what_the_file_says_of_the_bridge_must_fit_the_converter(tmp_path, capsy
     assert "its range ends at" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("twin", "channel", "fewest"), [(Nau7802Twin, "bridge", 400), (Hx711Twin, "wing", 400)])
-def test_conversions_are_put_on_the_time_when_they_ended(tmp_path, monkeypatch, twin, channel, fewest):
-    """The clock of its own oscillator, 0.7 and 1.2 % fast, fitted to what was seen, against the truth."""
-    ended_s = []
-    convert = twin._convert
-
-    def watched(self, *arguments):
-        word = convert(self, *arguments)
-        ended_s.append(self.conversions.last_s)
-        return word
-
-    monkeypatch.setattr(twin, "_convert", watched)
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = world.fly(world.open(flying), 6.0)
-    times_ns, sigma_ns, start_ns = timed(flying, heard, channel)
-    assert len(times_ns) > fewest
-    truth_s = np.array(ended_s)
-    late = [float(t - truth_s[np.abs(truth_s - t).argmin()]) for t in (times_ns[-200:] - start_ns) * 1e-9]
+@pytest.mark.parametrize("channel", ["bridge", "wing"])
+def test_conversions_are_put_on_the_time_when_they_ended(mixed_flight, tmp_path, channel):
+    """Of an NAU7802 and an HX711: the clock of its own oscillator, 0.7 and 1.2 % fast, fitted, against the truth."""
+    times_ns, sigma_ns = timed(mixed_flight.vehicle(tmp_path), mixed_flight.rows, channel)
+    assert len(times_ns) > 400
     assert sigma_ns < 0.5e6
-    assert np.abs(late).max() < 3.0 * sigma_ns * 1e-9
+    assert np.abs(mixed_flight.late_ns(channel, times_ns[-200:])).max() < 3.0 * sigma_ns
 
 
 def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
@@ -143,31 +125,19 @@ def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_pat
     assert (log.read("joint_1")["status"] & SampleStatus.NOT_VALID != 0).sum() == pytest.approx(200, abs=2)
 
 
-def test_the_samples_of_an_icm20948_are_put_on_the_time_when_they_were_made(tmp_path, monkeypatch):
+def test_the_samples_of_an_icm20948_are_put_on_the_time_when_they_were_made(mixed_flight, tmp_path):
     """The clock of its own oscillator, 0.6 % slow, fitted to the marks of FSYNC, against the truth."""
-    made_s = []
-    store = Icm20948Twin._store
-
-    def watched(self, counts, times_s):
-        made_s.extend(times_s)
-        store(self, counts, times_s)
-
-    monkeypatch.setattr(Icm20948Twin, "_store", watched)
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = world.fly(world.open(flying), 6.0)
-    rows = {channel: np.concatenate(heard[channel]) for channel in ("imu_elbow", "pulse")}
+    rows = {channel: mixed_flight.rows[channel] for channel in ("imu_elbow", "pulse")}
     assert set(rows["imu_elbow"]["status"]) == {0}
-    timebase = timebase_of(flying)
+    timebase = timebase_of(mixed_flight.vehicle(tmp_path))
     for until_ns in range(START_NS, START_NS + 8_000 * MS, 50 * MS):
         now = {c: r[(r["host_ns"] < until_ns) & (r["host_ns"] >= until_ns - 50 * MS)] for c, r in rows.items()}
         timebase.update(until_ns, now)
     times_ns = timebase.time_ns("imu_elbow", rows["imu_elbow"])[-200:]
-    truth_s = np.array(made_s)
-    late_s = [float(t - truth_s[np.abs(truth_s - t).argmin()]) for t in (times_ns - START_NS) * 1e-9]
-    sigma_s = 1e-9 * timebase.sigma_ns("imu_elbow", int(times_ns[-1]))
-    assert sigma_s < 1.0 / 562.5 / 8.0
-    assert np.abs(late_s).max() < 3.0 * sigma_s
+    late_ns = mixed_flight.late_ns("imu_elbow", times_ns - START_NS)
+    sigma_ns = timebase.sigma_ns("imu_elbow", int(times_ns[-1]))
+    assert sigma_ns < 1e9 / 562.5 / 8.0
+    assert np.abs(late_ns).max() < 3.0 * sigma_ns
 
 
 def test_a_free_arm_with_an_icm20948_weighs_and_survives_its_unplugging(tmp_path):

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.records import SampleStatus
-from hil_sim.devices.serial_line.dynamixel import DynamixelTwin
 from onboard import config
 from onboard.cli import main
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
@@ -65,23 +64,12 @@ def test_an_overload_is_named_and_its_current_is_not_used(tmp_path):
     assert set(log.read("joint_2")["status"]) == {0}
 
 
-def test_samples_are_put_on_the_time_when_they_were_taken(tmp_path, monkeypatch):
+def test_samples_are_put_on_the_time_when_they_were_taken(mixed_flight, tmp_path):
     """Within the stated sigma, of the second servo of two, against the truth."""
-    taken = {}
-    measure = DynamixelTwin._measure
-
-    def watched(self, now_ns):
-        taken.setdefault(self.memory[7], []).append(now_ns)
-        measure(self, now_ns)
-
-    monkeypatch.setattr(DynamixelTwin, "_measure", watched)
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = world.fly(world.open(flying), 3.0)
+    flying = mixed_flight.vehicle(tmp_path)
     for identifier, channel in ((1, "servo_6"), (2, "servo_7")):
-        times_ns, sigma_ns, _ = timed(flying, heard, channel)
-        truth_ns = np.array(taken[identifier])
-        late_ns = [float(t - truth_ns[np.abs(truth_ns - t).argmin()]) for t in times_ns[-200:]]
+        times_ns, sigma_ns = timed(flying, mixed_flight.rows, channel)
+        late_ns = mixed_flight.late_ns(f"servo {identifier}", times_ns[-200:])
         stated_ns = 1e6 * flying.file.device[channel].delay_sigma_ms
         clocks = flying.file.device[channel].clocks(channel, flying)
         answer, longest = {1: (360e3, 500e3), 2: (140e3, 720e3)}[identifier]

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.records import SampleStatus
-from hil_sim.devices.ur_controller import UrController
 from onboard import config
 from onboard.cli import main
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, vehicle
 from tests.flight.test_devices import timed
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
@@ -52,33 +51,20 @@ def test_it_survives_a_pulled_cable_a_restart_and_garbage(tmp_path):
         assert lost["counted"].tolist() == [1, 0, 1]  # over the restart it is estimated
 
 
-def test_samples_are_put_on_the_time_when_they_were_taken(tmp_path, monkeypatch):
+def test_samples_are_put_on_the_time_when_they_were_taken(mixed_flight, tmp_path):
     """By arrivals alone, within twice the stated sigma, against the truth."""
-    taken = []
-    sample = UrController._sample
-
-    def watched(self, now_ns):
-        taken.append(now_ns)
-        sample(self, now_ns)
-
-    monkeypatch.setattr(UrController, "_sample", watched)
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = world.fly(world.open(flying), 4.0)
-    times_ns, sigma_ns, _ = timed(flying, heard, "robot_8")
+    flying = mixed_flight.vehicle(tmp_path)
+    times_ns, sigma_ns = timed(flying, mixed_flight.rows, "robot_8")
     _, stated_ns = flying.file.device["robot_8"].delay_ns
     assert stated_ns == pytest.approx(1e6 * np.hypot(8.0, 2.0) / 12**0.5)
     assert stated_ns < sigma_ns < 1.5 * stated_ns
-    truth_ns = np.array(taken)
-    late_ns = [float(t - truth_ns[np.abs(truth_ns - t).argmin()]) for t in times_ns[-200:]]
+    late_ns = mixed_flight.late_ns("robot_8", times_ns[-200:])
     assert len(times_ns) > 480
     assert np.abs(late_ns).max() < 2.0 * stated_ns
 
 
-def test_rows_of_all_devices_of_a_controller_have_one_time(tmp_path):
-    with MixedWorld(tmp_path) as world:
-        flying = vehicle(tmp_path, world.urls)
-        heard = {name: np.concatenate(rows) for name, rows in world.fly(world.open(flying), 1.0).items()}
+def test_rows_of_all_devices_of_a_controller_have_one_time(mixed_flight):
+    heard = mixed_flight.rows
     for channel in ("robot_8_velocity", "robot_8_torque", "flange", "tcp_1", "tcp_6"):
         assert (heard[channel]["tick"] == heard["robot_8"]["tick"]).all()
     assert heard["flange"]["unit"][0] == b"N"

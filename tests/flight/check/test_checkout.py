@@ -19,7 +19,7 @@ from onboard.dynamics.model.vehicle import Joint
 from onboard.flight.check.checkout import CheckHost, Lengths, Record, checkout, pulse, render, write
 from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
 from onboard.flight.check.preflight import run_in_turn
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, LINKS, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -61,7 +61,8 @@ def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
-    left = {"tare of ": "skip the payload is on", "range and sense of joint_4": "skip no power"}
+    unpowered = [f"range and sense of joint_{k}:" for k in range(4, LINKS + 1)]
+    left = {"tare of ": "skip the payload is on", **dict.fromkeys(unpowered, "skip no power")}
     operator = Script({**left, "range and sense of joint_2": "no it is blocked", "[Enter": "keep"})
     return walk(tmp_path_factory.mktemp("checkout"), operator), operator
 
@@ -82,7 +83,7 @@ def test_every_line_of_the_list_is_there_and_judged(walked):
     (low, high), (first, last) = (map(float, swing.groups()) for swing in swings)
     assert -5.8 < low < high - 5.0 < high < 28.7
     assert 5.0 < last - first < 34.5
-    assert by_name["range and sense of joint_4"].outcome == "left out"
+    assert {by_name[f"range and sense of joint_{k}"].outcome for k in range(4, LINKS + 1)} == {"left out"}
 
 
 def test_what_failed_or_was_left_out_is_recorded_with_the_operators_words(walked):

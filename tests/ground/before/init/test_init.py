@@ -2,8 +2,10 @@
 
 import json
 import tomllib
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -23,9 +25,18 @@ from onboard.ground.before.init.vehicle import ENCODERS, IMUS, LOAD_CELLS, NewVe
 from onboard.identification.rows.row_blocks import instrument_of
 
 
+def _tables(tree: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """A vehicle file's tables with the names of their tables; of [bus] and [device] those in it."""
+    for name, table in tree.items():
+        if name in ("bus", "device"):
+            yield from ((name, one) for one in table.values())
+        else:
+            yield name, table
+
+
 @pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
 def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None:
-    refused, schema = 0, None
+    refused, schema, valid = 0, None, set()
     for choice in product(*map(enumerate, (IMUS, ENCODERS, LOAD_CELLS))):
         (imu, encoder, cell), number = (one for _, one in choice), sum(at for at, _ in choice)
         where = tmp_path / f"{imu}-{encoder}-{cell}"
@@ -52,7 +63,10 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques + cells)
         assert (vehicle.file.estimation.imu_prior.accelerometer_bias_m_s2 > 0.0) == (imu != "none")
         schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
-        schema.validate(tomllib.loads(vehicle.text))
+        tree = tomllib.loads(vehicle.text)
+        if new := {json.dumps(one) for one in _tables(tree)} - valid:  # the schema judges each table by itself
+            schema.validate(tree)
+            valid |= new
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
     assert refused == {"free": 318, "planar": 318, "prescribed": 343, "fixed": 256}[base]
 
