@@ -9,7 +9,7 @@ from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, drive, leading
 from drivers.device import Device
 from drivers.errors import FrameError
 from drivers.i2c import as5048, as5600, nau7802
-from drivers.inertial import bmi088, icm20948
+from drivers.inertial import bmi088, bmi088_fifo, icm20948
 from drivers.ports import I2cPort, I2cReply
 
 TRANSFER_NS = 100_000
@@ -194,19 +194,30 @@ def bmi088_chip(data: bytes) -> None:
     (which, late), body = leading(data, 2)
     with contextlib.suppress(FrameError):
         bmi088.decode_forces(body[: 9 + late % 3])
+    with contextlib.suppress(FrameError):
+        bmi088_fifo.decode_frames(body)
     bmi088.decode_temperature((body + bytes(2))[:2])
-    config = bmi088.Bmi088Config(filter_code=which & 3, sample_period_ms=(1.0, 5.0, 50.0)[which % 3])
     chip = Dies(peers.Clock(), {})
-    _fly(bmi088.Bmi088("imu", chip, config), chip, body, range(0x12, 0x1B))
+    _fly_bmi088(chip, chip, which, body, "I2C")
+
+
+def _fly_bmi088(port: I2cPort, chip: Dies, which: int, body: bytes, bus: str) -> None:
+    """By registers, or by FIFOs whose counts and bytes stand at 24h and, of the gyroscope, at 0Eh and 3Fh."""
+    rate = which & 3
+    if which & 0x40:
+        config = bmi088.Bmi088Config(filter_code=rate, mode="fifo", max_transfer_bytes=(14, 40, 180)[which % 3])
+        _fly(bmi088_fifo.Bmi088Fifo("imu", port, config, bus), chip, body, range(0x24, 0x2B))
+    else:
+        config = bmi088.Bmi088Config(filter_code=rate, sample_period_ms=(1.0, 5.0, 50.0)[which % 3])
+        _fly(bmi088.Bmi088("imu", port, config, bus), chip, body, range(0x12, 0x1B))
 
 
 def bmi088_spi_chip(data: bytes) -> None:
     """The device on two select lines, of which the bytes say when an answer has a bit turned."""
     (which, spoil), body = leading(data, 2)
-    config = bmi088.Bmi088Config(filter_code=which & 3, sample_period_ms=(1.0, 5.0, 50.0)[which % 3])
     chip = Dies(peers.Clock(), {})
     port = bmi088.Bmi088SpiPort(DieLine(chip, 0x18, 2, spoil), DieLine(chip, 0x68, 1, spoil >> 3))
-    _fly(bmi088.Bmi088("imu", port, config, "SPI"), chip, body, range(0x12, 0x1B))
+    _fly_bmi088(port, chip, which, body, "SPI")
 
 
 CALLS: dict[str, Callable[[bytes], None]] = {
@@ -222,5 +233,7 @@ SEEDS = [
     b"\3\0" + bytes([0, 0, 0xBE, 8, 0, 0, 0, 0, 0x9E, 48, 0, 0]) * 8,
     b"\4\x20" + bytes([1, 3, 2, 8, 0, 0, 0, 2, 0x70, 32, 0, 0]) * 8,
     b"\0\0" + bytes([0, 1, 0, 24, 0, 0]) * 6,
+    b"\x42\0" + bytes([2, 7, 0, 0x84, 1, 2, 3, 4, 5]) * 8,
+    b"\x41\0" + bytes([2, 0, 0, 0x44, 9, 32, 0, 0, 0x0E, 3]) * 8,
     b"\xb1\1" + bytes([0, 0xFF, 7, 16, 0xFE, 9, 24, 0xFD, 1, 1, 2, 3]) * 8,
 ]

@@ -1,9 +1,9 @@
 """Bosch BMI088: an accelerometer (18h, 19h) and a gyroscope (68h, 69h), two dies with an oscillator each.
 
 Source: data sheet BST-BMI088-DS001. A reading is two transfers: force and sensor time (12h to 1Ah), rates (02h to 07h),
-low byte first. Its FIFOs are not read: they are filled at two rates that no clock relates, and the gyroscope's has no
-time stamp. So each word is up to a period of its die old; the faster the die, the less. The sensor time, 24 bits of
-39.0625 us, tells an accelerometer that has stopped; a gyroscope that has is told by its registers. The accelerometer
+low byte first: each word is up to a period of its die old; the faster the die, the less. Its FIFOs lose no sample and
+tell each one's time (``bmi088_fifo``). The sensor time, 24 bits of 39.0625 us, tells an accelerometer that has stopped;
+a gyroscope that has is told by its registers. The accelerometer
 comes up suspended: it takes 1 ms for a write until it is active, and 50 ms to its first sample; the gyroscope 30 ms
 after a reset. Known limits: self tests are not used; the data sheet states bandwidths of the filters, no delays.
 
@@ -17,7 +17,7 @@ import errno
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ CHIP_ID, FORCES, TEMPERATURE, ACC_CONF, ACC_RANGE, PWR_CONF, PWR_CTRL, ACC_SOFTR
 GYRO_CHIP_ID, RATES, GYRO_RANGE, GYRO_BANDWIDTH, GYRO_LPM1, GYRO_SOFTRESET = 0x100, 0x102, 0x10F, 0x110, 0x111, 0x114
 IDENTITIES = {CHIP_ID: 0x1E, GYRO_CHIP_ID: 0x0F}
 SPI_MODE, SPI_READ, SPI_NOTHING = 0, 0x80, (0x00, 0xFF)  # the last: identities of a line that no chip drives
+FIFOS = (0x26, 0x3F)  # of either die: where reading on stays, also of who began before
 ACTIVE, ON, SOFTRESET = 0x00, 0x04, 0xB6
 STANDARD_GRAVITY_M_S2 = 9.80665
 ACCEL_RANGES_G, GYRO_RANGES_DEG_S = (3, 6, 12, 24), (2000, 1000, 500, 250, 125)  # by their codes
@@ -72,7 +73,10 @@ class Bmi088Config:
     Attributes:
         address: 7-bit I2C address of the accelerometer: 0x18, or 0x19 with SDO1 high.
         gyro_address: Of the gyroscope: 0x68, or 0x69 with SDO2 high.
-        sample_period_ms: Time between two readings.
+        mode: "burst", the registers are read, or "fifo".
+        sample_period_ms: Time between two readings of the registers.
+        poll_period_ms: Time between two drains of the FIFOs.
+        max_transfer_bytes: Longest single read of a FIFO.
         accel_range_g: 3, 6, 12 or 24.
         gyro_range_deg_s: 125, 250, 500, 1000 or 2000.
         filter_code: 0: 280 and 532 Hz, 1: 234 and 230, 2: 145 and 116, 3: 40 and 47 Hz of force and rate.
@@ -83,7 +87,10 @@ class Bmi088Config:
 
     address: int = 0x18
     gyro_address: int = 0x68
+    mode: Literal["fifo", "burst"] = "burst"
     sample_period_ms: float = 5.0
+    poll_period_ms: float = 10.0
+    max_transfer_bytes: int = 252
     accel_range_g: int = 3
     gyro_range_deg_s: int = 250
     filter_code: int = 2
@@ -98,6 +105,15 @@ class Bmi088Config:
         if not 0 <= self.filter_code < len(FILTERS) or not self.sample_period_ms > 0.0:
             text = f"filter_code = {self.filter_code}, sample_period_ms = {self.sample_period_ms:g}"
             raise ConfigurationError(f"{text}: use 0 to 3, and a time")
+        fastest_hz = max(FILTERS[self.filter_code].accel_rate_hz, FILTERS[self.filter_code].gyro_rate_hz)
+        if not 0.0 < 2.0 * self.poll_period_ms * fastest_hz <= 1e5 or not 14 <= self.max_transfer_bytes <= 8192:
+            text = f"poll_period_ms = {self.poll_period_ms:g}, max_transfer_bytes = {self.max_transfer_bytes}"
+            raise ConfigurationError(f"{text}: use a time in which less than half a FIFO gathers, and 14 to 8192")
+
+    @property
+    def period_ms(self) -> float:
+        """Time between two looks."""
+        return self.poll_period_ms if self.mode == "fifo" else self.sample_period_ms
 
     @property
     def accel_scale_m_s2(self) -> float:
@@ -156,6 +172,11 @@ class DiesBus(RegisterBus):
         self._address = self._dies[register >> 8]
         return super().read(register & 0xFF, count)
 
+    def pop(self, register: int, count: int) -> I2cReply:
+        """See ``RegisterBus``."""
+        self._address = self._dies[register >> 8]
+        return super().pop(register & 0xFF, count)
+
     def write(self, register: int, value: int) -> None:
         """See ``RegisterBus``."""
         self._address = self._dies[register >> 8]
@@ -186,13 +207,20 @@ class Bmi088SpiPort:
         die = address in GYRO_ADDRESSES
         begin = 1 if die else 2
         size = begin + count
-        asked = [bytes([SPI_READ | register]).ljust(size, b"\0") for register in (CHIP_ID, data[0])]
-        got, host_ns = self._dies[die].transfer(b"".join(asked), size)
+        frame, identifying = (bytes([SPI_READ | register]).ljust(size, b"\0") for register in (data[0], CHIP_ID))
+        if data[0] in FIFOS:  # an identity that is read on to there takes out of the FIFO
+            got, host_ns = self._dies[die].transfer(identifying[: begin + 1], begin + 1)
+            got = got.ljust(size, b"\0")
+        else:
+            got, host_ns = self._dies[die].transfer(identifying + frame, size)
         identity = got[begin] if data[0] != CHIP_ID else got[size + begin]
         if identity in SPI_NOTHING:
             raise OSError(errno.ENXIO, "no chip drives the line")
         if data[0] != CHIP_ID and identity != IDENTITIES[die << 8]:
             raise OSError(errno.EBADMSG, f"CHIP_ID reads {identity:02x}h")
+        if data[0] in FIFOS:
+            got, host_ns = self._dies[die].transfer(frame, size)
+            return I2cReply(got[begin:], host_ns)
         return I2cReply(got[size + begin :], host_ns)
 
     def close(self) -> None:
@@ -215,7 +243,7 @@ class Bmi088(I2cSensor):
 
     def __init__(self, name: str, port: I2cPort, config: Bmi088Config | None = None, bus: str = "I2C") -> None:
         self.config = own = config or Bmi088Config()
-        super().__init__(name, port, own.address, round(own.sample_period_ms * MS))
+        super().__init__(name, port, own.address, round(own.period_ms * MS))
         self._bus: DiesBus = DiesBus(port, own.address, own.gyro_address)
         self._where = f"I2C {own.address:#x} and {own.gyro_address:#x}" if bus == "I2C" else bus
         self._next = 0
@@ -247,8 +275,8 @@ class Bmi088(I2cSensor):
         self._bus.write(GYRO_SOFTRESET, SOFTRESET)
         yield RESET_NS
         self._bus.byte(CHIP_ID)  # on SPI this takes the accelerometer from I2C to there
-        accel, gyro = self._watched()[:4], self._watched()[4:]
-        for one in (*accel[:2], None, *accel[2:], *gyro):
+        power, rest = self._watched()[:2], self._watched()[2:]
+        for one in (*power, None, *rest):
             if one is None:
                 yield WAKE_NS
             else:
@@ -266,18 +294,25 @@ class Bmi088(I2cSensor):
         self._first = SampleStatus.AFTER_RESET if anew and self._next else SampleStatus.OK
         own = self.config
         ranges = f"{own.accel_range_g} g, {own.gyro_range_deg_s} deg/s, filter {own.filter_code}"
-        return f"BMI088 runs: a reading in {own.sample_period_ms:g} ms, {ranges}"
+        return f"BMI088 runs: a reading in {own.period_ms:g} ms, {ranges}"
 
-    def _take(self, now_ns: int) -> None:
+    def _warm(self, now_ns: int) -> None:
+        """Read the temperature, where it may be another one. Raises OSError."""
         if now_ns - self._warmed_ns >= TEMPERATURE_NS:
             self._temperature, self._warmed_ns = decode_temperature(self._bus.read(TEMPERATURE, 2).data), now_ns
+
+    def _stands_still(self, now_ns: int) -> None:
+        text = "its sensor time stands still, or began anew: the chip is reset; check its supply"
+        self._report.event(now_ns, Severity.ERROR, "no_samples", text)
+        self._set_up_again(now_ns, "no_samples")
+
+    def _take(self, now_ns: int) -> None:
+        self._warm(now_ns)
         forces = decode_forces(self._bus.read(FORCES, 9).data)
         rates, host_ns = self._bus.read(RATES, 6)
         asked_ns = min(now_ns, host_ns)
         if not self._goes_on(forces.ticks, asked_ns, host_ns):
-            text = "its sensor time stands still, or began anew: the chip is reset; check its supply"
-            self._report.event(now_ns, Severity.ERROR, "no_samples", text)
-            self._set_up_again(now_ns, "no_samples")
+            self._stands_still(now_ns)
             return
         self._seen = forces.ticks, asked_ns, host_ns
         self._name_gap(now_ns)

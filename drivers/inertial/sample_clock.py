@@ -18,6 +18,7 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 MOST_READS = 1024
 FEWEST_READS = 32
@@ -127,6 +128,12 @@ class SampleClock:
         """Samples made by ``host_ns``; at least as many as the last read counted. Needs one read or more."""
         fit = self._fit()
         return self._made(host_ns, fit, fit.first_ns)
+
+    def made_ns(self, totals: NDArray[np.int64]) -> NDArray[np.float64]:
+        """When so many samples had just been made, host time (n,). Needs one read or more."""
+        fit = self._fit()
+        last_ns, last_produced, *_ = self._reads[-1]
+        return np.asarray(last_ns + fit.first_ns + (totals - last_produced) * fit.period_ns, np.float64)
 
     def surely_produced(self, host_ns: int) -> int:
         """Lower bound of the samples made by ``host_ns``, valid for any delay of stamps. Needs one read or more."""

@@ -228,12 +228,12 @@ class SpiDevice(BusDevice):
     bus_type = "SPI"
     urls = transports.SPI_URLS
     new_bus = "spi_{number}"
-    mode: ClassVar[int]  # CPOL x 2 + CPHA
+    spi_mode: ClassVar[int]  # CPOL x 2 + CPHA
 
     @classmethod
     def open_on(cls, bus: OpeningBus) -> list[Device]:
         """See ``BusDevice``."""
-        port = bus.own(transports.open_spi(bus.url, bus.clock, cls.mode))
+        port = bus.own(transports.open_spi(bus.url, bus.clock, cls.spi_mode))
         return [device.driver(name, port) for name, device in bus.devices.items()]
 
     def driver(self, name: str, port: SpiPort) -> Device:

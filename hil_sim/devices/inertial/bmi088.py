@@ -11,9 +11,15 @@ LPM1 (00h on, 80h suspended), 14h soft reset (B6h), after which it is away for 3
 SPI: the first byte is the register, its bit 7 reads; the gyroscope answers from the next byte on, the accelerometer a
 byte later. That is on I2C from power-up or soft reset until its select line first rises: that frame is lost.
 
+FIFOs. Accelerometer: 24h, 25h its bytes, 26h data, 49h bit 6 lets samples in; 1024 bytes, the oldest give way. A frame
+is 84h and six bytes of force; who reads on gets, where samples were lost, before them 40h and their number (255 at
+most); behind them 44h and the sensor time, then 80h. A frame that a reading cuts comes again. Gyroscope: 0Eh its
+samples (bits 6..0) and overrun (bit 7), 3Eh mode (80h stream; a write of it empties, and clears overrun), 3Fh data: 100
+samples of six bytes, the oldest give way. Reading stays at 26h and 3Fh. A sample falls on a multiple of its period.
+
 Where the data sheet is silent: sensor time and data stand still while the accelerometer is off; a word is that of the
-die's last period, and its filter's delay is that of one pole. Left out: FIFOs, interrupts, self tests, rates and
-filters but those of the table of ``_FILTERS``, whose bits are stored and give the slowest of them.
+die's last period, and its filter's delay is that of one pole. Left out: interrupts, self tests, tags and other modes of
+the FIFOs, rates and filters but those of the table of ``_FILTERS``, whose bits are stored and give the slowest of them.
 """
 
 from collections.abc import Mapping
@@ -31,8 +37,13 @@ from hil_sim.sensing.analog import ChipClock, ImuAnalog
 from hil_sim.sensing.sensors import ImuSensor
 
 _ACCEL, _GYRO = 0, 1
-_RESET_VALUES: Final = ({0x00: 0x1E, 0x40: 0xA8, 0x41: 0x01, 0x7C: 0x03}, {0x00: 0x0F, 0x10: 0x80})
-_WRITABLE: Final = ({0x40, 0x41, 0x7C, 0x7D}, {0x0F, 0x10, 0x11})
+_RESET_VALUES: Final = (
+    {0x00: 0x1E, 0x40: 0xA8, 0x41: 0x01, 0x45: 0x80, 0x48: 0x02, 0x49: 0x10, 0x7C: 0x03},
+    {0x00: 0x0F, 0x10: 0x80},
+)
+_WRITABLE: Final = ({0x40, 0x41, 0x45, 0x48, 0x49, 0x7C, 0x7D}, {0x0F, 0x10, 0x11, 0x3D, 0x3E})
+_FIFO_DATA: Final = (0x26, 0x3F)
+_FIFO_SAMPLES: Final = (1024 // 7, 100)
 _SOFT_RESET: Final = (0x7E, 0x14)
 _FILTERS: Final = ({0xAC: 0, 0x9C: 1, 0x8C: 2, 0x8A: 3}, {0x80: 0, 0x81: 1, 0x82: 2, 0x83: 3})  # rows of its data sheet
 _PERIOD_NS: Final = ((625_000, 625_000, 625_000, 2_500_000), (500_000, 500_000, 1_000_000, 2_500_000))
@@ -75,10 +86,14 @@ class Bmi088Twin(I2cTwin):
         self._imu = FaultyImu(analog, faults, start_ns)
         self._clocks = tuple(FaultyClock(clock, faults) for clock in clocks)
         self.answered = 0  # readings of the gyroscope
+        self._taken: list[int] = []  # numbers of the first and the last sample out of the accelerometer's FIFO
         self._power_up(start_ns)
 
     def _power_up(self, now_ns: int) -> None:
         self._reg = [bytearray(0x80), bytearray(0x80)]
+        self._fifo: list[list[tuple[int, bytes]]] = [[], []]  # numbers of samples, and their bytes
+        self._made: list[int | None] = [None, None]  # number of the newest sample
+        self._lost, self._shown, self._at = [0, 0], b"", 0
         self._starts_ns, self._pointers, self._blocked_ns = [0, 0], [0, 0], now_ns
         for die in (_ACCEL, _GYRO):
             self._reset(die, now_ns)
@@ -89,10 +104,72 @@ class Bmi088Twin(I2cTwin):
         for register, value in _RESET_VALUES[die].items():
             self._reg[die][register] = value
         self._starts_ns[die] = now_ns + _STARTS_NS[die]
+        self._empty(die)
         self._blocked_ns = self._blocked_ns if die == _GYRO else now_ns
 
+    @property
+    def produced(self) -> int:
+        """Readings of the gyroscope's registers, and samples of the accelerometer from the first taken to the last."""
+        return self.answered + (self._taken[-1] - self._taken[0] + 1 if self._taken else 0)
+
+    def _empty(self, die: int) -> None:
+        self._fifo[die].clear()
+        self._made[die] = None
+        self._lost[die] = 0
+
     def _run(self, until_ns: int) -> None:
-        """It is asked."""
+        """Samples go into the FIFOs."""
+        for die in (_ACCEL, _GYRO):
+            takes = self._reg[die][0x49] & 0x40 if die == _ACCEL else self._reg[die][0x3E] == 0x80
+            if not takes or not self._measures(die, until_ns):
+                self._made[die] = None
+                continue
+            code = self._code(die)
+            number = self._clocks[die].chip_ns(until_ns) // _PERIOD_NS[die][code]
+            before = self._made[die]
+            self._made[die] = number
+            if before is None or number <= before:
+                continue
+            numbers = np.arange(max(before + 1, number - 2 * _FIFO_SAMPLES[die]), number + 1)
+            times_s = self._clocks[die].times_s(numbers.astype(float) * _PERIOD_NS[die][code])
+            words = self._words(code, np.maximum(times_s, 0.0))
+            kept = (words[:, :3] if die == _ACCEL else words[:, 4:]).astype("<i2")
+            self._fifo[die] += [(int(n), sample.tobytes()) for n, sample in zip(numbers, kept, strict=True)]
+            over = len(self._fifo[die]) - _FIFO_SAMPLES[die]
+            if over > 0:
+                del self._fifo[die][:over]
+                self._lost[die] += over
+
+    def _code(self, die: int) -> int:
+        return _FILTERS[die].get(self._reg[die][0x40 if die == _ACCEL else 0x10], 3)
+
+    def _show_fifo(self, now_ns: int) -> None:
+        """Counts, and what a reading of the data gives, from now on."""
+        if self._die == _ACCEL:
+            skip = bytes([0x40, min(self._lost[_ACCEL], 255)]) if self._lost[_ACCEL] else b""
+            self._shown = skip + b"".join(b"\x84" + sample for _, sample in self._fifo[_ACCEL])
+            self._reg[_ACCEL][0x24:0x26] = len(self._shown).to_bytes(2, "little")
+            ticks = int(self._clocks[_ACCEL].chip_ns(now_ns) / _TICK_NS) & 0xFFFFFF
+            self._shown += b"\x44" + ticks.to_bytes(3, "little")
+        else:
+            self._shown = b"".join(sample for _, sample in self._fifo[_GYRO])
+            self._reg[_GYRO][0x0E] = len(self._fifo[_GYRO]) | (0x80 if self._lost[_GYRO] else 0)
+        self._at = 0
+
+    def _take_out(self) -> None:
+        """What was read is gone: whole frames only."""
+        if self._die == _GYRO:
+            whole = min(self._at // 6, len(self._fifo[_GYRO]))
+        else:
+            skip = 2 if self._lost[_ACCEL] else 0
+            if skip and self._at >= skip:
+                self._lost[_ACCEL] = 0
+            whole = min(max(self._at - skip, 0) // 7, len(self._fifo[_ACCEL]))
+        if self._die == _ACCEL and whole:
+            first, last = (self._fifo[_ACCEL][at][0] for at in (0, whole - 1))
+            self._taken = [self._taken[0] if self._taken else first, last]
+        del self._fifo[self._die][:whole]
+        self._at = 0
 
     def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
         """See ``I2cTwin``."""
@@ -101,7 +178,10 @@ class Bmi088Twin(I2cTwin):
         self._pointer = self._pointers[self._die]
         if read_count:
             self._sense(now_ns)
+            self._show_fifo(now_ns)
         answer = super().transfer(self.address, write, read_count, now_ns)
+        if self._at:
+            self._take_out()
         self._pointers[self._die] = self._pointer
         self.answered += self._die == _GYRO and read_count > 0 and write[:1] == b"\x02"
         return answer
@@ -116,10 +196,10 @@ class Bmi088Twin(I2cTwin):
         die, own = self._die, self._reg[self._die]
         if not self._measures(die, now_ns):
             return
-        code = _FILTERS[die].get(own[0x40] if die == _ACCEL else own[0x10], 3)
+        code = self._code(die)
         period_ns, chip_ns = _PERIOD_NS[die][code], self._clocks[die].chip_ns(now_ns)
         made_ns = self._clocks[die].time_ns(chip_ns // period_ns * period_ns)
-        words = self._words(code, max(made_ns - self._start_ns, 0) * 1e-9)
+        words = self._words(code, np.array([max(made_ns - self._start_ns, 0) * 1e-9]))[0]
         if die == _ACCEL:
             own[0x12:0x18] = words[:3].astype("<i2").tobytes()
             own[0x18:0x1B] = (int(chip_ns / _TICK_NS) & 0xFFFFFF).to_bytes(3, "little")
@@ -130,14 +210,18 @@ class Bmi088Twin(I2cTwin):
             own[0x02:0x08] = words[4:].astype("<i2").tobytes()
         own[0x03 if die == _ACCEL else 0x0A] = 0x80
 
-    def _words(self, code: int, time_s: float) -> NDArray[np.int16]:
+    def _words(self, code: int, times_s: NDArray[np.float64]) -> NDArray[np.int16]:
         accel_g, gyro_deg_s = 3 << (self._reg[_ACCEL][0x41] & 3), 2000.0 / (1 << (self._reg[_GYRO][0x0F] & 7))
-        words: NDArray[np.int16] = self._imu.counts(np.array([time_s]), 32768.0 / accel_g, 32768.0 / gyro_deg_s, code)[
-            0
-        ]
-        return words
+        return self._imu.counts(times_s, 32768.0 / accel_g, 32768.0 / gyro_deg_s, code)
+
+    def _following(self, register: int) -> int:
+        return register if register == _FIFO_DATA[self._die] else super()._following(register)
 
     def _read(self, register: int) -> int:
+        if register == _FIFO_DATA[self._die]:
+            self._at += 1
+            beyond = 0x80 if self._die == _ACCEL else 0
+            return self._shown[self._at - 1] if self._at <= len(self._shown) else beyond
         own, value = self._reg[self._die], self._reg[self._die][register & 0x7F]
         if register in (0x03, 0x0A):
             own[register] &= 0x7F
@@ -156,6 +240,9 @@ class Bmi088Twin(I2cTwin):
             if die == _ACCEL and register == 0x7D and value == 4 and own[register] != 4:
                 self._starts_ns[_ACCEL] = now_ns + _STARTS_NS[_ACCEL]
             own[register] = value & 0x0F | 0x80 if die == _GYRO and register == 0x10 else value
+            if (die, register) == (_GYRO, 0x3E):
+                self._empty(_GYRO)
+            self._run(now_ns)
 
 
 class _Select:
@@ -237,7 +324,7 @@ class Bmi088Table(MeasuringEmulator):
         """See ``Emulator``."""
         clocks = bench.clock, bench.clocks[f"{bench.name}_gyro"]
         imu = self.chip(bench.sensor(ImuSensor), clocks, bench.start_ns, faults=bench.faults)
-        return Twin(imu, lambda: imu.answered, (bench.name,))
+        return Twin(imu, lambda: imu.produced, (bench.name,))
 
 
 class Bmi088SpiTable(Bmi088Table):

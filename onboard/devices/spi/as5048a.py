@@ -15,7 +15,7 @@ class As5048aDevice(SpiDevice, As5048Device):
     error, `eccentricity_rad`. On the motor side of a gear its zero is lost with a turn of the magnet.
     """
 
-    mode = as5048.SPI_MODE
+    spi_mode = as5048.SPI_MODE
     new_keys: ClassVar[str] = """zero_count = 0                 # yours: what it reads at joint angle zero, 0 to 16383
 sample_period_ms = 5
 noise_rad = 1.05e-3            # one sample: 0.06 degrees

@@ -13,27 +13,28 @@ from onboard.devices.i2c.bmi088 import NEW_KEYS, Bmi088Sensor
 
 
 class Bmi088SpiDevice(SpiDevice, Bmi088Sensor):
-    """BMI088 on SPI, both its dies, read once in `sample_period_ms`.
+    """BMI088 on SPI, both its dies: drained from their FIFOs (`mode = "fifo"`), or read once in `sample_period_ms`.
 
     Each die has a select line: the URL of the bus is the accelerometer's node (CSB1), its `second` the gyroscope's
-    (CSB2). The data sheet states no delay of its filters: it is that of one pole at their bandwidth and half a period
-    of the die, to `delay_sigma_ms`. Pins: PS to ground (SPI), SDO1 and SDO2 together.
+    (CSB2). The data sheet states no delay of its filters: it is that of one pole at their bandwidth, where it is read
+    once and half a period of the die, to `delay_sigma_ms`. Pins: PS to ground (SPI), SDO1 and SDO2 together.
     """
 
     new_bus = "imu_spi"
     new_url = "spi:///dev/spidev1.0?second=/dev/spidev1.1"
     new_keys: ClassVar[str] = NEW_KEYS
-    mode = bmi088.SPI_MODE
+    spi_mode = bmi088.SPI_MODE
     kind: Literal["bmi088_spi"]
 
     @classmethod
     def open_on(cls, bus: OpeningBus) -> list[Device]:
         """See ``BusDevice``."""
         accel, gyro = (
-            bus.own(transports.open_spi(bus.url, bus.clock, cls.mode, second=second)) for second in (False, True)
+            bus.own(transports.open_spi(bus.url, bus.clock, cls.spi_mode, second=second)) for second in (False, True)
         )
         port = bmi088.Bmi088SpiPort(accel, gyro)
-        return [bmi088.Bmi088(name, port, device.settings(name), "SPI") for name, device in bus.devices.items()]
+        devices = {name: device for name, device in bus.devices.items() if isinstance(device, cls)}
+        return [device.reader(name, port, "SPI") for name, device in devices.items()]
 
     def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
         """See ``DeviceSection``."""
