@@ -105,16 +105,16 @@ class Pieces:
         jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
         piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
         changing = predictor.changing
-        stays = ~np.isin(self._active, changing)
-        half = self._by_first(piece.information, changing, stays)
-        by_first = self._by_first(half.T, changing, stays), self._by_first(piece.gradient, changing, stays)
+        of_state = changing, ~np.isin(self._active, changing), np.setdiff1d(self._taken.at, changing)
+        half = self._by_first(piece.information, *of_state)
+        by_first = self._by_first(half.T, *of_state), self._by_first(piece.gradient, *of_state)
         self.normal = self.normal.plus(Normal(*by_first, piece.squares))
         if self._steps.times:
             begin, which = self._steps.starts(first, len(used))
             for part, *rows in zip(which, *(np.split(x, begin[1:]) for x in (jacobian, residual)), strict=True):
                 H, left = rows[0].reshape(rows[1].size, -1), rows[1].ravel()
                 seen = self._steps.seen(H)
-                told = seen.T @ seen, left @ seen, self._by_first(seen.T @ H, changing, stays)
+                told = seen.T @ seen, left @ seen, self._by_first(seen.T @ H, *of_state)
                 for known, more in zip(self._of_steps, told, strict=True):
                     known[part] += more
         self.residual[first : self._done] = residual
@@ -133,12 +133,17 @@ class Pieces:
         m = kinds * len(later)
         return both.reshape(m, m), along.reshape(m), across.reshape(m, across.shape[2])
 
-    def _by_first(self, by_state: FloatArray, changing: IndexArray, stays: BoolArray) -> FloatArray:
-        """``X T``: a derivative by the state at a piece's first tick, (..., p), by all unknowns, (..., a + r)."""
-        a, at = len(self._active), np.setdiff1d(self._taken.at, changing)
+    def _by_first(
+        self, by_state: FloatArray, changing: IndexArray, stays: BoolArray, steps_at: IndexArray
+    ) -> FloatArray:
+        """``X T``: a derivative by the state at a piece's first tick, (..., p), by all unknowns, (..., a + r).
+
+        Of the state, what changes from tick to tick; whether what is active stays; what else has steps.
+        """
+        a = len(self._active)
         out = np.asarray(by_state[..., changing] @ self.transition[changing], np.float64)
         out[..., :a] += np.where(stays, by_state[..., self._active], 0.0)
-        out[..., a:] += by_state[..., at] @ self.transition[at, a:]
+        out[..., a:] += by_state[..., steps_at] @ self.transition[steps_at, a:]
         return out
 
 
