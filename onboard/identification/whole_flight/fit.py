@@ -46,7 +46,7 @@ from onboard.identification.whole_flight.blocks import (
 
 KINK_s = 5.0
 _BLOCK_TICKS = 200
-_SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
+SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
 _EVALUATIONS = 25  # predictions of the flight in a stage
 _ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
 _LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
@@ -117,7 +117,7 @@ class WholeFlight:
         self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)
-        self.segments = [one for one in segments if len(one.ticks.time_s) >= _SHORTEST_TICKS]
+        self.segments = [one for one in segments if len(one.ticks.time_s) >= SHORTEST_TICKS]
         self._begin_s = min((float(one.ticks.time_s[0]) for one in self.segments), default=0.0)
         end_s = max((float(one.ticks.time_s[-1]) for one in self.segments), default=0.0)
         self._kinks_s = np.arange(1, int((end_s - self._begin_s) / KINK_s)) * KINK_s
@@ -350,7 +350,7 @@ class WholeFlight:
     def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[_Along]:
         """Block by block along a segment."""
         ticks, p = self.segments[segment].ticks, len(self._predictor.names)
-        last = min(len(ticks.time_s), max(_SHORTEST_TICKS, round(min(length_s, 1e6) / self._predictor.period_s)))
+        last = min(len(ticks.time_s), max(SHORTEST_TICKS, round(min(length_s, 1e6) / self._predictor.period_s)))
         state, d_rate, first = self.state(x, segment), np.eye(3, p), 0
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2

@@ -78,7 +78,7 @@ def halves(flight: WholeFlight, found: FlightFit) -> HeldOut:
         if not own or not other:
             raise SingularError("the payload was not held for long enough to be divided into halves")
         known = total_of([*other, *free], x.size).plus(Normal(prior, prior @ x, 0.0))
-        away = -inverse_of(known.information) @ known.gradient
+        away = -inverse_of(_without_rates_elsewhere(known.information, flight)) @ known.gradient
         predicted.append(_prediction(total_of(own, x.size), x, away, flight, none, own))
     of_all, rows = total_of(held, x.size).squares, sum(block.rows for block in held)
     later_half, earlier_half = predicted
@@ -98,12 +98,19 @@ def _prediction(
     tried[anew] = x[anew]
     start = tried - x
     gradient = rows.gradient + rows.information @ start
-    own = rows.information[np.ix_(anew, anew)] + np.diag(prior[anew])
-    own[np.diag_indices_from(own)] += np.where(np.diag(own) > 0.0, 0.0, 1.0)  # rates of other segments
-    step = -inverse_of(own) @ (gradient[anew] + prior[anew] * x[anew])
+    information = _without_rates_elsewhere(rows.information + np.diag(prior), flight)
+    step = -inverse_of(information[np.ix_(anew, anew)]) @ (gradient[anew] + prior[anew] * x[anew])
     start[anew] += step
     squares = max(0.0, rows.squares + float(2.0 * rows.gradient @ start + start @ rows.information @ start))
     return HeldOutFit(float(np.sqrt(squares / none)), squares / sum(block.rows for block in blocks))
+
+
+def _without_rates_elsewhere(information: FloatArray, flight: WholeFlight) -> FloatArray:
+    """Information that is not singular where it holds nothing of the rates at the start of segments, (p, p)."""
+    own = flight.of_a_part[information[flight.of_a_part, flight.of_a_part] == 0.0]
+    information = information.copy()
+    information[own, own] = 1.0
+    return information
 
 
 def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) -> Difference:

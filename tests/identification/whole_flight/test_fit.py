@@ -1,5 +1,6 @@
 """A flight fitted as a whole, free and held segments together, with MuJoCo's truth; agreement of its parts."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -19,9 +20,10 @@ from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
-from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.fit import KINK_s, Segment, WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
 from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_of, freely, kinds_of, leans_on
+from onboard.identification.whole_flight.windows import in_windows
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -233,6 +235,29 @@ def test_a_fit_that_gets_nowhere_is_given_up(ticks, predictor, fitted, monkeypat
     with pytest.raises(ConvergenceError, match=r"residuals stay at .* times the noise"):
         WholeFlight(predictor, WIDE, spoilt).fit(whole.fit.x)
     assert 6 < len(predictions) < 10
+
+
+def test_a_tumbling_base_is_fitted_in_windows_where_the_whole_flight_cannot_be_predicted(predictor):
+    """Joints that move twice as far as usual, a base that turns at 1 rad/s: a guess 10 % off is lost in chaos."""
+    rng = np.random.default_rng(7)
+    motion = free_flyer.JointMotion.draw(rng)
+    motion = dataclasses.replace(motion, amplitude_rad=2.0 * motion.amplitude_rad)
+    ticks = ticks_of(recorded(free_flyer.fly(free_flyer.world(BOX), motion, (0.3, 1.0, 0.3), 30.0), rng, BIASED))
+    whole = [Segment(ticks, held=True)]
+    flight = WholeFlight(predictor, WIDE, whole)
+    with pytest.raises(ConvergenceError, match=r"residuals stay at .* times the noise"):
+        flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
+    windows = in_windows(whole, 0.01)
+    assert [len(one.ticks.time_s) <= round(KINK_s / 0.01) for one in windows] == [True] * 6
+    np.testing.assert_array_equal(np.concatenate([one.ticks.time_s for one in windows]), ticks.time_s)
+    flight = WholeFlight(predictor, WIDE, windows)
+    found = flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
+    off = found.chi - standard_of(TRUTH)
+    assert off @ np.linalg.solve(found.chi_covariance, off) < 25.2  # 99.5 % of chi-squared with 10
+    assert found.misfit == pytest.approx(1.0, abs=0.1)
+    assert (
+        halves(flight, found).worst.relative_error < 0.3
+    )  # rates at the start of windows of the other half are unknown
 
 
 def test_parts_of_a_sound_flight_agree(fitted):

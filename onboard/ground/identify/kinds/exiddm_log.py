@@ -17,7 +17,7 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.errors import EstimationError
+from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
@@ -46,6 +46,7 @@ from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.parts import halves
 from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
+from onboard.identification.whole_flight.windows import in_windows
 from onboard.identification.whole_flight.witnesses import Tested, tested, without_each
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
@@ -130,7 +131,7 @@ class _Flight:
                 failure = ""
                 continue
             try:
-                found, agrees = self._fitted(known, segments, phase_at)
+                found, agrees = self._fitted_whole_or_in_windows(known, segments, phase_at)
             except (EstimationError, ModelError) as error:
                 failure = f"the fit failed: {error}"
                 continue
@@ -174,6 +175,15 @@ class _Flight:
             return before_capture(predictor, state, about, zeros, payload, touched_s)
         except SignalError:
             return None
+
+    def _fitted_whole_or_in_windows(
+        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+    ) -> tuple[Tested, bool]:
+        """As :meth:`_fitted`; in windows with a rate of their own where no fit of whole segments converges."""
+        try:
+            return self._fitted(known, segments, phase_at)
+        except ConvergenceError:
+            return self._fitted(known, in_windows(segments, self._period_s), phase_at)
 
     def _fitted(
         self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]

@@ -6,7 +6,7 @@ same by every width, so the width by which one half of the flight best predicts 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from onboard import config
 from onboard.devices.recorded import RecordedDevice
@@ -39,14 +39,18 @@ def with_chosen_width(
         return vehicle, ()
     slowest_ms = 1e3 * max(signal.period_s for signal in roles_of(vehicle).signals.values())
     errors = dict[float, float]()
-    for way in (_NARROWER_ms, _WIDER_ms):
-        for width_ms in (one for one in way if one >= FEWEST_SAMPLES * slowest_ms):
+
+    def try_in_turn(widths_ms: Sequence[float]) -> None:
+        for width_ms in (one for one in widths_ms if one >= FEWEST_SAMPLES * slowest_ms):
             held_out = identify(with_settings(vehicle, width_ms), log).held_out
             if held_out is None:
                 break
             errors[width_ms] = math.sqrt(held_out.later.relative_error * held_out.earlier.relative_error)
             if errors[width_ms] > min(errors.values()):
                 break
+
+    try_in_turn(_NARROWER_ms)
+    try_in_turn(_WIDER_ms if errors else _NARROWER_ms[:0:-1])  # no fit by the widest: it smooths the motion away
     if not errors:
         return vehicle, ()
     best_ms, said = narrowest(dict(sorted(errors.items())))

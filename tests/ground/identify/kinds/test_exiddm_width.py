@@ -1,11 +1,17 @@
 """A free-flyer that somebody else recorded, by the files that heft writes: momentum is kept, by Pinocchio's own map."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
+import pytest
 
+from onboard import config
 from onboard.cli import OK, main
+from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
+from onboard.identification.rows.checks.prediction import HeldOutFit
+from onboard.identification.rows.held_out import HeldOut
 
 MASS_kg, CENTRE_m = 3.0, np.array([0.08, 0.02, -0.03])
 _S = 2e-3  # of a step
@@ -30,6 +36,24 @@ def flown(urdf):
         q = pin.integrate(model, q, np.concatenate([velocity[k], rates[k]]) * _S)
     accelerated = np.gradient(velocity, _S, axis=0)
     return t, angles, velocity[:, 3:], accelerated[:, :3] + np.cross(velocity[:, 3:], velocity[:, :3])
+
+
+@pytest.mark.parametrize(("fits_ms", "tried_ms"), [((100, 200), [400, 100, 200]), ((), [400, 100])])
+def test_narrower_widths_are_tried_where_the_widest_gives_no_fit(tmp_path, fits_ms, tried_ms):
+    """It smooths a fast motion away; where no narrower one gives a fit either, no time is spent on more."""
+    asked = ["--base", "free", "--joints", ",".join(_JOINTS), "--imu", "recorded", "--encoder", "recorded"]
+    assert main(["init", str(tmp_path / "lab"), *asked]) == OK
+    tried = []
+
+    def identify(vehicle, _):
+        tried.append(vehicle.file.estimation.smoothing_ms)
+        half = HeldOutFit(0.02 if tried[-1] == 100 else 0.01, 1.0)
+        return SimpleNamespace(held_out=HeldOut(half, half, half) if tried[-1] in fits_ms else None)
+
+    vehicle, said = with_chosen_width(config.load(tmp_path / "lab" / "vehicle.toml"), None, identify)
+    assert tried == tried_ms
+    assert bool(said) == bool(fits_ms)
+    assert vehicle.file.estimation.smoothing_ms == (200 if fits_ms else 100)
 
 
 def test_a_recording_at_100_Hz_with_rounded_angles_and_no_line_edited(tmp_path, rng):
