@@ -140,10 +140,11 @@ _CHANGES = {
     "change": "change of payload or instruments, kind not yet known,",
     "contact": "contact that left the payload as it was,",
     "instrument": "change of an instrument, not of the payload,",
+    "altered": "part of the payload lost or added, or an instrument changed,",
 }
 
 
-PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument")
+PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument", "altered")
 _INSTRUMENTS = ("left_out", "taken_back")
 _REJECTED = ("release_contradicted", "capture_contradicted")
 _AGO = re.compile(r"(-?\d+\.\d\d) s ago")
@@ -157,7 +158,7 @@ def change_event(now_ns: int, change: Change) -> Batch:
     text = f"{_CHANGES.get(change.kind, change.kind)} {ago_s:.2f} s ago"
     if np.isfinite(change.score):
         text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
-    severity = Severity.WARNING if change.kind == "instrument" else Severity.INFO
+    severity = Severity.WARNING if change.kind in ("instrument", "altered") else Severity.INFO
     return event(now_ns, severity, change.kind, "estimation", text)
 
 

@@ -69,48 +69,76 @@ class Changed(NamedTuple):
         """No steps, of a state of this size."""
         return Changed(np.zeros((size, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((size, 0)))
 
-    @property
-    def nats(self) -> FloatArray:
-        """Evidence of each two over that of none, (m, m); on the diagonal that of each alone."""
-        M = 1.0 + np.maximum(self.J.diagonal(), 0.0)
-        alone, slope = 0.5 * self.d**2 / M - 0.5 * np.log(M), self.J / M[:, None]
-        left = np.maximum(M - self.J * slope, 1.0)  # of the second, given the first
-        both = alone[:, None] + 0.5 * (self.d - self.d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
-        np.fill_diagonal(both, alone)
-        return np.asarray(both, np.float64)
+    def evidence(self, suspects: Sequence[Suspect], farthest: float = np.inf) -> tuple[FloatArray, FloatArray]:
+        """Of each two over that of none, and the logarithm of its weight, (n, n); on the diagonal of each alone.
 
-    def logs(self, suspects: Sequence[Suspect]) -> FloatArray:
-        """Logarithms of the weights of each two, and of each alone, over that of none, (m, m)."""
+        Args:
+            suspects: n, of which the steps are, with one column each or all others as many. Of two of which one has
+                several it is none: they are not looked for.
+            farthest: size from which on one of several has none, in its sigmas.
+        """
+        columns, several = columns_of(suspects), np.array([one.along.shape[1] > 1 for one in suspects], np.bool_)
+        at = np.array([own[0] for own in columns], np.intp)[~several]
+        d, J = self.d[at], self.J[np.ix_(at, at)]
+        M = 1.0 + np.maximum(J.diagonal(), 0.0)
+        alone, slope = 0.5 * d**2 / M - 0.5 * np.log(M), J / M[:, None]
+        left = np.maximum(M - J * slope, 1.0)  # of the second, given the first
+        nats = np.full((len(columns), len(columns)), -np.inf)
+        nats[np.ix_(~several, ~several)] = (
+            alone[:, None] + 0.5 * (d - d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
+        )
+        nats[~several, ~several] = alone
+        if several.any():
+            own = np.array([each for each, many in zip(columns, several, strict=True) if many])
+            values, V = np.linalg.eigh(np.eye(own.shape[1]) + self.J[own[:, :, None], own[:, None]])
+            values = np.maximum(values, 1.0)
+            along = (self.d[own][:, None] @ V)[:, 0]
+            sizes = np.abs(V @ (along / values)[..., None]).max(axis=(1, 2))
+            told = 0.5 * (along**2 / values - np.log(values)).sum(axis=1)
+            nats[several, several] = np.where(sizes < farthest, told, -np.inf)
         odds = np.log([one.odds for one in suspects])
-        return np.asarray(self.nats + odds + odds[:, None] * ~np.eye(len(odds), dtype=np.bool_), np.float64)
+        return nats, nats + odds + odds[:, None] * ~np.eye(len(odds), dtype=np.bool_)
 
     def sizes(self, which: Sequence[int]) -> Known:
         """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
+        if len(which) == 1:
+            (k,) = which
+            scale = 1.0 / np.sqrt(1.0 + max(self.J[k, k], 0.0))
+            return np.array([self.d[k] * scale**2]), np.array([[scale]])
         at = np.asarray(which, np.intp)
         values, V = np.linalg.eigh(np.eye(len(at)) + self.J[np.ix_(at, at)])
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
-    def hypotheses(self, suspects: Sequence[Suspect], *, every: bool = False) -> list[Hypothesis]:
+    def hypotheses(
+        self, suspects: Sequence[Suspect], *, every: bool = False, farthest: float = np.inf
+    ) -> list[Hypothesis]:
         """Each step, and each two that are likelier than either and half of what follows; weights are one.
 
-        ``every``: also those that together weigh less than :data:`.LEAST_WEIGHT` beside the likeliest.
+        ``every``: also those that together weigh less than :data:`.LEAST_WEIGHT` beside the likeliest; ``farthest`` is
+        that of :meth:`evidence`.
         """
-        nats, logs, found = self.nats, self.logs(suspects), list[Hypothesis]()
-        alone, roots = logs.diagonal(), (1.0 + np.maximum(self.J.diagonal(), 0.0)) ** -0.5
+        (nats, logs), columns = self.evidence(suspects, farthest), columns_of(suspects)
+        alone = logs.diagonal()
         least = logs.max(initial=0.0) + np.log(LEAST_WEIGHT)
-        for k in np.flatnonzero(every | (alone > least - np.log(max(len(alone), 1)))).tolist():
-            root = roots[k : k + 1, None]
-            g = self.d[k : k + 1] * root[0]
-            parts = float(nats[k, k]), abs(float(g[0] * root[0, 0])), _NONE[0], root, g, self.D[:, k : k + 1] * root
-            found.append(Hypothesis(suspects[k], (), 1.0, *parts, (k,)))
-        second = logs - np.maximum(alone, alone[:, None]) > np.log(LIKELIER)
-        likely = np.triu(second & (logs > least), 1)
-        for k, other in np.argwhere(likely).tolist():
-            (mean, half), both = self.sizes((k, other)), _both(suspects[k], suspects[other])
-            told = float(nats[k, other]), float(np.abs(mean).max()), _NONE[0], half, half.T @ self.d[[k, other]]
-            found.append(Hypothesis(both, (), 1.0, *told, self.D[:, [k, other]] @ half, (k, other)))
+        ones = np.flatnonzero(every | (alone > least - np.log(max(len(alone), 1)))).tolist()
+        found = [self._hypothesis(suspects[k], columns[k], float(nats[k, k])) for k in ones]
+        second = logs > np.maximum(alone, alone[:, None]) + np.log(LIKELIER)
+        for k, other in np.argwhere(np.triu(second & (logs > least), 1)).tolist():
+            both, which = _both(suspects[k], suspects[other]), (*columns[k], *columns[other])
+            found.append(self._hypothesis(both, which, float(nats[k, other])))
         return found
+
+    def _hypothesis(self, suspect: Suspect, which: tuple[int, ...], nats: float) -> Hypothesis:
+        (mean, root), at = self.sizes(which), [*which]
+        size, g = float(np.abs(mean).max()), root.T @ self.d[at]
+        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, self.D[:, at] @ root, which)
+
+
+def columns_of(suspects: Sequence[Suspect]) -> list[tuple[int, ...]]:
+    """Numbers of the columns of each suspect among those of all."""
+    ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
+    return [tuple(range(*pair)) for pair in pairwise(ends)]
 
 
 class Weighed(NamedTuple):

@@ -3,12 +3,15 @@
 import numpy as np
 
 from onboard.dynamics.model.inertia import RigidBody
-from onboard.dynamics.model.payload import body_of, standard_covariance, standard_of
+from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import LIKELY_SIZE
 
 EACH = 10.0
 """Size, in stated sigmas, of each parameter of a body or element of an instrument's matrix, when all may be wrong."""
+
+CHANGES = 5
+"""Columns of :func:`changes`."""
 
 
 def ways(chi: FloatArray, half: FloatArray) -> tuple[FloatArray, ...]:
@@ -41,17 +44,16 @@ def of_mass(chi: FloatArray) -> FloatArray:
 def of_centre(chi: FloatArray) -> FloatArray:
     """Change of a body's standard parameters with its centre of mass, (10, 3), for the rms distance of its mass."""
     mass, centre, inertia = body_of(chi)
-    size, few = np.sqrt(0.5 * np.trace(inertia) / mass), 1e-6
+    size, few = np.sqrt(max(0.5 * float(np.trace(inertia)) / mass, 0.0)), 1e-6
     moved = [standard_of(RigidBody(mass, centre + few * size * axis, inertia)) for axis in np.eye(3)]
     return (np.array(moved).T - chi[:, None]) / few
 
 
-def changed(chi: FloatArray) -> FloatArray:
-    """Covariance of a body's standard parameters, (10, 10), whose mass, place and inertia have changed by a tenth.
+def changes(chi: FloatArray) -> FloatArray:
+    """Effect of one sigma of each change of what is held, (10, 5): a part that comes off, or propellant that is used.
 
-    Raises:
-        SignalError: a mass that is not positive.
+    Of the mass, the inertia about the centre of mass, and the coordinates of that; zeros of what has no mass.
     """
-    mass, _, inertia = body_of(chi)
-    size = np.sqrt(max(0.5 * float(np.trace(inertia)) / mass, 0.0))
-    return standard_covariance(chi, LIKELY_SIZE, LIKELY_SIZE * float(size), LIKELY_SIZE)
+    if not chi[0] > 0.0:
+        return np.zeros((len(chi), CHANGES))
+    return LIKELY_SIZE * np.column_stack([mass := of_mass(chi), chi - mass, of_centre(chi)])

@@ -44,6 +44,7 @@ from onboard.regressor.signals import Signals
 POSE_ROWS = *(f"attitude_{part}" for part in "wxyz"), *(f"position_{axis}" for axis in "xyz")
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
+_ALTERED = "the payload changed without a release: a part came off or was added, or an instrument changed"
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
 _SWINGING = "slosh, a flexible joint or a drift"
@@ -267,7 +268,7 @@ class ExiddmIdentifier:
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
         doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
-        doubts += self._of_trackers(found)
+        doubts += [_ALTERED] * self.exiddm.altered + self._of_trackers(found)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
@@ -323,8 +324,7 @@ class ExiddmIdentifier:
 
     def _of_what_is_left(self) -> str:
         """How the residual of a motion that no payload explains swings, or what to check."""
-        line = self.exiddm.unexplained.line
-        if line is None:
+        if (line := self.exiddm.unexplained.line) is None:
             return "check the IMU and the joints"
         return f"the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 

@@ -1,4 +1,4 @@
-"""Steps in flight of an IMU's scales or a load cell's scale or zero, weighed beside what may be wrong all flight.
+"""Steps in flight: of an IMU's scales, of a load cell's scale or zero, of the payload; beside what is wrong all flight.
 
 Each alone, and each two, for what steps may go back.
 
@@ -15,20 +15,23 @@ r of the solution and the transition F to its end,
 
     D = step - F P H'G,   J = G'G - G'H P H'G,   d = G'r
 
+A payload that changes, as where a part comes off or propellant is used, is a step along the directions of
+:func:`.bodies.changes`, all of them together: a step of several columns.
+
 A time that is no longer kept, the one of the least likely hypotheses, leaves its odds to the one after it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import LIKELY_SIZE, STEPS_PER_HOUR
-from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect
-from onboard.identification.evidence.bodies import EACH
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, STEPS_PER_HOUR
+from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
+from onboard.identification.evidence.bodies import CHANGES, EACH, changes
 from onboard.identification.exiddm.prediction.further import FurtherCell
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
 _EVERY = 2  # batches between times of a step: 0.25 s beside it, a step of 2 % had half of its 60 nats within a second
@@ -43,10 +46,29 @@ class Inside(NamedTuple):
     every: int  # ticks from one time to the next
     times: int
     begins: int = 1  # number of the first time: none at the first tick, where one is a wrong constant, or 0
+    of_payload: slice = slice(0, 0)  # of the places, those of the payload, which the last columns change
+
+    def about(self, state: FloatArray) -> "Inside":
+        """Those of the payload in this state, (p,)."""
+        if not self.at[self.of_payload].size:
+            return self
+        along = self.along.copy()
+        along[self.of_payload, -CHANGES:] = changes(state[self.at[self.of_payload]])
+        return self._replace(along=along)
+
+    @property
+    def of_instruments(self) -> int:
+        """Columns of the kinds that change nothing but readings; those of the payload follow."""
+        return int(self.along.shape[1]) - CHANGES * bool(self.at[self.of_payload].size)
+
+    @property
+    def payload(self) -> FloatArray:
+        """By what the others change the payload, (10, kinds)."""
+        return self.along[self.of_payload, self.of_instruments :]
 
     def seen(self, rows: FloatArray) -> FloatArray:
-        """What they do to readings, (n, lines, kinds), from their times on; ``rows``: derivatives of these."""
-        return np.asarray(rows[..., self.at] @ self.along, np.float64)
+        """What those of instruments do to readings, (..., kinds), from their times on, by derivatives of these."""
+        return np.asarray(rows[..., self.at] @ self.along[:, : self.of_instruments], np.float64)
 
     def starts(self, first: int, ticks: int) -> tuple[IndexArray, IndexArray]:
         """Where parts of so many ticks begin between two times, and the number of each part in the window."""
@@ -81,6 +103,7 @@ class Adds(NamedTuple):
     root: FloatArray  # (p, r) of what is added to the covariance
 
 
+ALTERED = "a change of the payload"
 NO_STEPS = Inside(np.zeros(0, np.intp), np.zeros((0, 0)), BATCH_TICKS, 0)
 NONE_TAKEN = NO_STEPS.taken(())
 
@@ -95,20 +118,23 @@ class Steps:
         changed: D, d and J of each step.
     """
 
-    def __init__(self, predictor: ImuPredictor) -> None:
+    def __init__(self, predictor: ImuPredictor, payload: slice = PAYLOAD) -> None:
         self._predictor, self._every_s = predictor, _EVERY * BATCH_TICKS * predictor.period_s
-        self._what = tuple(_steps_of(predictor, self._every_s))
+        self._what = tuple(_steps_of(predictor, self._every_s, np.arange(len(predictor.names))[payload]))
+        self._of = [one for one in self._what for _ in range(one.along.shape[1])]  # of each column
         self._at = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in self._what)]))
-        self._along = np.zeros((len(self._at), len(self._what)))
-        for k, one in enumerate(self._what):
-            self._along[np.searchsorted(self._at, one.at), k] = one.along[:, 0]
+        self._along = np.zeros((len(self._at), len(self._of)))
+        for columns, one in zip(columns_of(self._what), self._what, strict=True):
+            self._along[np.searchsorted(self._at, one.at)[:, None], columns] = one.along
         for part in (self._at, self._along):
             part.setflags(write=False)  # a checkpoint names it
+        self._of_payload = slice(*np.searchsorted(self._at, [payload.start, payload.stop]).tolist())
         self.forget()
 
     def forget(self) -> None:
         """Nothing is known of any before now."""
-        self.begin(Changed.none(len(self._predictor.names)))
+        none = np.zeros(len(self._predictor.names))
+        self.begin(Changed.none(len(none)), none)
 
     def inside(self, ticks: int, *, carried: bool = False) -> Inside:
         """Those that are looked for in a window of so many ticks, in the order in which :meth:`begin` takes them.
@@ -116,31 +142,46 @@ class Steps:
         ``carried``: ticks before it have told of the constants, so that one of its first tick may have stepped.
         """
         every = _EVERY * BATCH_TICKS
-        return Inside(self._at, self._along, every, max((ticks - 2) // every, 0) + carried, int(not carried))
+        times = max((ticks - 2) // every, 0) + carried
+        return Inside(self._at, self._along, every, times, int(not carried), self._of_payload)
 
     def of_window(self, inside: Changed) -> list[Hypothesis]:
-        """Those of a window, in that order."""
-        return inside.hypotheses([*self._what] * (len(inside.d) // max(len(self._what), 1)))
+        """Those of a window, in that order.
+
+        A payload that has changed by far more is another one, under which the window is solved anyway.
+        """
+        return inside.hypotheses([*self._what] * (len(inside.d) // max(len(self._of), 1)), farthest=FARTHEST_SIZE)
 
     def what(self, which: int) -> Suspect:
-        """What one of these is of."""
-        return self._what[which % len(self._what)]
+        """What one of these columns is of."""
+        return self._of[which % len(self._of)]
 
-    def begin(self, inside: Changed) -> None:
-        """The filter goes on from a window with these steps."""
+    def begin(self, inside: Changed, state: FloatArray) -> None:
+        """The filter goes on from a window with these steps, in this state, (p,)."""
         self._batches, self.changed = 0, inside
-        self._stands = np.ones(len(inside.d) // max(len(self._what), 1))  # times that each time stands for
-        self._may_be()
+        self._stands = np.ones(len(inside.d) // max(len(self._of), 1))  # times that each time stands for
+        self._begun = np.full(len(self._stands), -1)  # batch after which each is there; -1: in the window
+        self._may_be(state)
+
+    def of_payload(self, which: Iterable[int]) -> tuple[int, ...]:
+        """Which of these columns are of the payload."""
+        return tuple(k for k in which if self.what(k).name == ALTERED)
+
+    def batches_since(self, which: int) -> int:
+        """For how many batches one of these columns may have been there; 0: since some time in a window."""
+        begun = int(self._begun[which // len(self._of)])
+        return 0 if begun < 0 else self._batches - begun + _EVERY
 
     @property
     def suspects(self) -> list[Suspect]:
         """What each step is of."""
         return [one._replace(odds=one.odds * times) for times in self._stands.tolist() for one in self._what]
 
-    def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray) -> None:
+    def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray, state: FloatArray) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
 
         Args:
+            state: at that end, (p,).
             told: of its lines ``L^-1 H P``, (lines, p), whitened innovations, (lines,), and ``L^-1 H D``, (lines, m).
             transition: of what changes, (c, p).
         """
@@ -151,25 +192,25 @@ class Steps:
         self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen, stepped)
         self._batches += 1
         if self._batches % _EVERY == 0:
-            self._may_be()
+            self._may_be(state)
 
-    def _may_be(self) -> None:
+    def _may_be(self, state: FloatArray) -> None:
         """From now on, too; of too many times the least likely but the newest is left to the one after it."""
-        (D, d, J, stepped), each = self.changed, len(self._what)
+        (D, d, J, stepped), each = self.changed, len(self._of)
         if not each:
             return
-        logs, kept = self.changed.logs(self.suspects), np.arange(len(self._stands))
-        logs = logs.max(axis=1, initial=-np.inf).reshape(-1, each).max(axis=1, initial=-np.inf)
+        logs, kept = self.changed.evidence(self.suspects)[1], np.arange(len(self._stands))
+        logs = logs.max(axis=1, initial=-np.inf).reshape(-1, len(self._what)).max(axis=1, initial=-np.inf)
         while len(kept) >= _TIMES:
             least = int(logs[kept][:-1].argmin())
             self._stands[kept[least + 1]] += self._stands[kept[least]]
             kept = np.delete(kept, least)
-        steps, new = (each * kept[:, None] + np.arange(each)).ravel(), np.zeros((len(D), each))
-        for k, one in enumerate(self._what):
-            new[one.at, k] = one.along[:, 0]
+        steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
+        new = now.about(state).changed(len(D))
         d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
         self.changed = Changed(np.hstack([D[:, steps], new]), d, J, np.hstack([stepped[:, steps], new]))
         self._stands = np.append(self._stands[kept], 1.0)
+        self._begun = np.append(self._begun[kept], self._batches)
 
 
 def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
@@ -177,8 +218,11 @@ def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
     return own[[predictor.names[at].startswith(kind) for at in own]]
 
 
-def _steps_of(predictor: ImuPredictor, every_s: float) -> Iterator[Suspect]:
-    """Of a cell its scale or its zero; of an IMU the scale of its gyro, of its accelerometer, or of both alike."""
+def _steps_of(predictor: ImuPredictor, every_s: float, payload: IndexArray) -> Iterator[Suspect]:
+    """Of a cell its scale or its zero; of an IMU the scale of its gyro, of its accelerometer, or both; of the payload.
+
+    What the last changes depends on the payload.
+    """
     odds = STEPS_PER_HOUR * every_s / 3600.0
     ways = list[tuple[str, IndexArray, float]]()
     for name, own in zip(predictor.instruments, predictor.of_each[: len(predictor.imu_frames)], strict=False):
@@ -190,8 +234,9 @@ def _steps_of(predictor: ImuPredictor, every_s: float) -> Iterator[Suspect]:
             if (name := f"{kind}_{one.name}") in predictor.names:
                 at = np.array([predictor.names.index(name)])
                 ways.append((one.name, at, LIKELY_SIZE if kind == "scale" else EACH * predictor.sigma[at[0]]))
-    for name, at, size in ways:
-        along = np.full((len(at), 1), size)
+    each = [(f"a step of {name}", at, np.full((len(at), 1), size)) for name, at, size in ways]
+    each += [(ALTERED, payload, np.zeros((len(payload), CHANGES)))] if payload.size else []
+    for name, at, along in each:
         for part in (at, along):
             part.setflags(write=False)  # a checkpoint names it
-        yield Suspect(f"a step of {name}", at, along, odds)
+        yield Suspect(name, at, along, odds)

@@ -29,7 +29,7 @@ from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.steps import Adds, Steps, named
+from onboard.identification.exiddm.steps import ALTERED, Adds, Steps, named
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
@@ -78,8 +78,14 @@ class Rivals:
         """What that step adds to the filter's state and covariance."""
         if (step := self.step(state, covariance)) is None:
             return None
-        D, of = self.steps.changed.D[:, [*step.which]], self.steps.suspects
-        return Adds(tuple(of[k].at for k in step.which), D @ step.size, D @ step.root)
+        D = self.steps.changed.D[:, [*step.which]]
+        return Adds(tuple(self.steps.what(k).at for k in step.which), D @ step.size, D @ step.root)
+
+    def altered(self, state: FloatArray, covariance: FloatArray) -> int | None:
+        """Where nothing but a change of the payload is likely: for how many batches it has been there; else None."""
+        weighed = self.weighed(state, covariance)
+        (first, *_), names = weighed.likeliest.steps or (0,), weighed.names
+        return self.steps.batches_since(first) if names == (ALTERED,) and not weighed.too_far else None
 
     def adopting(self, known: Known, step: Adds | None, initial: Known) -> tuple[Known, Known]:
         """What is known of all that comes after a step, and before the first tick.
@@ -115,7 +121,11 @@ class Rivals:
         already = bool(one.numbers) and set(one.numbers) <= set(self.freed)
         if one.suspect is None or already or not weighed.contradicts:
             return (), (), 1.0
-        return () if one.steps else _counting(weighed), one.steps, one.suspect.odds
+        if not one.steps:
+            return _counting(weighed), (), one.suspect.odds
+        # of each that counts the likeliest: which it is cannot be told
+        steps_of = {each.suspect.name: each.steps for each in reversed(weighed.likely) if each.suspect and each.steps}
+        return (), tuple(dict.fromkeys(k for which in steps_of.values() for k in which)), one.suspect.odds
 
     def stated(self, known: Known) -> Known:
         """What is known if nothing is free."""

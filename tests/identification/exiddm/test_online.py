@@ -155,6 +155,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             rivals=SimpleNamespace(weighed=Once(), spanned=NONE),
             held=True,
             holds=True,
+            altered=False,
             confirmed=True,
             payload_sigma=np.full(10, 100.0),
             glitches=0,
@@ -223,6 +224,15 @@ def test_a_correction_that_is_weighed_in_every_direction_is_held_against_nothing
     weighed = held_against.HeldAgainst(online.exiddm.predictor, online.exiddm.fusion, np.array([PAYLOAD.stop]))
     online._corrections = weighed
     assert all("all corrections together" in one for one in online.findings().against)
+
+
+def test_a_payload_of_which_a_part_may_have_come_off_is_an_answer_that_is_doubted() -> None:
+    online = unsure(np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3))
+    before = online.findings()
+    online.exiddm.altered = True
+    (doubt,) = set(online.findings().doubts) - set(before.doubts)
+    assert doubt.startswith("the payload changed without a release: a part came off or was added")
+    assert not online.findings().against
 
 
 def test_instruments_without_either_of_which_a_window_is_explained_are_named_before_what_swings() -> None:

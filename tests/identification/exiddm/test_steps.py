@@ -14,7 +14,7 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm import steps as steps_module
 from onboard.identification.exiddm.innovation import Innovation
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
-from onboard.identification.exiddm.steps import Steps
+from onboard.identification.exiddm.steps import ALTERED, Steps
 from onboard.identification.exiddm.suspects import Believed
 
 CELL = FurtherCell("cell", "", (), 1, CellPrior(0.1, 0.0, 0.0025, 0.0))
@@ -23,6 +23,7 @@ SIGMA = np.array([3.0, 1.0, 0.5, 0.1, 0.0025])
 SCALE = Suspect("cell", np.array([4]), np.array([[0.1]]), 1e-2)
 OF_IMUS: dict[str, Any] = {"instruments": ("cell",), "imu_frames": (), "of_each": ()}  # none
 WITH_A_CELL = {"names": NAMES, "sigma": SIGMA, "further": (CELL,), "changing": np.array([0]), **OF_IMUS}
+NO_PAYLOAD = slice(0, 0)
 BATCHES, LINES = 6, 4
 BODY = Suspect("body", np.array([1, 2]), np.array([[2.0], [1.0]]), 1e-2)
 
@@ -83,7 +84,7 @@ def filtered(flight: Flight, steps: Steps) -> Known:
         x, P = x + W.T @ e[:, 0], P - W.T @ W
         T = np.vstack([F, np.eye(5)[1:]])
         x, P = T @ x, T @ P @ T.T
-        steps.step((W, e[:, 0], seen), F)
+        steps.step((W, e[:, 0], seen), F, x)
     return x, P
 
 
@@ -91,7 +92,7 @@ def filtered(flight: Flight, steps: Steps) -> Known:
 def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
     monkeypatch.setattr(steps_module, "_EVERY", 1)
     predictor: Any = SimpleNamespace(**WITH_A_CELL, period_s=0.01)
-    return Steps(predictor)
+    return Steps(predictor, NO_PAYLOAD)
 
 
 def likely(steps: Steps) -> list[Suspect]:
@@ -124,6 +125,30 @@ def test_each_is_the_fit_with_the_step_as_an_unknown_and_has_the_evidence_of_its
         assert one.nats == pytest.approx(flight.nats((at, which)), abs=1e-8)
         for part, wanted in zip(weighed.known(one), flight.solved((at, which)), strict=True):
             np.testing.assert_allclose(part, wanted, rtol=1e-8, atol=1e-10)
+
+
+def test_a_change_of_the_payload_is_the_fit_with_all_it_changes_as_unknowns(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here of two parameters, a and b, by one each where there is a payload; beside a cell's steps."""
+    monkeypatch.setattr(steps_module, "_EVERY", 1)
+    monkeypatch.setattr(steps_module, "CHANGES", 2)
+    monkeypatch.setattr(steps_module, "changes", lambda chi: np.eye(2) * bool(chi.any()))
+    predictor: Any = SimpleNamespace(**WITH_A_CELL, period_s=0.01)
+    steps = Steps(predictor, slice(1, 3))
+    known = filtered(flight, steps)
+    steps.changed.D.setflags(write=False)
+    found = [one for one in steps.changed.hypotheses(likely(steps)) if one.suspect.name == ALTERED]
+    assert [one.steps for one in found][:2] == [(2, 3), (6, 7)]
+    assert found[0].nats == 0.0  # before the first batch there was none to change
+    for at, one in enumerate(found):
+        assert steps.of_payload((0, *one.steps)) == one.steps
+        assert steps.batches_since(one.steps[0]) == BATCHES - at + 1
+        if at:
+            assert one.nats == pytest.approx(flight.nats((at, 1), (at, 2)), abs=1e-8)
+            weighed = Bank([BODY], SIGMA).weigh(known, [one])
+            for part, wanted in zip(weighed.known(weighed.every[-1]), flight.solved((at, 1), (at, 2)), strict=True):
+                np.testing.assert_allclose(part, wanted, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize(("back", "likeliest"), [(0.0, (2,)), (-1.0, (2, 8))])
@@ -192,7 +217,7 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
     all_kept = [[flight.nats((k, which)) for k in range(BATCHES + 1)] for which in (4, 3)]
     filtered(flight, steps)
     assert len(steps.suspects) == 6
-    alone = steps.changed.nats.diagonal()
+    alone = steps.changed.evidence(steps.suspects)[0].diagonal()
     scales, zeros = alone[::2], alone[1::2]
     for nats, every in ((scales, all_kept[0]), (zeros, all_kept[1])):
         assert all(np.isclose(one, every, atol=1e-8).any() for one in nats)
@@ -204,10 +229,10 @@ def test_of_more_times_than_are_kept_the_newest_and_the_likeliest_stay(
 
 def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as_likely_as_a_wrong_part() -> None:
     predictor: Any = SimpleNamespace(**WITH_A_CELL, period_s=0.01)
-    steps, counts = Steps(predictor), list[int]()
+    steps, counts = Steps(predictor, NO_PAYLOAD), list[int]()
     for _ in range(600):  # batches of ten ticks
         m = steps.changed.D.shape[1]
-        steps.step((np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))), np.eye(5)[:1])
+        steps.step((np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))), np.eye(5)[:1], np.zeros(5))
         counts.append(len(steps.suspects))
     scales_and_zeros = 2
     assert counts[0] == scales_and_zeros
@@ -216,7 +241,7 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     in_a_minute = sum(one.odds for one in steps.suspects[::2])  # each has the odds of those that are left to it
     assert abs(np.log(in_a_minute / ODDS_OF_PART)) < np.log(1.5)
     steps.begin(
-        Changed(np.zeros((5, 80)), np.zeros(80), np.zeros((80, 80)), np.zeros((5, 80)))
+        Changed(np.zeros((5, 80)), np.zeros(80), np.zeros((80, 80)), np.zeros((5, 80))), np.zeros(5)
     )  # of a window of eight seconds
     assert len(steps.suspects) == 8 * scales_and_zeros
     assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)

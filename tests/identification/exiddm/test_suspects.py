@@ -205,7 +205,8 @@ def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predict
     assert rivals.adds(x, P) is None
     of = rivals.steps.suspects
     (k,) = (k for k, one in enumerate(of) if one.at.tolist() == [scale])
-    D, d, J = np.zeros((len(x), len(of))), np.zeros(len(of)), np.zeros((len(of), len(of)))
+    m = sum(one.along.shape[1] for one in of)  # the payload's after all others
+    D, d, J = np.zeros((len(x), m)), np.zeros(m), np.zeros((m, m))
     D[scale, k], d[k], J[k, k] = 0.1, 2e3, 1e4 - 1.0
     rivals.steps.changed = Changed(D, d, J, D.copy())
     step = rivals.adds(x, P)

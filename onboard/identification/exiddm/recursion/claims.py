@@ -22,14 +22,17 @@ _AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by wheth
 }
 
 
-def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False) -> str:
+def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False, *, altered: bool = False) -> str:
     """What a detected change was.
 
     Args:
         before: a payload was held.
         hypothesis: explains the window after it.
         instrument: an instrument was found to be wrong, and is left out of that window.
+        altered: it explains it with a payload a part of which has come off or been added.
     """
+    if altered:
+        return "altered"
     return "instrument" if instrument and hypothesis is not HeldPayload.NEW else _KINDS[before, hypothesis]
 
 

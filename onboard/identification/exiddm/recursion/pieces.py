@@ -6,6 +6,11 @@ unknowns at the window's first tick, the normal equations of a piece about its o
 the window's unknowns as ``T' N T`` and ``T' g``. Few elements of the state change (rate and biases), so T has the ones
 of an identity in all other rows, and only the rows of those few are multiplied. A step inside the window changes
 constants from a piece on; its size is one more unknown.
+
+Steps that may be inside are columns G of derivatives from their times on. Those of an instrument's constants are the
+columns of these constants. A change of the payload at a tick leaves the rate there as it is and moves it later: what
+follows is what another rate and payload at the first tick would have made, ``(-M^-1 N A, A)``, with M and N the
+derivatives of the rate at that tick by the first rate and payload, and A the change.
 """
 
 from typing import NamedTuple
@@ -16,11 +21,12 @@ from scipy.linalg import eigh
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
-from onboard.identification.exiddm.prediction.imu_prediction import PIECE, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, PIECE, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 
 _NO_SIZES = np.zeros(0)
+_FIRST = PAYLOAD.stop  # rate and payload
 _UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
 _AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
 
@@ -41,6 +47,7 @@ class Pieces:
         normal: of what has been predicted, by the unknowns at the first tick and the sizes of steps.
         residual: whitened, predicted less measured, (n, lines); zero for lines that are not used.
         state: (p,) at the last tick predicted.
+        steps: that may be inside.
         transition: (p, a + r) derivative of that by the unknowns at the first tick and the sizes of steps.
         over: all ticks are predicted.
     """
@@ -59,10 +66,12 @@ class Pieces:
         self.state, self._active = state, active
         self.transition = np.pad(np.eye(len(state))[:, active], ((0, 0), (0, r)))
         self.normal = Normal(np.zeros((a + r, a + r)), np.zeros(a + r), 0.0)
-        self.residual, self._steps = np.zeros((ticks, lines)), steps
+        self.residual, self.steps = np.zeros((ticks, lines)), steps
         self._taken, self._sizes = taken, sizes
-        parts, kinds = steps.times + steps.begins, steps.along.shape[1]
+        parts, kinds = steps.times + steps.begins, steps.of_instruments + _FIRST
         each = (kinds, kinds), (kinds,), (kinds, a + r)
+        self._first = np.eye(_FIRST)[:, active[active < _FIRST]].T  # of what is active
+        self._rates = np.zeros((parts, 3, 10))  # M^-1 N where each part begins
         self._of_steps: tuple[FloatArray, ...] = tuple(np.zeros((parts, *shape)) for shape in each)
         self._done, self._left = 0, -(-ticks // PIECE)  # ticks, pieces
 
@@ -102,6 +111,7 @@ class Pieces:
         used = use[first : self._done]
         weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
         residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight
+        gyro = predicted.jacobian[:, :3].copy() if self.steps.times else _NO_SIZES
         jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
         piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
         changing = predictor.changing
@@ -109,11 +119,16 @@ class Pieces:
         half = self._by_first(piece.information, *of_state)
         by_first = self._by_first(half.T, *of_state), self._by_first(piece.gradient, *of_state)
         self.normal = self.normal.plus(Normal(*by_first, piece.squares))
-        if self._steps.times:
-            begin, which = self._steps.starts(first, len(used))
-            for part, *rows in zip(which, *(np.split(x, begin[1:]) for x in (jacobian, residual)), strict=True):
+        if self.steps.times:
+            begin, which = self.steps.starts(first, len(used))
+            for k, part, *rows in zip(
+                begin, which, *(np.split(x, begin[1:]) for x in (jacobian, residual)), strict=True
+            ):
                 H, left = rows[0].reshape(rows[1].size, -1), rows[1].ravel()
-                seen = self._steps.seen(H)
+                if k > 0 or first == part * self.steps.every:  # it begins here
+                    now = self._by_start(gyro[k - 1], *of_state[:2]) if k > 0 else self._of_first(self.transition[RATE])
+                    self._rates[part] = np.linalg.solve(now[:, RATE], now[:, PAYLOAD])
+                seen = np.hstack([self.steps.seen(H), self._by_start(H, *of_state[:2])])
                 told = seen.T @ seen, left @ seen, self._by_first(seen.T @ H, *of_state)
                 for known, more in zip(self._of_steps, told, strict=True):
                     known[part] += more
@@ -127,11 +142,42 @@ class Pieces:
 
         A step is there in the part that begins at its time and all later ones; of two, both are from the later on.
         """
-        products, along, across = (np.cumsum(x[::-1], axis=0)[::-1][self._steps.begins :] for x in self._of_steps)
-        later, kinds = np.arange(len(products)), products.shape[1]
-        both = products[np.maximum(later[:, None], later)].swapaxes(1, 2)
-        m = kinds * len(later)
-        return both.reshape(m, m), along.reshape(m), across.reshape(m, across.shape[2])
+        products, along, across = (np.cumsum(x[::-1], axis=0)[::-1][self.steps.begins :] for x in self._of_steps)
+        later, by = np.arange(len(products)), self._by_steps
+        both = by.swapaxes(1, 2)[:, None] @ products[np.maximum(later[:, None], later)] @ by
+        m = by.shape[2] * len(later)
+        of_each = by.swapaxes(1, 2) @ across
+        return both.swapaxes(1, 2).reshape(m, m), (along[:, None] @ by).reshape(m), of_each.reshape(m, across.shape[2])
+
+    @property
+    def stepped(self) -> FloatArray:
+        """By which steps change the state at the last tick predicted, (p, m)."""
+        n, changed = self.steps.of_instruments, self.steps.changed(len(self.state))
+        each = changed.reshape(len(self.state), self.steps.times, self.steps.along.shape[1])
+        each[:, :, n:] = np.einsum("pk,tkc->ptc", self._of_first(self.transition), self._by_steps[:, n:, n:])
+        return each.reshape(changed.shape)
+
+    @property
+    def _by_steps(self) -> FloatArray:
+        """Of what the parts have columns of, by each time's steps, (times, kinds + 13, kinds + payload's)."""
+        n, changes, times = self.steps.of_instruments, self.steps.payload, self.steps.times
+        out = np.zeros((times, n + _FIRST, n + changes.shape[1]))
+        out[:, :n, :n] = np.eye(n)
+        if changes.size:
+            out[:, n:, n:][:, RATE] = -self._rates[self.steps.begins :] @ changes
+            out[:, n:, n:][:, PAYLOAD] = changes
+        return out
+
+    def _by_start(self, by_state: FloatArray, changing: IndexArray, stays: BoolArray) -> FloatArray:
+        """As :meth:`_by_first`, by the first rate and payload alone, (..., 13)."""
+        few = slice(0, len(self._first))
+        out = np.asarray(by_state[..., changing] @ self.transition[changing, few], np.float64)
+        out += np.where(stays[few], by_state[..., self._active[few]], 0.0)
+        return self._of_first(out)
+
+    def _of_first(self, by_unknowns: FloatArray) -> FloatArray:
+        """Derivative by the first rate and payload, (..., 13), of one by all unknowns; zero by what is not active."""
+        return np.asarray(by_unknowns[..., : len(self._first)] @ self._first, np.float64)
 
     def _by_first(
         self, by_state: FloatArray, changing: IndexArray, stays: BoolArray, steps_at: IndexArray

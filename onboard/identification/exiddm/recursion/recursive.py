@@ -53,7 +53,7 @@ class RecursiveExiddm(Windowed):
 
     def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
-            self.exchanged, self._suspected = False, None
+            self.exchanged, self.altered, self._suspected = False, False, None
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen(self._claim.make(held, self.estimate() is not None), 0)
 
@@ -103,6 +103,7 @@ class RecursiveExiddm(Windowed):
         if self._trials is not None:
             self._trials.take(found)
         elif found is not None or self._grown > 1.0 or self._claim.unseen:  # a change before a wrong instrument
+            self.altered |= found is not None and self._rounds.altered
             self._not_explained() if found is None else self._explained(found, instrument=self._rounds.wrong)
             return
         else:
@@ -156,7 +157,9 @@ class RecursiveExiddm(Windowed):
         """Take in a solved window; ``instrument``: one was found to be wrong."""
         ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
-            self.changes.append(self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument)))
+            self.changes.append(
+                self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument, altered=self.altered))
+            )
             self._suspected = None
         self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
         if len(self._hypotheses) > 1:
@@ -190,7 +193,7 @@ class RecursiveExiddm(Windowed):
         self._start, self.state, self.covariance, self.ticks_used = solved[1:5]
         self.noise_added = solved.noise_added + (solved.hypothesis is HeldPayload.SAME) * self._noise_before
         self.lines.begin(solved.residual)
-        self.rivals.steps.begin(solved.steps)
+        self.rivals.steps.begin(solved.steps, solved.state)
 
     # ------------------------------------------------------------------ a batch, as a step
 
@@ -233,7 +236,7 @@ class RecursiveExiddm(Windowed):
             self._noise_of(ticks, of_samples, batch.sigma, there & seen)
         self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
-        self.rivals.steps.step(innovation.first(used), predicted.transition)
+        self.rivals.steps.step(innovation.first(used), predicted.transition, self.state)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
@@ -253,6 +256,9 @@ class RecursiveExiddm(Windowed):
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
+        if self.held and (back := self.rivals.altered(self.corrected(self.state), self.covariance)) is not None:
+            self._is_altered(back)
+            return
         # an empty arm that seems to be heavier than drawn may hold something: a change decides
         if self.held and (free := self.rivals.freeing(self.corrected(self.state), self.covariance)) is not None:
             self._free(free)
@@ -263,6 +269,14 @@ class RecursiveExiddm(Windowed):
             kept = HeldPayload.SAME if accused.batches else HeldPayload.NEW
             self._reopen((kept if self.held else HeldPayload.NOTHING,), accused.back)
             self._accused = accused
+
+    def _is_altered(self, batches: int) -> None:
+        """A window follows: what the filter knows is linear in a change of the payload, of which the motion is not."""
+        now_s = float(self._pending.time_s[-1])
+        since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
+        self.altered, self._before, self._suspected = True, True, Change("change", now_s, since_s, np.nan)
+        self.changes.append(self._suspected)
+        self._reopen((HeldPayload.SAME,), batches, altered=True)
 
     def _acquit(self, accused: Accusation) -> None:
         """It is a change that the accused instrument has shown; of what kind, the trials may have found."""

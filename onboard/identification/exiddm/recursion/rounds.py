@@ -14,7 +14,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import LEAST_WEIGHT
-from onboard.identification.evidence.bodies import changed
+from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursion.trials import WindowProblem
@@ -45,8 +45,17 @@ class WindowRounds:
 
     @property
     def wrong(self) -> bool:
-        """Something is not as stated in the result."""
-        return self._wrong.wrong
+        """An instrument or the drawing is not as stated in the result."""
+        return bool(self._wrong.free) or self._altered != self._wrong.stepped
+
+    @property
+    def altered(self) -> bool:
+        """The payload changes in the result."""
+        return bool(self._altered)
+
+    @property
+    def _altered(self) -> tuple[int, ...]:
+        return self._rivals.steps.of_payload(self._wrong.stepped)
 
     def forget(self) -> None:
         """The next window has another first tick."""
@@ -64,7 +73,9 @@ class WindowRounds:
         """
         first = self._first or solve
         asked = first.nearest if _exchanged(first) else first.found or (None if disturbed else first.nearest)
-        self.result, self._wrong = (solve, trial) if trial.wrong and self._is_likelier(solve) else (first, _NOTHING)
+        self.result, self._wrong = (
+            (solve, trial) if trial.wrong and self._is_likelier(solve, trial.stepped) else (first, _NOTHING)
+        )
         if trial.wrong or asked is None:
             return None
         if self._first is None and self._rivals.freed:
@@ -75,17 +86,21 @@ class WindowRounds:
         if asked.hypothesis is not HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
             freed, stepped, self._odds = self._rivals.wrong(_corrected(asked), asked.steps)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
-                return WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
+                wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
+                return wrong._replace(about=asked.start)
         return None
 
-    def _is_likelier(self, solve: WindowSolve) -> bool:
+    def _is_likelier(self, solve: WindowSolve, stepped: tuple[int, ...]) -> bool:
         """Whether the window as it was asked for is less likely than this solution, the odds of what is wrong counted.
 
         It is not explained, or has less evidence: the linear model about its solution does not know other minima. That
-        the payload has changed is as likely beforehand as that an instrument has; this one must be far likelier.
+        the payload has changed is as likely beforehand as that an instrument has; this one must be far likelier. A
+        change of the payload inside it must be likelier than any other payload.
         """
         if (found := solve.found) is None or self._first is None or not found.has_mass:
             return False
+        if _exchanged(self._first) and self._first.found is not None and self._rivals.steps.of_payload(stepped):
+            return found.evidence > self._first.found.evidence
         if _exchanged(self._first):
             return bool(found.evidence + np.log(LEAST_WEIGHT) > _if_changed(self._first))
         asked = self._first.found
@@ -97,7 +112,8 @@ class WindowRounds:
         if (found := self.result.found) is not None:
             unexplained = self._stated is None  # as stated
             nats = -np.log(EXPLAINED) if self._stated is None else found.evidence - self._stated.evidence
-            self._rivals.solved(_corrected(found), float(nats), at_least=unexplained)
+            if self.wrong or not self.altered:  # else nothing becomes free
+                self._rivals.solved(_corrected(found), float(nats), at_least=unexplained)
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
         return free
@@ -116,7 +132,8 @@ def _if_changed(solve: WindowSolve) -> float:
     mean, before = solve.prior[0][PAYLOAD], solve.prior[1][PAYLOAD, PAYLOAD]
     if not mean[0] > 0.0:
         return np.inf
-    like = _log_density(told - mean, spread + before + changed(mean))
+    by = changes(mean)
+    like = _log_density(told - mean, spread + before + by @ by.T)
     return solve.found.evidence + like - _log_density(told, spread + np.diag(solve.payload_sigma**2))
 
 

@@ -37,6 +37,7 @@ class WindowProblem(NamedTuple):
     stated: bool = False  # as if nothing were free
     free: tuple[int, ...] = ()  # suspects that may be wrong, besides those that are free
     stepped: tuple[int, ...] = ()  # steps inside it that are there
+    about: FloatArray | None = None  # (p,) a state with the payload that steps change
     start: FloatArray | None = None  # where a solve begins of something that is not, or all, as stated; None: guesses
 
     @property

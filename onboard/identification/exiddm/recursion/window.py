@@ -216,7 +216,7 @@ class WindowSolve:
         ticks, lines = self._use.shape
         (state, sizes), r = self._parted(self._problem.state(x)), len(self._taken.first)
         active = self._problem.active[: len(x) - r]
-        self._pieces = Pieces(state, active, ticks, lines, self._steps, self._taken, sizes)
+        self._pieces = Pieces(state, active, ticks, lines, self._steps.about(state), self._taken, sizes)
 
     def _parted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """State of the vehicle, (p,), and sizes of the steps that are taken, (r,)."""
@@ -391,7 +391,7 @@ class WindowSolve:
             kept = F @ np.asarray(np.linalg.inv(whole.normal.information / _DRIVEN + stated), np.float64) @ F.T
         (products, along, across), informed = whole.of_steps, whole.normal.information + stated
         # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
-        moves, step = np.linalg.solve(informed, across.T), self._steps.changed(len(start))
+        moves, step = np.linalg.solve(informed, across.T), whole.stepped
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
         steps = Changed(step - F @ moves, uphill @ moves - along, products - across @ moves, step)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps

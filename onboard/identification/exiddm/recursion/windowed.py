@@ -7,11 +7,12 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
+from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.innovation import Innovations
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.claims import Claim, at_first
 from onboard.identification.exiddm.recursion.holding import Holding
@@ -46,6 +47,7 @@ class Windowed(Holding):
         changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
+        altered: the payload has changed by what a part that comes off, or is added, makes; or so it seems.
         unexplained: windows that no hypothesis explains.
         undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
         lines: coherent lines in the reference IMU's innovations.
@@ -70,7 +72,8 @@ class Windowed(Holding):
         self._suspected: Change | None = None  # not yet classified
         self._claim, self._none = Claim(), predictor.no_ticks
         self._left: FloatArray | None = None  # by the last one
-        self.exchanged, self.undecided, self.ticks_used, self.glitches = False, "", 0, 0
+        self.exchanged = self.altered = False
+        self.undecided, self.ticks_used, self.glitches = "", 0, 0
         self.changes: list[Change] = []
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
@@ -88,6 +91,7 @@ class Windowed(Holding):
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
         carried = self._prior[0] is not self.initial[0]
         self._of, steps = (ticks, trial), self.rivals.steps.inside(len(seen.time_s) - 2, carried=carried)
+        steps = steps if trial.about is None else steps.about(trial.about)
         if trial.stated or trial.wrong:
             prior = self.rivals.stated(prior) if trial.stated else self.rivals.with_free(prior, trial.free)
             start = trial.start
@@ -120,8 +124,11 @@ class Windowed(Holding):
             one.forget()
         self.snapshots.clear()
 
-    def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None) -> None:
-        """Begin a window with what was known so many batches ago; None: before the first tick."""
+    def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None, *, altered: bool = False) -> None:
+        """Begin a window with what was known so many batches ago; None: before the first tick.
+
+        ``altered``: but for the payload, a part of which has come off or been added.
+        """
         now = self._prior if self.state is None else (self.state, self.covariance)
         self._noise_before, carried = self.noise_added * (batches_back is not None), False
         if batches_back is None:
@@ -129,6 +136,10 @@ class Windowed(Holding):
         elif len(self.snapshots):
             now, self.initial = self.rivals.adopting(*self.snapshots.back(batches_back), self.initial)
             carried = True
+        if altered:
+            by, covariance = changes(now[0][PAYLOAD]), now[1].copy()
+            covariance[PAYLOAD, PAYLOAD] += by @ by.T
+            now = now[0], covariance
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, now, carried=carried)
 

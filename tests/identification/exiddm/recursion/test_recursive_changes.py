@@ -270,3 +270,31 @@ def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
     mass, variance = (part.item(0) for part in weighed.mixed(lambda one: weighed.known(one, PAYLOAD)).known)
     assert mass == pytest.approx(5.0, abs=3.3 * variance**0.5)
     assert variance**0.5 < 0.05
+
+
+@pytest.mark.parametrize(("seed", "noise", "share", "at_s"), [(100, 5.0, 1.08, 4.8), (104, 20.0, 0.82, 6.4)])
+def test_a_payload_that_loses_or_gains_a_part_is_followed_and_no_instrument_is_blamed(seed, noise, share, at_s):
+    """While its motion is so noisy that no change is detected; before, the scales of the IMU were told to be wrong."""
+    rng = np.random.default_rng(seed)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
+    flight.advance(round(at_s / flight.step_s))
+    flight.release()
+    other = free_flyer.Body(share * BOX.mass_kg, BOX.centre_of_mass_m, share * BOX.inertia_kg_m2)
+    flight.capture(other, np.zeros(3), np.zeros(3))
+    flight.advance(round((9.0 - at_s) / flight.step_s))
+    signals = recorded(flight.history, rng)
+    ticks = ticks_of(signals)
+    ticks = ticks._replace(sigma=noise * ticks.sigma)
+    ticks.measured[:] += ticks.sigma * rng.standard_normal(ticks.sigma.shape)
+    recursive = online(signals, imu_prior=PRIOR)
+    for first in range(0, len(ticks.time_s), 10):
+        recursive.update(ticks.part(slice(first, first + 10)))
+    recursive.finish()
+    assert [change.kind for change in recursive.changes] == ["change", "altered"]
+    assert recursive.altered
+    assert not recursive.exchanged
+    weighed = recursive.rivals.weighed(recursive.state, recursive.covariance)
+    assert weighed.names == ()
+    mass, variance = (part.item(0) for part in weighed.mixed(lambda one: weighed.known(one, PAYLOAD)).known)
+    assert mass == pytest.approx(other.mass_kg, abs=3.3 * variance**0.5)
+    assert variance**0.5 < 0.08 * other.mass_kg

@@ -7,6 +7,7 @@ import pytest
 
 from onboard.estimation.maximum_likelihood import Descent
 from onboard.identification.evidence.bank import Bank, Changed
+from onboard.identification.evidence.bodies import CHANGES
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.recursion import pieces
@@ -149,11 +150,12 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
     measured = np.zeros((122, lines))
     measured[1:-1] = true.values + noise[1:-1] * rng.standard_normal(true.values.shape)
     carried = Steps(predictor).inside(120, carried=True)
-    assert (carried.times, carried.taken([0]).first.item(), carried.taken([5]).first.item()) == (6, 0, 20)
+    assert (carried.times, carried.taken([0]).first.item(), carried.taken([10]).first.item()) == (6, 0, 20)
     inside = Steps(predictor).inside(120)
     kinds = inside.along.shape[1]
-    assert (inside.every, inside.times, kinds) == (20, 5, 5)  # scales of gyro, accelerometer and both; the cell's two
-    first, size = np.repeat(inside.every * np.arange(1, 6), kinds), inside.changed(p)
+    of_instruments = 5  # scales of gyro, accelerometer and both; the cell's two
+    assert (inside.every, inside.times, kinds) == (20, 5, of_instruments + CHANGES)
+    first, size = np.repeat(inside.every * np.arange(1, 6), kinds), inside.about(start).changed(p)
 
     def ended(readings):
         window = ticks._replace(measured=readings, sigma=noise)
@@ -163,15 +165,27 @@ def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost
             solve.advance()
         return solve.found
 
+    def with_another_payload(tick, by):
+        before, after = ticks.part(slice(0, tick + 2)), ticks.part(slice(tick, None))
+        until = predictor.predict(before.q, before.dq, before.ddq, start)
+        then = predictor.predict(after.q, after.dq, after.ddq, until.state + by)
+        return np.vstack([until.values, then.values]), then.state
+
     plain, costs = ended(measured), dict[tuple[int, ...], float]()
-    for which in ((0,), (1,), (2,), (3,), (4,), (22,), (23,), (24,), (6,), (1, 6), (3, 23), (4, 24)):
+    instruments = ((0,), (1,), (2,), (3,), (4,), (42,), (43,), (44,), (11,), (1, 11), (3, 43), (4, 44))
+    for which in (*instruments, (5,), (18,), (46,), (5, 46)):
         by = 0.1 / np.sqrt(1.0 + plain.steps.J.diagonal()[[*which]])
         after, of_step = measured.copy(), np.zeros(p)
         for k, one in zip(which, by, strict=True):
-            lines = [slice(0, 3), slice(3, 6), slice(0, 6), slice(-1, None), slice(-1, None)][k % 5]
-            step = np.where(np.arange(120) < first[k], 0.0, one * np.abs(size[:, k]).max())[:, None]
-            after[1:-1, lines] += step * (true.values[:, lines] if k % 5 < 4 else 1.0)  # a scale, a zero
+            if (kind := k % kinds) >= of_instruments:
+                values, state = with_another_payload(first[k], one * size[:, k])
+                after[1:-1] += values - true.values
+                of_step += state - true.state
+                continue
             of_step += one * size[:, k]
+            lines = [slice(0, 3), slice(3, 6), slice(0, 6), slice(-1, None), slice(-1, None)][kind]
+            step = np.where(np.arange(120) < first[k], 0.0, one * np.abs(size[:, k]).max())[:, None]
+            after[1:-1, lines] += step * (true.values[:, lines] if kind < 4 else 1.0)  # a scale, a zero
         found = ended(after)
         costs[which] = found.cost - plain.cost
         moved = (found.state - plain.state) / np.sqrt(np.diag(plain.covariance))
