@@ -62,7 +62,7 @@ class Changed(NamedTuple):
     D: FloatArray  # (p, m) true state less the filter's
     d: FloatArray  # (m,) gradient of the evidence by their sizes
     J: FloatArray  # (m, m) information of these
-    step: FloatArray  # (p, m) what steps
+    step: FloatArray  # (p, c) what those of each time step; but for the payload, which is no suspect's
 
     @staticmethod
     def none(size: int) -> "Changed":
@@ -283,8 +283,9 @@ class Bank:
         """Bayes' rule on the joint state and steps; the priors of the steps stay as they are."""
         (x, P), (U, inner) = known, self._of_these(which)
         D, d, J, step = steps or Changed.none(len(x))
+        times = D.shape[1] // max(step.shape[1], 1)
         # a prior is that of constants before a step
-        PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ (D - step)[self.at]
+        PU, own, along = P[:, self.at] @ U, U.T @ x[self.at], U.T @ (D - np.tile(step, times))[self.at]
         solved = np.linalg.solve(inner + sign * (U.T @ PU[self.at]), np.column_stack([PU.T, along]))
         gain, of_steps = solved[:, : len(x)], sign * solved[:, len(x) :]
         now = x - sign * (own @ gain), P - sign * (PU @ gain)

@@ -126,9 +126,10 @@ class Steps:
         self._along = np.zeros((len(self._at), len(self._of)))
         for columns, one in zip(columns_of(self._what), self._what, strict=True):
             self._along[np.searchsorted(self._at, one.at)[:, None], columns] = one.along
-        for part in (self._at, self._along):
-            part.setflags(write=False)  # a checkpoint names it
         self._of_payload = slice(*np.searchsorted(self._at, [payload.start, payload.stop]).tolist())
+        self._of_each = self.inside(0)._replace(times=1).changed(len(predictor.names))
+        for part in (self._at, self._along, self._of_each):
+            part.setflags(write=False)  # a checkpoint names it
         self.forget()
 
     def forget(self) -> None:
@@ -185,18 +186,18 @@ class Steps:
             told: of its lines ``L^-1 H P``, (lines, p), whitened innovations, (lines,), and ``L^-1 H D``, (lines, m).
             transition: of what changes, (c, p).
         """
-        (D, d, J, stepped), changing = self.changed, self._predictor.changing
+        (D, d, J, of_each), changing = self.changed, self._predictor.changing
         W, e, seen = told
         D = D - W.T @ seen
         D[changing] = transition @ D
-        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen, stepped)
+        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen, of_each)
         self._batches += 1
         if self._batches % _EVERY == 0:
             self._may_be(state)
 
     def _may_be(self, state: FloatArray) -> None:
         """From now on, too; of too many times the least likely but the newest is left to the one after it."""
-        (D, d, J, stepped), each = self.changed, len(self._of)
+        (D, d, J, _), each = self.changed, len(self._of)
         if not each:
             return
         logs, kept = self.changed.evidence(self.suspects)[1], np.arange(len(self._stands))
@@ -208,7 +209,7 @@ class Steps:
         steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
         new = now.about(state).changed(len(D))
         d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
-        self.changed = Changed(np.hstack([D[:, steps], new]), d, J, np.hstack([stepped[:, steps], new]))
+        self.changed = Changed(np.hstack([D[:, steps], new]), d, J, self._of_each)
         self._stands = np.append(self._stands[kept], 1.0)
         self._begun = np.append(self._begun[kept], self._batches)
 

@@ -391,9 +391,9 @@ class WindowSolve:
             kept = F @ np.asarray(np.linalg.inv(whole.normal.information / _DRIVEN + stated), np.float64) @ F.T
         (products, along, across), informed = whole.of_steps, whole.normal.information + stated
         # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
-        moves, step = np.linalg.solve(informed, across.T), whole.stepped
+        moves, of_each = np.linalg.solve(informed, across.T), self._steps._replace(times=1).changed(len(start))
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
-        steps = Changed(step - F @ moves, uphill @ moves - along, products - across @ moves, step)
+        steps = Changed(whole.stepped - F @ moves, uphill @ moves - along, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
         there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
