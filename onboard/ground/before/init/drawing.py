@@ -99,6 +99,12 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     if BASES[base].follows and not urdf_check.base_weighs(drawing):
         text = with_bodies(text, {root: PLACEHOLDER})
         notes.append(f"link {root}, the base, weighed nothing: {PLACEHOLDER.mass_kg:g} kg are put in, yours to correct")
+    if recorded and base == "free" and (wheels := _wheels(whole, measured)):
+        notes.append(
+            f"wheels, joints that turn without an end on the base: {', '.join(wheels)}; of a wheel a speed is "
+            "recorded, no angle, and this file is that of an arm: for a body with wheels begin with --from tudelft "
+            "(docs/free_body.md)"
+        )
     model = VehicleModel(text, VehicleSpec(BASES[base], root))
     last = _hand(whole, measured) if measured else root
     tips = [link for link in whole.group(last) if not whole.below(link) and link not in model.links]
@@ -137,6 +143,14 @@ def _outwards(drawing: urdf_reading.Drawing) -> dict[str, ET.Element]:
             if joint.moves:
                 moving[joint.name] = joint.element
     return moving
+
+
+def _wheels(drawing: urdf_reading.Drawing, measured: Sequence[str]) -> list[str]:
+    """The measured joints, if all of them turn without an end on the root; else none."""
+    base = {
+        joint.name: joint.element.get("type") for link in drawing.group(drawing.root) for joint in drawing.below(link)
+    }
+    return list(measured) if all(base.get(name) == "continuous" for name in measured) else []
 
 
 def _hand(drawing: urdf_reading.Drawing, measured: Sequence[str]) -> str:

@@ -285,6 +285,26 @@ _ONE_JOINT = (
 )
 
 
+@pytest.mark.parametrize(("kind", "told"), [("continuous", True), ("revolute", False)])
+def test_wheels_on_a_free_base_are_no_arm(
+    kind: str, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their speeds are recorded. A file of an arm asks for their angles, which no recording of wheels has."""
+    wheel = (
+        '<link name="wheel"><inertial><mass value="0.1"/><inertia ixx="1e-5" iyy="1e-5" izz="2e-5" ixy="0" ixz="0" '
+        f'iyz="0"/></inertial></link><joint name="spin" type="{kind}"><parent link="body"/><child link="wheel"/>'
+        '<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+    )
+    moments = 'ixx="0.05" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"'
+    body = f'<link name="body"><inertial><mass value="5"/><inertia {moments}/>'
+    drawn = tmp_path / "body.urdf"
+    drawn.write_text(f'<robot name="sat">{body}</inertial></link>{wheel}</robot>')
+    asked = ["init", str(tmp_path / "lab"), "--base", "free", "--urdf", str(drawn), "--encoder", "recorded"]
+    assert cli.main(asked) == cli.OK
+    said = "on the base: spin; of a wheel a speed is recorded, no angle" in capsys.readouterr().out
+    assert said == told
+
+
 def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frames, used, said in (
         ((("Imu_link", "bus"), ("arm_imu", "arm"), ("maximum", "bus")), "Imu_link", "the place of link Imu_link"),
