@@ -379,7 +379,7 @@ class ExiddmIdentifier:
 
     def _unexplained(self) -> int:
         """Largest number of recent changes at any time that no capture and no ejection explained."""
-        times = [one.time_s for one in self.exiddm.changes if one.kind in ("contact", "instrument")]
+        times = [one.time_s for one in self.exiddm.changes if one.kind in ("contact", "instrument", "altered")]
         return max((sum(at - _RECENT_s < other <= at for other in times) for at in times), default=0)
 
     def news(self) -> tuple[Change, ...]:
