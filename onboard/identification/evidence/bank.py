@@ -169,6 +169,15 @@ class Weighed(NamedTuple):
         return root @ one.g, root
 
     @property
+    def of_steps(self) -> "Weighed":
+        """If nothing but steps may be wrong."""
+        some = [one for one in self.every if one.suspect is None or one.steps]
+        of_all = sum(one.weight for one in some)
+        if not of_all > 0.0:  # all the others are likelier by far
+            return self._replace(every=(self.every[0]._replace(weight=1.0),))
+        return self._replace(every=tuple(one._replace(weight=one.weight / of_all) for one in some))
+
+    @property
     def likeliest(self) -> Hypothesis:
         """The one of the largest weight."""
         return max(self.every, key=_WEIGHT)

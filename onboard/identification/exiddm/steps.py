@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, STEPS_PER_HOUR
+from onboard.estimation.policy import LIKELY_SIZE, STEPS_PER_HOUR
 from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
 from onboard.identification.evidence.bodies import CHANGES, EACH, changes
 from onboard.identification.exiddm.prediction.further import FurtherCell
@@ -146,12 +146,12 @@ class Steps:
         times = max((ticks - 2) // every, 0) + carried
         return Inside(self._at, self._along, every, times, int(not carried), self._of_payload)
 
-    def of_window(self, inside: Changed) -> list[Hypothesis]:
+    def of_window(self, inside: Changed, farthest: float) -> list[Hypothesis]:
         """Those of a window, in that order.
 
-        A payload that has changed by far more is another one, under which the window is solved anyway.
+        A payload that has changed by that many sigmas is another one, under which the window is solved anyway.
         """
-        return inside.hypotheses([*self._what] * (len(inside.d) // max(len(self._of), 1)), farthest=FARTHEST_SIZE)
+        return inside.hypotheses([*self._what] * (len(inside.d) // max(len(self._of), 1)), farthest=farthest)
 
     def what(self, which: int) -> Suspect:
         """What one of these columns is of."""
@@ -163,6 +163,11 @@ class Steps:
         self._stands = np.ones(len(inside.d) // max(len(self._of), 1))  # times that each time stands for
         self._begun = np.full(len(self._stands), -1)  # batch after which each is there; -1: in the window
         self._may_be(state)
+
+    @property
+    def altering(self) -> tuple[int, ...]:
+        """The columns of a payload that has changed at the first of the times."""
+        return self.of_payload(range(len(self._of)))
 
     def of_payload(self, which: Iterable[int]) -> tuple[int, ...]:
         """Which of these columns are of the payload."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
+    FARTHEST_SIZE,
     LIKELY_SIZE,
     ODDS,
     ODDS_OF_ALL,
@@ -109,14 +110,23 @@ class Rivals:
         self.freed, self._of = now, _ = tuple(sorted({*before, *numbers})), None
         return partial(self._free, before=before, now=now) if now != before else _as_it_is
 
-    def wrong(self, known: Known, inside: Changed) -> tuple[tuple[int, ...], tuple[int, ...], float]:
+    def wrong(
+        self, known: Known, inside: Changed, *, changed: bool, payload: bool = True
+    ) -> tuple[tuple[int, ...], tuple[int, ...], float]:
         """What is likelier than what a window was solved for, by what is known at its end.
+
+        Args:
+            known: at its end.
+            inside: steps in it.
+            changed: a change was detected before it, of which an error that is there all flight is no reason.
+            payload: also that a part of that has come off or been added.
 
         Returns:
             Suspects, or steps in it; and their odds.
         """
         steps = self._bank.steps_as_stated(known, self.freed, inside) if self.freed else inside
-        weighed = self._bank.weigh(self.stated(known), self.steps.of_window(steps))
+        weighed = self._bank.weigh(self.stated(known), self.steps.of_window(steps, FARTHEST_SIZE if payload else 0.0))
+        weighed = weighed.of_steps if changed else weighed
         one = weighed.likeliest
         already = bool(one.numbers) and set(one.numbers) <= set(self.freed)
         if one.suspect is None or already or not weighed.contradicts:

@@ -5,15 +5,16 @@ half or twice as heavy by it: of 80 flights of a twin with a step of a tenth in 
 times its noise, 42 had the mass outside of its 99.9 % interval, and one where the window is solved under the
 hypothesis, from guesses. Its evidence is that of two solutions, not of the linear model.
 
-A window that is not explained is solved with what contradicts it most, unless something touched the vehicle.
+A window that is not explained is solved with what contradicts it most, unless something touched the vehicle. After a
+change that only another payload explains it is solved with that of before, a part of which has come off or been added.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import LEAST_WEIGHT
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT
 from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
@@ -22,6 +23,7 @@ from onboard.identification.exiddm.recursion.window import EXPLAINED, HeldPayloa
 from onboard.identification.exiddm.suspects import Rivals
 
 _NOTHING = WindowProblem(())
+_Taken = tuple[WindowSolve, WindowProblem]
 
 
 class WindowRounds:
@@ -40,6 +42,8 @@ class WindowRounds:
         self._rivals = rivals
         self._first: WindowSolve | None = None  # of the window, while others of it are under way
         self._stated: Solved | None = None  # the window as stated
+        self._left = list[WindowProblem]()  # yet to be solved
+        self._tried = list[tuple[WindowProblem, WindowSolve]]()
         self.forget()
         self._wrong, self._odds = _NOTHING, 1.0  # what is not as stated in the result, and its odds
 
@@ -73,38 +77,77 @@ class WindowRounds:
         """
         first = self._first or solve
         asked = first.nearest if _exchanged(first) else first.found or (None if disturbed else first.nearest)
-        self.result, self._wrong = (
-            (solve, trial) if trial.wrong and self._is_likelier(solve, trial.stepped) else (first, _NOTHING)
-        )
-        if trial.wrong or asked is None:
+        if trial.wrong:
+            self._tried.append((trial, solve))
+            if not self._left:
+                self.result, self._wrong = self._of_a_change(first) if _exchanged(first) else self._of_an_error(first)
+            return self._left.pop(0) if self._left else None
+        self.result, self._wrong = first, _NOTHING
+        if asked is None:
             return None
         if self._first is None and self._rivals.freed:
             self._first = solve
             return WindowProblem((asked.hypothesis,), stated=True, start=self._stated_start)
         self._first, self._stated = first, None if solve is first and _exchanged(first) else solve.found
         self._stated_start = self._stated_start if self._stated is None else self._stated.start
-        if asked.hypothesis is not HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
-            freed, stepped, self._odds = self._rivals.wrong(_corrected(asked), asked.steps)
+        problems = {(one.free, one.stepped): one for one in self._with_what_is_likelier(first, asked)}
+        self._left = list(problems.values())
+        return self._left.pop(0) if self._left else None
+
+    def _with_what_is_likelier(self, first: WindowSolve, asked: Solved) -> Iterator[WindowProblem]:
+        """The window with what is likelier than what it was solved for; after a change also with an instrument's alone.
+
+        And with the payload of before, a part of which has come off or been added.
+        """
+        if asked.hypothesis is HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
+            return
+        exchanged = _exchanged(first)
+        for any_ in (True, False) if exchanged else (True,):
+            known = _corrected(asked), asked.steps
+            freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=any_)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
                 wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
-                return wrong._replace(about=asked.start)
-        return None
+                yield wrong._replace(about=asked.start)
+        if exchanged:
+            yield WindowProblem((HeldPayload.SAME,), stepped=self._rivals.steps.altering, about=first.prior[0])
 
-    def _is_likelier(self, solve: WindowSolve, stepped: tuple[int, ...]) -> bool:
-        """Whether the window as it was asked for is less likely than this solution, the odds of what is wrong counted.
+    def _of_an_error(self, first: WindowSolve) -> _Taken:
+        """The window with something not as stated, if that is likelier, its odds counted.
 
-        It is not explained, or has less evidence: the linear model about its solution does not know other minima. That
-        the payload has changed is as likely beforehand as that an instrument has; this one must be far likelier. A
-        change of the payload inside it must be likelier than any other payload.
+        The window is not explained as it was asked for, or has less evidence: the linear model about its solution does
+        not know other minima.
         """
-        if (found := solve.found) is None or self._first is None or not found.has_mass:
-            return False
-        if _exchanged(self._first) and self._first.found is not None and self._rivals.steps.of_payload(stepped):
-            return found.evidence > self._first.found.evidence
-        if _exchanged(self._first):
-            return bool(found.evidence + np.log(LEAST_WEIGHT) > _if_changed(self._first))
-        asked = self._first.found
-        return asked is None or bool(found.evidence + np.log(self._odds) > asked.evidence)
+        for trial, solve in self._tried:
+            if (found := solve.found) is not None and found.has_mass:
+                asked = first.found
+                if asked is None or found.evidence + np.log(self._odds) > asked.evidence:
+                    return solve, trial
+        return first, _NOTHING
+
+    def _of_a_change(self, first: WindowSolve) -> _Taken:
+        """What a change was that only another payload explains as stated.
+
+        That the payload has changed is as likely beforehand as that an instrument has: the one that is far likelier
+        counts, or both where they were solved together. A payload of which a part has come off must be likelier than
+        any other payload.
+        """
+        assert first.found is not None
+        kinds: dict[bool | None, tuple[float, _Taken]] = {}  # payload's alone, instrument's alone, both
+        for trial, solve in self._tried:
+            if (found := solve.found) is None or not found.has_mass:
+                continue
+            of_payload = self._rivals.steps.of_payload(trial.stepped)
+            both = bool(of_payload) and of_payload != trial.stepped
+            if of_payload and not (found.evidence > first.found.evidence and _is_part(found, first)):
+                continue
+            kind = None if both else bool(of_payload)
+            if kind not in kinds or found.evidence > kinds[kind][0]:
+                kinds[kind] = found.evidence, (solve, trial)
+        none = -np.inf, (first, _NOTHING)
+        (part, altered), (error, instrument) = kinds.get(True, none), kinds.get(False, none)
+        if error + np.log(LEAST_WEIGHT) > max(_if_changed(first), part):
+            return instrument
+        return altered if part > error - np.log(LEAST_WEIGHT) else kinds.get(None, none)[1]
 
     def settle(self) -> Callable[[Known], Known]:
         """Take in the result; what the constants that are not as stated make of what was known before the window."""
@@ -116,6 +159,7 @@ class WindowRounds:
                 self._rivals.solved(_corrected(found), float(nats), at_least=unexplained)
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
+        self._tried = []
         return free
 
 
@@ -123,6 +167,12 @@ def _exchanged(solve: WindowSolve) -> bool:
     """Whether the window is explained by another payload than the one before, which no gripper takes up unseen."""
     new = solve.found is not None and solve.found.hypothesis is HeldPayload.NEW
     return new and solve.nearest is not None and solve.nearest.hypothesis is HeldPayload.SAME
+
+
+def _is_part(found: Solved, first: WindowSolve) -> bool:
+    """Whether the payload changes by no more than a part of it does."""
+    by = found.state[PAYLOAD] - found.start[PAYLOAD]
+    return bool(np.abs(np.linalg.lstsq(changes(first.prior[0][PAYLOAD]), by)[0]).max() < FARTHEST_SIZE)
 
 
 def _if_changed(solve: WindowSolve) -> float:

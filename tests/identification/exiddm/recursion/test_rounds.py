@@ -16,6 +16,7 @@ from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
 ODDS, OF_PAYLOAD = 0.01, 20  # of what is likelier; steps from this number on are of the payload
+PART = 20, 21
 ASKED = WindowProblem((HeldPayload.SAME, HeldPayload.NEW))
 
 
@@ -26,10 +27,13 @@ class SuspectsThat:
         self.likelier, self.freed = likelier, freed
         self.told: list[tuple[float, bool]] = []
         self.taken_as: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
-        self.steps = SimpleNamespace(of_payload=lambda which: tuple(k for k in which if k >= OF_PAYLOAD))
+        self.steps = SimpleNamespace(of_payload=lambda which: tuple(k for k in which if k >= OF_PAYLOAD), altering=PART)
 
-    def wrong(self, known: object, inside: object) -> tuple[tuple[int, ...], tuple[int, ...], float]:
-        return *self.likelier, ODDS
+    def wrong(
+        self, known: object, inside: object, *, changed: bool, payload: bool = True
+    ) -> tuple[tuple[int, ...], tuple[int, ...], float]:
+        freed, stepped = self.likelier
+        return freed, tuple(k for k in stepped if payload or k < OF_PAYLOAD), ODDS
 
     def taken(self, freed: Sequence[int], stepped: Sequence[int]) -> None:
         self.taken_as.append((tuple(freed), tuple(stepped)))
@@ -179,6 +183,16 @@ def test_a_payload_that_is_not_told_frees_no_constant() -> None:
     assert one.result is first
 
 
+def solved_all(one: WindowRounds, first: Any, *, answers: dict[tuple[int, ...], Any]) -> list[WindowProblem]:
+    """What is solved of a window after a change; by its steps what comes of each."""
+    problems, trial = list[WindowProblem](), one.next(ASKED, first, disturbed=True)
+    while trial is not None:
+        problems.append(trial)
+        assert one.result is first
+        trial = one.next(trial, answers.get(trial.stepped, of(None)), disturbed=True)
+    return problems
+
+
 @pytest.mark.parametrize(
     ("evidence", "before_kg", "taken"),
     [(10.0, 3.0, False), (40.0, 3.0, True), (-12.0, 10.0, False), (40.0, -1.0, False), (None, 3.0, False)],
@@ -191,10 +205,10 @@ def test_another_payload_without_a_release_counts_unless_an_error_with_that_of_b
     suspects = SuspectsThat(((), (0,)))
     found = None if evidence is None else solved(evidence, HeldPayload.SAME)
     one, first, second = rounds(suspects), of(new, same, before_kg), of(found)
-    more = one.next(ASKED, first, disturbed=True)
-    assert more is not None
-    assert more._replace(about=None) == WindowProblem((HeldPayload.SAME,), stepped=(0,))
-    assert one.next(more, second, disturbed=True) is None
+    instrument, part = solved_all(one, first, answers={(0,): second})
+    assert instrument._replace(about=None) == WindowProblem((HeldPayload.SAME,), stepped=(0,))
+    assert part._replace(about=None) == WindowProblem((HeldPayload.SAME,), stepped=PART)
+    assert (instrument.about is same.start, part.about is first.prior[0]) == (True, True)
     assert one.result is (second if taken else first)
     assert one.wrong is taken
     one.settle()
@@ -202,27 +216,49 @@ def test_another_payload_without_a_release_counts_unless_an_error_with_that_of_b
     assert at_least
 
 
-@pytest.mark.parametrize(("stepped", "taken"), [((20, 21), True), ((0, 20, 21), True), ((0,), False)])
-def test_a_payload_of_which_a_part_is_lost_is_one_that_changed_and_no_other(
-    stepped: tuple[int, ...], taken: bool
+@pytest.mark.parametrize(
+    ("instrument", "evidence", "before_kg", "taken"),
+    [
+        *[(None, -9.0, 3.0, True), (None, -11.0, 3.0, False), (-16.0, -9.0, 3.0, True), (-15.0, -9.0, 3.0, False)],
+        *[(None, -9.0, 4.2, True), (None, -9.0, 4.4, False)],
+    ],
+)
+@pytest.mark.parametrize("at", [PART, (30, 31)])
+def test_a_payload_of_which_a_part_came_off_is_told_where_no_instrument_is_nearly_as_likely(
+    at: tuple[int, ...], instrument: float | None, evidence: float, before_kg: float, taken: bool
 ) -> None:
-    """Where that is likelier than any other payload; an instrument's step has to be far likelier than a change."""
-    suspects = SuspectsThat(((), stepped))
-    first = of(solved(-10.0), solved(-900.0, HeldPayload.SAME))
-    one, second = rounds(suspects), of(solved(-9.0, HeldPayload.SAME))
-    more = one.next(ASKED, first, disturbed=True)
-    assert more is not None
-    assert one.next(more, second, disturbed=True) is None
-    assert one.result is (second if taken else first)
+    """It is likelier than any other payload, and has lost no more than 30 %; at the first time or at a later one."""
+    suspects = SuspectsThat(((), (0,) if at == PART else at))
+    one, first = rounds(suspects), of(solved(-10.0), solved(-900.0, HeldPayload.SAME), before_kg)
+    found = solved(evidence, HeldPayload.SAME)
+    found.state[PAYLOAD] = standard_of(RigidBody(3.0, np.zeros(3), 0.02 * np.eye(3)))
+    found = found._replace(start=np.concatenate([np.zeros(PAYLOAD.start), first.prior[0][PAYLOAD]]))
+    step = of(None if instrument is None or at != PART else solved(instrument, HeldPayload.SAME))
+    solved_all(one, first, answers={(0,): step, at: of(found)})
+    taken |= at != PART and instrument == -15.0  # of which nothing said that it is likely
     assert one.altered is taken
-    assert one.wrong is (taken and 0 in stepped)
+    assert (one.result is first) is not taken
+    assert not one.wrong
     one.settle()
-    assert len(suspects.told) == (stepped != (20, 21))  # else nothing becomes free
-    less = rounds(suspects)
-    assert less.next(ASKED, first, disturbed=True) is not None
-    assert less.next(more, of(solved(-11.0, HeldPayload.SAME)), disturbed=True) is None
-    assert less.result is first
-    assert not less.altered
+    assert len(suspects.told) == (not taken)  # nothing becomes free
+
+
+@pytest.mark.parametrize(("alone", "taken"), [(None, True), (-9.0, True), (20.0, False)])
+def test_where_it_cannot_be_told_a_part_may_have_come_off_and_an_instrument_changed(
+    alone: float | None, taken: bool
+) -> None:
+    """Solved together, unless the instrument alone is far likelier."""
+    suspects = SuspectsThat(((), (0, *PART)))
+    one, first = rounds(suspects), of(solved(-10.0), solved(-900.0, HeldPayload.SAME))
+    both, instrument = (
+        of(solved(-8.0, HeldPayload.SAME)),
+        of(None if alone is None else solved(alone, HeldPayload.SAME)),
+    )
+    problems = solved_all(one, first, answers={(0, *PART): both, (0,): instrument})
+    assert [one.stepped for one in problems] == [(0, *PART), (0,), PART]
+    assert one.result is (both if taken else instrument)
+    assert one.altered is taken
+    assert one.wrong
 
 
 def test_a_payload_taken_up_from_nothing_is_none_exchanged() -> None:
