@@ -227,6 +227,38 @@ def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predict
     assert rivals.adopting((mean, covariance), None, before) == ((mean, covariance), before)
 
 
+def steps_of(rivals: Rivals, **told: float) -> Changed:
+    """Of the first time: by its suspect, what a step of one sigma of it is in the sigmas of what tells of it."""
+    m = sum(one.along.shape[1] for one in rivals.steps.suspects)
+    d, J = np.zeros(m), np.eye(m) * 1e4
+    for which in range(m):
+        if (name := rivals.steps.what(which).name.split()[-1]) in told:
+            d[which] = told.pop(name) * 1e2
+    return rivals.steps.changed._replace(D=np.zeros((len(rivals.steps.changed.D), m)), d=d, J=J)
+
+
+def test_after_a_change_what_is_wrong_all_flight_is_no_reason_for_it(predictor: ImuPredictor) -> None:
+    rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    x[scale], P[scale, scale] = 20.0 * P[scale, scale] ** 0.5, 1e-8
+    inside = steps_of(rivals, load_cell=15.0)
+    freed, stepped, _ = rivals.wrong((x, P), inside, changed=False)
+    assert freed
+    assert stepped == ()
+    freed, stepped, _ = rivals.wrong((x, P), inside, changed=True)
+    assert freed == ()
+    assert [rivals.steps.what(k).name for k in stepped] == ["a step of load_cell"]
+
+
+def test_the_payload_has_changed_where_nothing_else_is_likely(predictor: ImuPredictor) -> None:
+    rivals = Rivals(predictor)
+    known = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    for told, since in (({}, False), ({"payload": 16.3}, True), ({"payload": 16.3, "load_cell": 15.0}, False)):
+        rivals.steps.changed = steps_of(rivals, **told)
+        assert (rivals.altered(*known) is not None) is since
+    assert {"a change of the payload", "a step of load_cell"} <= set(rivals.weighed(*known).names)
+
+
 def test_a_base_s_centre_of_mass_is_off_by_a_tenth_of_the_rms_distance_of_its_mass(predictor: ImuPredictor) -> None:
     base = [one for one in suspects_of(predictor) if one.name == "base"][3]
     first = 10 * predictor.vehicle.links.index("base")
