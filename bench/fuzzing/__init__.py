@@ -10,8 +10,9 @@ DECODERS = (
 I2C = ("nau7802", "as5600", "as5048", "icm20948", "bmi088", "bmi088_spi")
 LINES = ("hx711",)
 AXES = ("odrive",)
+WRISTS = ("robotous_rft",)
 FILES = ("vehicle", "urdf", "segments", "log", "recover", "import")
-NAMES = DECODERS + I2C + LINES + AXES + FILES
+NAMES = DECODERS + I2C + LINES + AXES + WRISTS + FILES
 
 
 class Target(NamedTuple):
@@ -42,6 +43,10 @@ def target(name: str) -> Target:
         from bench.fuzzing import axes  # noqa: PLC0415
 
         return Target(axes.odrive, axes.SEEDS, 1 << 10)
+    if name in WRISTS:
+        from bench.fuzzing import wrist  # noqa: PLC0415
+
+        return Target(wrist.robotous, wrist.SEEDS, 1 << 10)
     if name in LINES:
         from bench.fuzzing import lines  # noqa: PLC0415
 

@@ -162,6 +162,11 @@ class StreamedDevice(BusDevice):
         sigma_ms = math.hypot(sigma_ms, self.poll_period_ms / math.sqrt(12.0))
         return 1e6 * (latency_ms + 0.5 * self.poll_period_ms), 1e6 * sigma_ms
 
+    def arrival_ns(self, around: Surroundings) -> tuple[float, float]:
+        """``delay_ns`` on its bus."""
+        del around
+        return self.delay_ns
+
     def channels(self, name: str) -> Channels:
         """See ``DeviceSection``."""
         return dict.fromkeys(self.parts(name), SCALAR)
@@ -170,12 +175,12 @@ class StreamedDevice(BusDevice):
         """See ``DeviceSection``: the first channel of the instrument leads."""
         first, leader = next(iter(around.devices_on(self.bus).items()))
         leads = next(iter(leader.channels(first)))
-        free: dict[str, ChannelClock] = {leads: FreeChannel(self.tick_ns, *self.delay_ns)} if first == name else {}
-        return {**dict.fromkeys(self.channels(name), FollowerChannel(leads)), **free}
+        clocks: dict[str, ChannelClock] = dict.fromkeys(self.channels(name), FollowerChannel(leads))
+        return clocks | ({leads: FreeChannel(self.tick_ns, *self.arrival_ns(around))} if first == name else {})
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""
-        delay_ns, sigma_ns = self.delay_ns
+        delay_ns, sigma_ns = self.arrival_ns(around)
         cause = f"{self.bus}: from time stamp to package, and till the port is read; the same for all on it"
         common = [Delay(channel, "", 1e-9 * delay_ns, 1e-9 * sigma_ns, cause) for channel in self.channels(name)]
         return [*super().delays(name, around), *common]

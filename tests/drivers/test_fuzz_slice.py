@@ -32,6 +32,7 @@ EXECUTIONS = {  # about 1 s each, most of it the trace function
     "bmi088_spi": 60,
     "hx711": 60,
     "odrive": 60,
+    "robotous_rft": 120,
     "vehicle": 12,
     "urdf": 30,
     "segments": 60,

@@ -21,6 +21,7 @@ from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.devices.net_box import HexBox, NetBox
 from hil_sim.devices.odrive import OdriveTwin
+from hil_sim.devices.robotous_rft import RftTwin
 from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
@@ -127,6 +128,7 @@ class MixedWorld:
             "tty_tracker": bus_tables.SerialBusTable(kind="serial", baud_rate=230_400),
             "tty_servos": bus_tables.SerialBusTable(kind="serial", baud_rate=1_000_000),
             "tty_wrist": bus_tables.SerialBusTable(kind="serial", baud_rate=460_800),
+            "tty_finger": bus_tables.SerialBusTable(kind="serial", baud_rate=115_200),
             "odrives": bus_tables.CanBusTable(kind="can", bit_rate=250_000),
             "robot": bus_tables.TcpBusTable(kind="tcp"),
             "box": bus_tables.UdpBusTable(kind="udp"),
@@ -178,6 +180,7 @@ class MixedWorld:
         bus["odrives"].add(OdriveTwin(5, wave, torque, RateClock(1e-4), START_NS, turns=8.0, zero_rev=2.0**-8))
         self.palm = BotaTwin({4: (Analog(force_n), 30.0)}, RateClock(-2e-4), START_NS)
         bus["tty_wrist"].add(self.palm)
+        bus["tty_finger"].add(RftTwin({3: (Analog(force_n), 30.0)}, RateClock(3e-4), START_NS))
         for identifier, zero in ((1, 2048), (2, 1000)):
             wave, torque = Analog(angle(5 + identifier)), Analog(dithered(TORQUE_N_M, 0.02))
             servo = DynamixelTwin(wave, torque, START_NS, identifier=identifier, zero_count=zero)

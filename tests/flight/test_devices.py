@@ -122,7 +122,7 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
         if joint.channel == "robot_8":  # by arrivals alone: two of its sigmas
             a_count_rad = 2e-9 * flying.file.device["robot_8"].delay_ns[1] * 0.6
         assert measured == pytest.approx(true, abs=a_tenth_of_a_millisecond_rad + a_count_rad), joint.channel
-    assert len(roles.cells) == 10
+    assert len(roles.cells) == 11
     for cell in roles.cells:
         found = signal(cell.channel, at_ns)
         assert (found.refused == 0).all(), cell.channel

@@ -216,6 +216,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
         "flange",
         "hand",
         "palm",
+        "finger",
         "bridge",
         "wing",
         "wrist_force",

@@ -22,7 +22,6 @@ numbers as text, another speed, chopping and fast settling are not here and refu
 
 import re
 import struct
-from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
@@ -30,17 +29,9 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 
 from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.serial_line.serial_twin import SerialTwin
+from hil_sim.devices.serial_line.serial_twin import ComponentsTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import (
-    CLOCK_KINDS,
-    INPUT_KINDS,
-    NO_FAULTS,
-    DeviceFaults,
-    FaultKind,
-    FaultyClock,
-    FaultyScalar,
-)
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
@@ -66,7 +57,7 @@ def _crc(data: bytes) -> int:
     return crc ^ 0xFFFF
 
 
-class BotaTwin(SerialTwin):
+class BotaTwin(ComponentsTwin):
     """One sensor.
 
     Args:
@@ -95,34 +86,14 @@ class BotaTwin(SerialTwin):
         seed: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(line, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *CLOCK_KINDS))
-        self.samples = 0  # since a client first had it run
-        self.leader = self
-        self._was_asked = False
-        self._inputs = dict(inputs)
-        self._clock = FaultyClock(clock, faults)
+        super().__init__(inputs, clock, line, start_ns, faults)
+        self._was_asked = False  # by a client, to run
         self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
         self._rng = np.random.default_rng([seed, 0x424F])
         self._calibration, self._sinc = self._saved = _SAVED
         self._heard = b""
         self._runs = False
         self._powered_chip_ns = self._next_chip_ns = 0
-
-    @property
-    def produced(self) -> int:
-        """Frames that it had to send to a client who had it run."""
-        return self.leader.samples
-
-    def join(self, other: "BotaTwin") -> None:
-        """Take over the inputs and faults of another table of the same device."""
-        other.leader = self
-        self._inputs |= other._inputs
-        kinds, windows = self._faults.possible, (*self._faults.windows, *other._faults.windows)
-        self._faults = DeviceFaults(self._faults.device, windows).require(*kinds)
-        self._is_faulty = bool(windows)
-        for cycle in other._faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
-        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
 
     def _power_up(self, now_ns: int) -> None:
         self._powered_chip_ns = self._clock.chip_ns(now_ns)

@@ -242,6 +242,21 @@ def test_a_wrist_sensor_on_a_line_is_known_by_a_frame() -> None:
     assert not list(scan.on_line(Line(said[:-1] + b"\0", unasked=True), at_once, "serial"))
 
 
+class Named(Line):
+    """A sensor of Robotous: it answers the question for its model's name."""
+
+    def write(self, data: bytes, /) -> int:
+        return super().write(data) if data == bytes.fromhex("550100000000000000 01AA") else len(data)
+
+
+def test_a_wrist_sensor_on_a_line_is_known_by_the_name_of_its_model() -> None:
+    said = b"\x01RFT40-SA01".ljust(16, b"\0")
+    packet = b"\x55" + said + bytes([sum(said) & 0xFF, 0xAA])
+    six = list(scan.on_line(Named(packet), at_once, "serial"))
+    assert [(one.kind, one.number) for one in six] == [("robotous_rft", n) for n in range(1, 7)]
+    assert not list(scan.on_line(Named(packet[:-1] + b"\0"), at_once, "serial"))
+
+
 def test_odrives_are_known_by_what_they_send_and_nobody_is_asked_beside_them() -> None:
     """Node 48: an SDO read of CANopen node 7 would be its command to change its state."""
     port = FakeCan()

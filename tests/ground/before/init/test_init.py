@@ -46,7 +46,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
         alone = encoder == "recorded" and cell == "none" and needs_cell
         torques = 2 if (encoder in ("cia402", "dynamixel", "odrive", "ur_joint") and wanted_torques) or alone else 0
-        cells = 6 if cell in ("bota_ft", "net_ft", "onrobot_hex", "ur_wrench") else int(cell != "none")
+        cells = 6 if cell in ("bota_ft", "net_ft", "onrobot_hex", "robotous_rft", "ur_wrench") else int(cell != "none")
         given = {encoder, *({imu, cell} - {"none"})}
         mixed = "recorded" in given and len(given) > 1
         if mixed or (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
@@ -68,7 +68,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
             schema.validate(tree)
             valid |= new
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
-    assert refused == {"free": 318, "planar": 318, "prescribed": 343, "fixed": 256}[base]
+    assert refused == {"free": 343, "planar": 343, "prescribed": 368, "fixed": 272}[base]
 
 
 def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
@@ -162,7 +162,11 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
 
 
 @pytest.mark.parametrize(
-    ("cell", "bus"), [("bota_ft", "tty_wrist"), ("net_ft", "box"), ("onrobot_hex", "box"), ("ur_wrench", "robot")]
+    ("cell", "bus"),
+    [
+        *(("bota_ft", "tty_wrist"), ("net_ft", "box"), ("onrobot_hex", "box"), ("robotous_rft", "tty_wrist")),
+        ("ur_wrench", "robot"),
+    ],
 )
 def test_a_wrist_sensor_is_six_devices_each_along_its_own_axis(cell: str, bus: str, tmp_path: Path) -> None:
     make(NewVehicle("it", "fixed", ("a", "b"), "none", "ur_joint", cell), tmp_path)
