@@ -123,12 +123,15 @@ def _connect(address: tuple[str, int], *arguments: Any, **options: Any) -> Any:
 class ListeningTcp:
     """A port of this computer; a :class:`HostEnd`.
 
+    Args:
+        port: Its number; 0: any that is free.
+
     Attributes:
         address: Host and port.
     """
 
-    def __init__(self) -> None:
-        self._listener: socket.socket | None = socket.create_server(("127.0.0.1", 0))
+    def __init__(self, port: int = 0) -> None:
+        self._listener: socket.socket | None = socket.create_server(("127.0.0.1", port))
         self._listener.setblocking(False)
         self.address: tuple[str, int] = self._listener.getsockname()
         self._client: socket.socket | None = None

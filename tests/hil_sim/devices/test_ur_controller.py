@@ -1,8 +1,11 @@
 """Clients of others against the simulated UR controller, over a real socket; what it says byte for byte."""
 
 import contextlib
+import importlib.util
 import itertools
 import struct
+import subprocess
+import sys
 import time
 
 import pytest
@@ -23,10 +26,10 @@ INPUTS = {
 
 
 @contextlib.contextmanager
-def served(start_ns=None, **how):
+def served(start_ns=None, port=0, **how):
     """Its port, while a thread serves it on the real clock."""
     start_ns = time.monotonic_ns() if start_ns is None else start_ns
-    listener = ListeningTcp()
+    listener = ListeningTcp(port)
     bus = NetworkBus(listener)
     bus.add(UrController(INPUTS, RateClock(start_ns=start_ns), start_ns, **how))
     with contextlib.closing(listener), RealTime(bus):
@@ -54,6 +57,35 @@ def test_universal_robots_own_client_reads_it():
         assert (state.robot_mode, state.safety_status_bits) == (7, 1)
     steps = [after.timestamp - before.timestamp for before, after in itertools.pairwise(states)]
     assert steps == pytest.approx([0.008] * 19, abs=1e-9)
+
+
+READ_BY_UR_RTDE = """
+import rtde_receive
+
+names = ["timestamp", "actual_q", "actual_current", "ft_raw_wrench", "robot_mode", "safety_status_bits"]
+client, times = rtde_receive.RTDEReceiveInterface("127.0.0.1", 125.0, names), []
+while len(times) < 50:
+    if (now := client.getTimestamp()) not in times[-1:]:
+        times.append(now)
+values = client.getActualQ(), client.getActualCurrent(), client.getFtRawWrench(), client.getRobotMode()
+print("read:", *values, *times, sep=";")
+client.disconnect()
+"""
+
+
+def test_sdu_s_client_reads_it():
+    """In a process of its own: it holds the interpreter while it waits; and its port is always the controller's."""
+    if importlib.util.find_spec("rtde_receive") is None:
+        pytest.skip("pip install ur_rtde==1.6.5")
+    with served(port=30004):
+        command = [sys.executable, "-c", READ_BY_UR_RTDE]
+        said = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout
+    _, q, current, wrench, mode, *times = next(line for line in said.splitlines() if "read:" in line).split(";")
+    assert q == current == wrench == str(SIX)
+    assert int(mode) == 7
+    steps = [float(after) - float(before) for before, after in itertools.pairwise(times)]
+    assert min(steps) == pytest.approx(0.008, abs=1e-9)
+    assert all(step == pytest.approx(0.008 * round(step / 0.008), abs=1e-9) for step in steps)  # some may be missed
 
 
 class Session:
