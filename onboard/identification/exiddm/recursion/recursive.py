@@ -83,6 +83,9 @@ class RecursiveExiddm(Windowed):
                 return
             solve = self._rounds.result
             self._free_before(self._rounds.settle())
+            if self._rounds.altered and not self.altered:
+                self.altered, (since_s, *_, now_s) = True, self._of[0].time_s.tolist()
+                self.changes += [] if self._suspected else [Change("altered", now_s, since_s, np.nan)]
         found, self._left = solve.found, solve.left
         self._linearised.forget()
         if self._stepped is not None and self._earlier is not None:
@@ -103,7 +106,6 @@ class RecursiveExiddm(Windowed):
         if self._trials is not None:
             self._trials.take(found)
         elif found is not None or self._grown > 1.0 or self._claim.unseen:  # a change before a wrong instrument
-            self.altered |= found is not None and self._rounds.altered
             self._not_explained() if found is None else self._explained(found, instrument=self._rounds.wrong)
             return
         else:
@@ -157,10 +159,10 @@ class RecursiveExiddm(Windowed):
         """Take in a solved window; ``instrument``: one was found to be wrong."""
         ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
-            self.changes.append(
-                self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument, altered=self.altered))
-            )
-            self._suspected = None
+            altered = self._part or self._rounds.altered
+            kind = kind_of(bool(self._before), hypothesis, instrument, altered=altered)
+            self.changes.append(self._suspected._replace(kind=kind))
+            self._suspected, self._part = None, False
         self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
         if len(self._hypotheses) > 1:
             self.exchanged = hypothesis is HeldPayload.NEW and self._before is True
@@ -274,7 +276,8 @@ class RecursiveExiddm(Windowed):
         """A window follows: what the filter knows is linear in a change of the payload, of which the motion is not."""
         now_s = float(self._pending.time_s[-1])
         since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
-        self.altered, self._before, self._suspected = True, True, Change("change", now_s, since_s, np.nan)
+        self.altered = self._before = self._part = True
+        self._suspected = Change("change", now_s, since_s, np.nan)
         self.changes.append(self._suspected)
         self._reopen((HeldPayload.SAME,), batches, altered=True)
 

@@ -72,7 +72,7 @@ class Windowed(Holding):
         self._suspected: Change | None = None  # not yet classified
         self._claim, self._none = Claim(), predictor.no_ticks
         self._left: FloatArray | None = None  # by the last one
-        self.exchanged = self.altered = False
+        self.exchanged = self.altered = self._part = False  # the last: a part of the payload may be off since then
         self.undecided, self.ticks_used, self.glitches = "", 0, 0
         self.changes: list[Change] = []
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)

@@ -272,9 +272,16 @@ def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
     assert variance**0.5 < 0.05
 
 
-@pytest.mark.parametrize(("seed", "noise", "share", "at_s"), [(100, 5.0, 1.08, 4.8), (104, 20.0, 0.82, 6.4)])
-def test_a_payload_that_loses_or_gains_a_part_is_followed_and_no_instrument_is_blamed(seed, noise, share, at_s):
-    """While its motion is so noisy that no change is detected; before, the scales of the IMU were told to be wrong."""
+@pytest.mark.parametrize(
+    ("seed", "noise", "share", "at_s", "told"),
+    [
+        (100, 5.0, 1.08, 4.8, ["change", "altered"]),
+        (104, 20.0, 0.82, 6.4, ["change", "altered"]),
+        (503, 5.0, 1.14, 3.2, ["altered"]),  # while its first seconds are solved as a window
+    ],
+)
+def test_a_payload_that_loses_or_gains_a_part_is_followed_and_no_instrument_is_blamed(seed, noise, share, at_s, told):
+    """Where no change is detected; before, the scales of the IMU were told to be wrong."""
     rng = np.random.default_rng(seed)
     flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
     flight.advance(round(at_s / flight.step_s))
@@ -290,7 +297,7 @@ def test_a_payload_that_loses_or_gains_a_part_is_followed_and_no_instrument_is_b
     for first in range(0, len(ticks.time_s), 10):
         recursive.update(ticks.part(slice(first, first + 10)))
     recursive.finish()
-    assert [change.kind for change in recursive.changes] == ["change", "altered"]
+    assert [change.kind for change in recursive.changes] == told
     assert recursive.altered
     assert not recursive.exchanged
     weighed = recursive.rivals.weighed(recursive.state, recursive.covariance)
