@@ -10,8 +10,9 @@ heft_env test
 cd "$root"
 [ $# -eq 0 ] || exec "$heft_venv/bin/python" -m pytest "$@"
 
-said=$(mktemp -d) beside='' most=''
-trap 'trap "" INT TERM HUP PIPE; kill $beside $most 2>/dev/null || :; rm -rf "$said"' EXIT
+said=$(mktemp -d)
+# also a part that was begun and whose number is not taken yet
+trap 'trap "" INT TERM HUP PIPE; jobs -p >"$said/parts"; kill $(cat "$said/parts") 2>/dev/null || :; rm -rf "$said"' EXIT
 trap 'exit 130' INT TERM HUP PIPE
 code=0 began=$(date +%s)
 tests() {    # a part, in the background; one that hangs beyond each test's own limit is ended, and has failed
@@ -29,11 +30,9 @@ tests nice -n 10 "$python" -m pytest -m 'not realtime' --numprocesses auto --dis
     >"$said/shown" &
 most=$!
 wait "$beside" || echo $? >"$said/code"    # a signal ends a wait, and no pipe
-beside=
 [ -z "${HEFT_REALTIME_OVER:-}" ] || : >"$HEFT_REALTIME_OVER"
 wait "$most" || echo $? >"$said/code"
 wait "$shown"
-most=
 printf '\n-- real time\n'
 cat "$said/realtime"
 tail -qn 1 "$said/cores" "$said/realtime" >"$said/last"
