@@ -10,7 +10,8 @@ the window grows until it determines the mass.
 
 At a change the estimates of rate and payload are reset, all others are kept, and a new window begins. The hypothesis
 that fits that window classifies it: nothing held (an ejection, or a contact if nothing was), the same payload (a
-contact), a payload where nothing was held (a capture), or another payload without a release (an instrument's change).
+contact), that payload with a part lost or added, a payload where nothing was held (a capture), or another payload
+without a release (an instrument's change).
 
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 
@@ -259,7 +260,7 @@ class RecursiveExiddm(Windowed):
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
         if self.held and (back := self.rivals.altered(self.corrected(self.state), self.covariance)) is not None:
-            self._is_altered(back)
+            self._begin_altered(back)
             return
         # an empty arm that seems to be heavier than drawn may hold something: a change decides
         if self.held and (free := self.rivals.freeing(self.corrected(self.state), self.covariance)) is not None:
@@ -272,7 +273,7 @@ class RecursiveExiddm(Windowed):
             self._reopen((kept if self.held else HeldPayload.NOTHING,), accused.back)
             self._accused = accused
 
-    def _is_altered(self, batches: int) -> None:
+    def _begin_altered(self, batches: int) -> None:
         """A window follows: what the filter knows is linear in a change of the payload, of which the motion is not."""
         now_s = float(self._pending.time_s[-1])
         since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s

@@ -102,9 +102,9 @@ class WindowRounds:
         if asked.hypothesis is HeldPayload.NOTHING:  # an empty arm that seems heavy may hold something
             return
         exchanged = _exchanged(first)
-        for any_ in (True, False) if exchanged else (True,):
+        for payload in (True, False) if exchanged else (True,):
             known = _corrected(asked), asked.steps
-            freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=any_)
+            freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=payload)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
                 wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
                 yield wrong._replace(about=asked.start)
