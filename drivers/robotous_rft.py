@@ -15,19 +15,19 @@ pause they are counted by the time passed. Known limits: whole packets that vani
 not seen; the sensor's delay is not published.
 """
 
-import contextlib
 import math
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import NamedTuple
 
 import numpy as np
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import SerialPort, Station
-from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.records import SampleStatus, Severity
+from drivers.serial_line.device import MS, Clock, OpenPort, ReceivedBytes
+from drivers.serial_line.frames import FrameSplitter, frames_heard
+from drivers.serial_line.scalars import ScalarStream, StreamConfig, WrenchChannel
 
 SOP, EOP, PACKET_BYTES = 0x55, 0xAA, 19
 NAME, SET_FILTER, FILTER, START, STOP, SET_RATE, RATE, BIAS = 1, 8, 9, 11, 12, 15, 16, 17
@@ -47,23 +47,13 @@ UNBIASED_NS = 200 * MS  # from bias off to the first valid sample: as long as cl
 LATE_NS = 50 * MS  # three times the 16 ms for which an FTDI adapter holds bytes: a longer pause has lost packets
 
 
-class RftChannel(NamedTuple):
-    """A channel of SCALAR rows: which component, 0 to 2 force along x, y, z, 3 to 5 moment about them."""
-
-    channel: str
-    component: int
-    unit: str
-
-
 @dataclass(frozen=True)
-class RftConfig:
+class RftConfig(StreamConfig):
     """How a sensor is read.
 
     Attributes:
         rate_hz: Packets a second: 10, 20, 50, 100, 200, 333, 500 or 1000; set and stored where it has another.
         counts_per_N_m: Divider of its model: 2000 or 1000.
-        poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Time without a packet after which the port is reopened, and the sensor set up anew.
 
     Raises:
         ConfigurationError: A rate that it has not.
@@ -71,8 +61,6 @@ class RftConfig:
 
     rate_hz: float = 200.0
     counts_per_N_m: float = 2000.0  # noqa: N815
-    poll_period_ms: float = 2.0
-    silence_ms: float = 1000.0
 
     def __post_init__(self) -> None:
         if self.rate_hz not in RATES:
@@ -99,46 +87,9 @@ def decode_packet(data: bytes) -> bytes:
     return field
 
 
-class RftStream:
-    """Splits a byte stream into data fields: ``receive`` bytes, then ``take`` until it returns None.
-
-    ``take`` raises nothing but ``FrameError``.
-
-    Attributes:
-        discarded: Bytes that belonged to no packet, in all.
-    """
-
-    def __init__(self) -> None:
-        self.discarded = 0
-        self._buffer = b""
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self._buffer += data
-
-    @property
-    def waiting(self) -> int:
-        """Bytes that are not taken yet."""
-        return len(self._buffer)
-
-    def take(self) -> bytes | None:
-        """The next data field; None when more bytes are needed.
-
-        Raises:
-            FrameError: No packet at this place; bytes that cannot begin one were discarded, call ``take`` again.
-        """
-        if not self._buffer or (self._buffer[0] == SOP and len(self._buffer) < PACKET_BYTES):
-            return None
-        try:
-            field = decode_packet(self._buffer[:PACKET_BYTES])
-        except FrameError as error:
-            place = self._buffer.find(SOP, 1)
-            skipped = len(self._buffer) if place < 0 else place
-            self._buffer = self._buffer[skipped:]
-            self.discarded += skipped
-            raise FrameError(f"{error}; {skipped} bytes skipped") from None
-        self._buffer = self._buffer[PACKET_BYTES:]
-        return field
+def rft_stream() -> FrameSplitter[bytes]:
+    """Splits a byte stream into data fields."""
+    return FrameSplitter(SOP, lambda _: PACKET_BYTES, decode_packet)
 
 
 class _RefusedError(Exception):
@@ -152,7 +103,7 @@ class _Phase(Enum):
     RUNNING = auto()
 
 
-class RobotousRft(SerialDevice):
+class RobotousRft(ScalarStream[WrenchChannel]):
     """Components of a sensor as SCALAR rows; all of a packet have its number, which is ``tick``, too.
 
     ``device_status`` is the overload byte. ``status`` is SATURATED where a component is overloaded, for all of them
@@ -173,44 +124,28 @@ class RobotousRft(SerialDevice):
     def __init__(
         self,
         name: str,
-        channels: Sequence[RftChannel],
+        channels: Sequence[WrenchChannel],
         open_port: OpenPort,
         clock: Clock,
         config: RftConfig | None = None,
     ) -> None:
         self.config = RftConfig() if config is None else config
-        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
-        self._channels = {one.channel: one for one in channels}
-        if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(
-                f"{name}: channels {[each.channel for each in channels]}: give them different names"
-            )
-        self._sample_ns = 1e9 / self.config.rate_hz
-        self._stream = RftStream()
+        super().__init__(name, channels, open_port, clock, self.config)
+        self._stream = rft_stream()
         self._discarded = 0  # by the stream, up to the last packet
         self._phase = _Phase.STOPPING
         self._questions = self._set_up()
         self._asked = STOP
         self._due_ns = self._unbiased_ns = 0
-        self._next = 0  # number of the next row, if none is lost before it
         self._last_ns: int | None = None  # arrival of the last packet
-        self._was_down = self._was_set_up = False  # since the last packet
-        self._status = 0
-
-    @property
-    def channels(self) -> Channels:
-        """See ``SerialDevice``."""
-        return dict.fromkeys(self._channels, SCALAR)
+        self._was_set_up = False  # since the last packet
 
     # Set-up
 
     def _opened(self, now_ns: int) -> None:
-        self._stream, self._discarded = RftStream(), 0
+        self._stream, self._discarded = rft_stream(), 0
         self._questions = self._set_up()
         self._send(now_ns, _Phase.STOPPING, command(STOP), STOPS_NS)
-
-    def _closed(self, now_ns: int) -> None:
-        self._was_down = True
 
     def _set_up(self) -> Generator[bytes, bytes, None]:
         """Questions, each of which is sent its answer; what is stored in it is written where it differs only."""
@@ -280,10 +215,10 @@ class RobotousRft(SerialDevice):
         if self._last_ns is None:
             self._report.event(host_ns, Severity.INFO, "started", "receiving data")
         else:
-            spare_ns = host_ns - self._last_ns - (len(fields) + sum(damaged)) * self._sample_ns
-            is_anew = self._was_set_up or spare_ns > max(LATE_NS, 1.5 * self._sample_ns)
+            spare_ns = host_ns - self._last_ns - (len(fields) + sum(damaged)) * self._frame_ns
+            is_anew = self._was_set_up or spare_ns > max(LATE_NS, 1.5 * self._frame_ns)
             if is_anew:
-                self._lose(host_ns, round(spare_ns / self._sample_ns))
+                self._lose(host_ns, round(spare_ns / self._frame_ns))
         numbers = []
         for lost in damaged:
             self._lose(host_ns, lost)
@@ -300,24 +235,13 @@ class RobotousRft(SerialDevice):
         status[0] |= SampleStatus.AFTER_RESET if is_anew else 0
         for one in self._channels.values():
             counts = table["counts"][:, one.component]
-            rows = np.zeros(len(table), SCALAR)
-            rows["sequence"], rows["tick"], rows["host_ns"] = numbers, numbers, host_ns
-            rows["value_raw"], rows["unit"] = counts, one.unit.encode()
+            rows = self._rows(one, host_ns, numbers, numbers)
+            rows["value_raw"] = counts
             rows["scale"] = 1.0 / (COUNTS_PER_N if one.component < 3 else self.config.counts_per_N_m)
             rows["device_status"] = table["overload"]
             at_end = (counts == HIGHEST) | (counts == LOWEST)
             rows["status"] = status | at_end * np.uint8(SampleStatus.SATURATED)
             self._report.rows(one.channel, rows)
-
-    def _lose(self, host_ns: int, lost: int) -> None:
-        """Packets are missing, about so many."""
-        if lost <= 0:
-            return
-        cause = "port_lost" if self._was_down else "frames_lost"
-        for channel in self._channels:
-            last, duration_ns = self._next + lost - 1, round(lost * self._sample_ns)
-            self._report.gap(host_ns, channel, self._next, last, duration_ns, cause, counted=False)
-        self._next += lost
 
     def _tell_status(self, host_ns: int, overload: list[int]) -> None:
         """Changes of the overload byte, also of what is over within the same read."""
@@ -334,9 +258,7 @@ class RobotousRft(SerialDevice):
 
     def _finish(self, now_ns: int) -> None:
         if self._last_ns is not None:
-            silent_ns = now_ns - self._last_ns
-            if self._was_down or self._misses_its_end(silent_ns, self._sample_ns):
-                self._lose(now_ns, int(silent_ns / self._sample_ns))
+            self._lose_at_end(now_ns, self._last_ns)
 
 
 def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
@@ -346,15 +268,8 @@ def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Sta
         OSError: The line fails.
     """
     port.write(command(NAME))
-    stream, step_s = RftStream(), 0.01
-    for _ in range(round(1e-9 * ANSWERS_NS / step_s)):
-        wait(step_s)
-        waiting = port.in_waiting
-        stream.receive(port.read(waiting) if waiting else b"")
-        while stream.waiting >= PACKET_BYTES:
-            with contextlib.suppress(FrameError):
-                field = stream.take()
-                if field is not None and field[0] in (NAME, START):
-                    for number, axis in enumerate(AXES, 1):
-                        yield Station(number, f"sensor of Robotous, {axis}: component = {number}")
-                    return
+    for field in frames_heard(port, wait, rft_stream(), ANSWERS_NS):
+        if field[0] in (NAME, START):
+            for number, axis in enumerate(AXES, 1):
+                yield Station(number, f"sensor of Robotous, {axis}: component = {number}")
+            return

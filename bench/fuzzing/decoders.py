@@ -16,7 +16,7 @@ from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, cut, drive, exhaust, le
 from drivers import dsc_load_cell, dynamixel, modbus_load_cell, mpu6050, node_frame
 from drivers import nimu as nimu_room
 from drivers import qsb as qsb_room
-from drivers.bota_ft import BotaChannel, BotaFt, BotaFtConfig
+from drivers.bota_ft import BotaFt, BotaFtConfig
 from drivers.bota_ft import frame as bota_frame
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, Cia402Config, Cia404Config, Cia406Config, SyncConfig
 from drivers.canopen_pdo import frame as canopen_frame
@@ -26,6 +26,7 @@ from drivers.inertial.packet import first_misaligned
 from drivers.modbus_load_cell.frame import ModbusException, read_request
 from drivers.nimu.packet import CHECKSUM_SPANS
 from drivers.ports import CanFrame, Edge
+from drivers.serial_line.scalars import WrenchChannel
 from drivers.sync_pulse import SyncPulse
 from drivers.transports.can.can_slcan import SlcanDecoder, decode_line, encode_line
 
@@ -314,11 +315,11 @@ def bota(data: bytes) -> None:
             at = body.find(bota_frame.START, end)
     with contextlib.suppress(FrameError):
         bota_frame.decode_frame(body[: bota_frame.FRAME_BYTES])
-    exhaust(bota_frame.WrenchStream(), body, how)
+    exhaust(bota_frame.wrench_stream(), body, how)
     clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
     if not which & 0x40:
         port.answer = lambda command: b"r,0,%c,%d\r\n" % (command[0], which & 8)
-    channels = [BotaChannel("fx", 0, "N"), BotaChannel("warm", 6, "degC")]
+    channels = [WrenchChannel("fx", 0, "N"), WrenchChannel("warm", 6, "degC")]
     device = BotaFt("wrist", channels, lambda: port, clock, BotaFtConfig((100.0, 800.0)[which & 1]))
     drive(device, clock, spoken(port, body, how), STEPS_NS[which >> 4 & 3])
 

@@ -7,7 +7,8 @@ from bench import peers
 from bench.fuzzing.laws import STEPS_NS, drive, exhaust, leading, spoken
 from drivers import robotous_rft
 from drivers.errors import FrameError
-from drivers.robotous_rft import RftChannel, RftConfig, RobotousRft
+from drivers.robotous_rft import RftConfig, RobotousRft
+from drivers.serial_line.scalars import WrenchChannel
 
 
 def _packet(field: bytes) -> bytes:
@@ -25,12 +26,12 @@ def robotous(data: bytes) -> None:
             at = body.find(b"\x55", at + 19)
     with contextlib.suppress(FrameError):
         robotous_rft.decode_packet(body[: robotous_rft.PACKET_BYTES])
-    exhaust(robotous_rft.RftStream(), body, how)
+    exhaust(robotous_rft.rft_stream(), body, how)
     clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
     if not which & 0x40:
         said = bytes([which & 8, which >> 1 & 3])
         port.answer = lambda command: b"" if command[1] in (11, 12, 17) else _packet(command[1:2] + said)
-    channels = [RftChannel("fx", 0, "N"), RftChannel("tz", 5, "N m")]
+    channels = [WrenchChannel("fx", 0, "N"), WrenchChannel("tz", 5, "N m")]
     device = RobotousRft("wrist", channels, lambda: port, clock, RftConfig((200.0, 1000.0)[which & 1]))
     drive(device, clock, spoken(port, body, how), STEPS_NS[which >> 4 & 3])
 

@@ -6,7 +6,7 @@ within the averaging of its samples a frame's time stamp is taken is not said th
 (chopping, FIR, fast settling) stay off, the offset is not touched, nothing is saved in the sensor.
 """
 
-from drivers.bota_ft.device import BotaChannel, BotaFt, BotaFtConfig
-from drivers.bota_ft.frame import FRAME, WrenchStream, decode_frame
+from drivers.bota_ft.device import BotaFt, BotaFtConfig
+from drivers.bota_ft.frame import FRAME, decode_frame, wrench_stream
 
-__all__ = ["FRAME", "BotaChannel", "BotaFt", "BotaFtConfig", "WrenchStream", "decode_frame"]
+__all__ = ["FRAME", "BotaFt", "BotaFtConfig", "decode_frame", "wrench_stream"]

@@ -1,18 +1,18 @@
 """The sensor as a stream of SCALAR rows: set up after each opening of its port, lost frames found by its clock."""
 
-import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.bota_ft.frame import BOOTED, FRAME, FRAME_BYTES, INVALID, OVERRANGE, RAW, SKIPS, WrenchStream, answer
-from drivers.errors import ConfigurationError, FrameError
+from drivers.bota_ft.frame import BOOTED, FRAME, INVALID, OVERRANGE, RAW, SKIPS, answer, wrench_stream
+from drivers.errors import ConfigurationError
 from drivers.ports import SerialPort, Station
-from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.records import SampleStatus, Severity
+from drivers.serial_line.device import MS, Clock, OpenPort, ReceivedBytes
+from drivers.serial_line.frames import frames_heard
+from drivers.serial_line.scalars import COMPONENTS, ScalarStream, StreamConfig, WrenchChannel
 
 SINC_HZ = 51_200.0  # a frame's period is the sinc length times 19.53125 us
 SINC = range(64, 2049)  # by the maker's package bota-driver 1.1.16
@@ -26,7 +26,6 @@ ARRIVES_WITHIN_US = 2e5  # and so much later a frame may arrive
 LARGEST = 1e9  # N, N m: beyond it a number is none
 STEP = 2.0**-32
 TEMPERATURE = 6  # as a component
-COMPONENTS = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
 TOLD = {
     SKIPS: "it leaves out measurements: choose a lower rate_hz",
     OVERRANGE: "beyond its range",
@@ -36,30 +35,15 @@ TOLD = {
 _KEPT = 400  # bytes of text that an answer is looked for in
 
 
-class BotaChannel(NamedTuple):
-    """A channel of SCALAR rows: which component, 0 to 2 force along x, y, z, 3 to 5 moment, or ``TEMPERATURE``."""
-
-    channel: str
-    component: int
-    unit: str
-
-
 @dataclass(frozen=True)
-class BotaFtConfig:
-    """How a sensor is read.
-
-    Attributes:
-        rate_hz: Frames a second, 25 to 800: 51,200 / ``rate_hz`` is its sinc length, a whole number.
-        poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Time without a frame after which the port is reopened, and the sensor set up anew.
+class BotaFtConfig(StreamConfig):
+    """How a sensor is read; ``rate_hz``, 25 to 800: 51,200 / ``rate_hz`` is its sinc length, a whole number.
 
     Raises:
         ConfigurationError: A rate that it has not.
     """
 
     rate_hz: float = 400.0
-    poll_period_ms: float = 2.0
-    silence_ms: float = 1000.0
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0.0 or SINC_HZ / self.rate_hz not in SINC:
@@ -73,7 +57,7 @@ class BotaFtConfig:
         return b"C", b"c,0,1,0,%d" % BAUD_CODE, b"f,%d,0,0,1" % sinc, b"R"
 
 
-class BotaFt(SerialDevice):
+class BotaFt(ScalarStream[WrenchChannel]):
     """Components of one sensor, and its temperature where wanted, as SCALAR rows; all of a frame have its number.
 
     ``tick`` is the sensor's time since power-up, us, unwrapped; ``device_status`` the low byte of its status.
@@ -94,42 +78,26 @@ class BotaFt(SerialDevice):
     def __init__(
         self,
         name: str,
-        channels: Sequence[BotaChannel],
+        channels: Sequence[WrenchChannel],
         open_port: OpenPort,
         clock: Clock,
         config: BotaFtConfig | None = None,
     ) -> None:
         self.config = BotaFtConfig() if config is None else config
-        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
-        self._channels = {one.channel: one for one in channels}
-        if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(
-                f"{name}: channels {[each.channel for each in channels]}: give them different names"
-            )
-        self._period_us = 1e6 / self.config.rate_hz
-        self._stream = WrenchStream()
+        super().__init__(name, channels, open_port, clock, self.config)
+        self._stream = wrench_stream()
         self._text = b""  # what came since the last command
         self._step: int | None = None  # of the set-up, of which the answer is due; None: none was sent yet
         self._opened_ns = self._due_ns = 0  # of the first command, or of that answer
         self._has_booted = self._runs = False
-        self._next = 0  # number of the next row, if none is lost before it
         self._last: tuple[int, int] | None = None  # tick and arrival of the last frame
-        self._was_down = self._was_set_up = False  # since the last frame
-        self._status = 0
-
-    @property
-    def channels(self) -> Channels:
-        """See ``SerialDevice``."""
-        return dict.fromkeys(self._channels, SCALAR)
+        self._was_set_up = False  # since the last frame
 
     # Set-up
 
     def _opened(self, now_ns: int) -> None:
         self._opened_ns = now_ns
         self._listen(now_ns + BOOTS_NS)
-
-    def _closed(self, now_ns: int) -> None:
-        self._was_down = True
 
     def _listen(self, due_ns: int, *, has_booted: bool = False) -> None:
         """Wait with the set-up till ``due_ns``, until it says that it has started, or is heard running."""
@@ -220,13 +188,12 @@ class BotaFt(SerialDevice):
         good = (table["status"] & (INVALID | RAW)) == 0
         beyond = ((table["status"] & OVERRANGE) != 0) * np.uint8(SampleStatus.SATURATED)
         for one in self._channels.values():
-            rows = np.zeros(len(table), SCALAR)
-            rows["sequence"], rows["tick"], rows["host_ns"] = numbers, ticks, host_ns
+            rows = self._rows(one, host_ns, numbers, ticks)
             warm = one.component == TEMPERATURE
             values = (table["temperature_c"] if warm else table["wrench"][:, one.component]).astype(np.float64)
             is_number = np.abs(values) < LARGEST  # false of what is not finite
             rows["value_raw"] = np.rint(np.where(is_number, values, 0.0) / STEP)
-            rows["scale"], rows["unit"] = STEP, one.unit.encode()
+            rows["scale"] = STEP
             rows["device_status"] = table["status"] & 0xFF
             valid = is_number if warm else is_number & good
             rows["status"] = np.array(status, np.uint8) | ~valid * np.uint8(SampleStatus.NOT_VALID)
@@ -246,19 +213,10 @@ class BotaFt(SerialDevice):
         if anew or (self._was_down and since_us < waited_us - allowed_us):
             if not self._was_set_up:
                 return None
-            self._lose(host_ns, round(waited_us / self._period_us) - 1, counted=False)
+            self._lose(host_ns, round(1e3 * waited_us / self._frame_ns) - 1)
             return time_us, int(SampleStatus.AFTER_RESET)
-        self._lose(host_ns, round(since_us / self._period_us) - 1, counted=not self._was_set_up)
+        self._lose(host_ns, round(1e3 * since_us / self._frame_ns) - 1, counted=not self._was_set_up)
         return tick + since_us, 0 if since_us else int(SampleStatus.NOT_VALID)
-
-    def _lose(self, host_ns: int, lost: int, *, counted: bool) -> None:
-        if lost <= 0:
-            return
-        cause = "port_lost" if self._was_down else "frames_lost"
-        for channel in self._channels:
-            last, duration_ns = self._next + lost - 1, round(1e3 * lost * self._period_us)
-            self._report.gap(host_ns, channel, self._next, last, duration_ns, cause, counted=counted)
-        self._next += lost
 
     def _tell_status(self, host_ns: int, status: NDArray[np.uint16]) -> None:
         """Changes of the sensor's status; one that is over within one read is reported, too."""
@@ -276,10 +234,7 @@ class BotaFt(SerialDevice):
 
     def _finish(self, now_ns: int) -> None:
         if self._last is not None:
-            silent_ns = now_ns - self._last[1]
-            period_ns = 1e3 * self._period_us
-            if self._was_down or self._misses_its_end(silent_ns, period_ns):
-                self._lose(now_ns, int(silent_ns / period_ns), counted=False)
+            self._lose_at_end(now_ns, self._last[1])
 
 
 def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
@@ -288,14 +243,7 @@ def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Sta
     Raises:
         OSError: The line fails.
     """
-    stream, step_s = WrenchStream(), 0.01
-    for _ in range(round(1e-9 * BOOTS_NS / step_s)):
-        wait(step_s)
-        waiting = port.in_waiting
-        stream.receive(port.read(waiting) if waiting else b"")
-        while stream.waiting >= FRAME_BYTES:
-            with contextlib.suppress(FrameError):
-                if stream.take() is not None:
-                    for number, what in enumerate(COMPONENTS, 1):
-                        yield Station(number, f"sensor of Bota Systems, {what}: component = {number}")
-                    return
+    for _ in frames_heard(port, wait, wrench_stream(), BOOTS_NS):
+        for number, what in enumerate(COMPONENTS, 1):
+            yield Station(number, f"sensor of Bota Systems, {what}: component = {number}")
+        return

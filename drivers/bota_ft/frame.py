@@ -4,12 +4,12 @@ A frame is AAh, 34 bytes of content, little-endian, and their CRC-16/X-25 (polyn
 inverted), low byte first. Answers are text: ``r,0,COMMAND,CODE``; code 0 is done. After power-up it says "App Init".
 """
 
-import binascii
 import re
 
 import numpy as np
 
 from drivers.errors import FrameError
+from drivers.serial_line.frames import FrameSplitter, crc_reflected
 
 START, CONTENT_BYTES, FRAME_BYTES = 0xAA, 34, 37
 FRAME = np.dtype(
@@ -25,13 +25,11 @@ FRAME = np.dtype(
 SKIPS, OVERRANGE, INVALID, RAW = 1, 2, 4, 8  # of the status: measurements left out, beyond range, invalid, uncalibrated
 BOOTED = b"App Init"
 _ANSWER = re.compile(rb"r,0,(.),(\d+)")
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def crc(content: bytes) -> int:
     """CRC-16/X-25."""
-    mirrored = binascii.crc_hqx(content.translate(_REVERSED), 0xFFFF)
-    return int(f"{mirrored:016b}"[::-1], 2) ^ 0xFFFF
+    return crc_reflected(content) ^ 0xFFFF
 
 
 def decode_frame(data: bytes) -> bytes:
@@ -56,42 +54,6 @@ def answer(text: bytes, command: bytes) -> tuple[int, int] | None:
     return None
 
 
-class WrenchStream:
-    """Splits a byte stream into frames: ``receive`` bytes, then ``take`` until it returns None.
-
-    ``take`` raises nothing but ``FrameError``.
-    """
-
-    def __init__(self) -> None:
-        self._buffer = b""
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self._buffer += data
-
-    @property
-    def waiting(self) -> int:
-        """Bytes that are not taken yet."""
-        return len(self._buffer)
-
-    def clear(self) -> None:
-        """Drop a partial frame: the stream was interrupted."""
-        self._buffer = b""
-
-    def take(self) -> bytes | None:
-        """The next frame; None when more bytes are needed.
-
-        Raises:
-            FrameError: No frame at this place; bytes that cannot begin one were discarded, call ``take`` again.
-        """
-        if not self._buffer or (self._buffer[0] == START and len(self._buffer) < FRAME_BYTES):
-            return None
-        try:
-            frame = decode_frame(self._buffer[:FRAME_BYTES])
-        except FrameError as error:
-            place = self._buffer.find(START, 1)
-            skipped = len(self._buffer) if place < 0 else place
-            self._buffer = self._buffer[skipped:]
-            raise FrameError(f"{error}; {skipped} bytes skipped") from None
-        self._buffer = self._buffer[FRAME_BYTES:]
-        return frame
+def wrench_stream() -> FrameSplitter[bytes]:
+    """Splits a byte stream into frames."""
+    return FrameSplitter(START, lambda _: FRAME_BYTES, decode_frame)

@@ -3,14 +3,14 @@
 from drivers.dsc_load_cell.message import DscLoadCellConfig, DscReply, decode_number, read_command
 from drivers.errors import FrameError
 from drivers.records import Severity
-from drivers.serial_poll import PolledDevice, Value
-from drivers.serial_stream import Clock, OpenPort
+from drivers.serial_line.device import Clock, OpenPort
+from drivers.serial_line.poll import PolledDevice, Value
 
 REFUSED = b"?"
 
 
 class DscLoadCell(PolledDevice):
-    """A Mantracourt DSC, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
+    """A Mantracourt DSC, as SCALAR rows; see ``drivers.serial_line.poll`` for their two stamps.
 
     ``value_raw`` holds the digits as an integer, ``scale`` the power of ten of the last digit. The first answer fixes
     the number of digits; an answer of another form is a bad frame.

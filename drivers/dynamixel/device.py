@@ -23,8 +23,8 @@ from drivers.dynamixel.packet import (
 from drivers.errors import ConfigurationError
 from drivers.ports import SerialPort, Station
 from drivers.records import Batch, SampleStatus, Severity
-from drivers.serial_poll import PolledDevice, Value
-from drivers.serial_stream import MS, Clock, OpenPort
+from drivers.serial_line.device import MS, Clock, OpenPort
+from drivers.serial_line.poll import PolledDevice, Value
 
 if TYPE_CHECKING:
     from drivers.dynamixel.drive import DynamixelAxis, DynamixelAxisConfig
@@ -40,7 +40,7 @@ REST_S, RESTS = 0.01, 350  # at the end, until the servos stand: half a second m
 
 
 class DynamixelBus(PolledDevice):
-    """Servos on one TTL or RS-485 line, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
+    """Servos on one TTL or RS-485 line, as SCALAR rows; see ``drivers.serial_line.poll`` for their two stamps.
 
     Without ``play`` nothing is ever written to a control table. When the port is opened each servo is asked who it
     is; those that answer are sampled together, by Fast Sync Read where all of them have it. A servo that does not

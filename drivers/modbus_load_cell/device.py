@@ -7,15 +7,15 @@ from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, read_re
 from drivers.modbus_load_cell.registers import COUNT, STATUS, ModbusLoadCellConfig, decode_weights
 from drivers.ports import SerialPort, Station
 from drivers.records import Severity
-from drivers.serial_poll import PolledDevice, Value
-from drivers.serial_stream import Clock, OpenPort
+from drivers.serial_line.device import Clock, OpenPort
+from drivers.serial_line.poll import PolledDevice, Value
 
 ASKED = range(1, 17)  # addresses: a line has few, from 1 on
 ANSWERED_S = 0.06  # the slowest answer, at 9600 bit/s
 
 
 class ModbusLoadCell(PolledDevice):
-    """A Laumas transmitter, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
+    """A Laumas transmitter, as SCALAR rows; see ``drivers.serial_line.poll`` for their two stamps.
 
     After an unanswered request the next one reads one register more, so that a late answer has the wrong length and is
         rejected. ``device_status`` is the low byte of the status register. NOT_VALID: cell or converter error, or

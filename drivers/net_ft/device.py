@@ -1,7 +1,7 @@
 """The sensor as a stream of SCALAR rows: asked once, lost and repeated records found by their numbers."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.net_ft.record import ERROR, RECORD, START, STOP, RecordStream, request
-from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.ports import SerialPort, Station
+from drivers.records import SampleStatus, Severity
+from drivers.serial_line.device import MS, Clock, OpenPort, ReceivedBytes
+from drivers.serial_line.frames import frames_heard
+from drivers.serial_line.scalars import COMPONENTS, ScalarStream, StreamConfig
 
 LARGEST_RATE_HZ = 8000.0  # a Net F/T sends up to 7000 records a second, an Axia 7912
 FASTER = 1.1  # than ``rate_hz``, at most: records of a stream may not be numbered ahead of what can have been sent
 ARRIVES_WITHIN_S = 0.2  # and so much later a record may arrive
 SETTLES_NS = 5 * MS  # between two requests: as long as OnRobot's example waits
+ANSWERED_NS = 500 * MS
 _NUMBERS = 1 << 32
 
 
@@ -37,13 +41,11 @@ class NetFtChannel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class NetFtConfig:
+class NetFtConfig(StreamConfig):
     """How a sensor is read.
 
     Attributes:
         rate_hz: Records a second: *RDT Output Rate* of the sensor's configuration page.
-        poll_period_ms: How often the port is read.
-        silence_ms: Time without a record after which the sensor is asked anew.
         set_up: Requests before the one that starts it.
         errors: Bits of its status that make its rows not valid.
 
@@ -52,8 +54,6 @@ class NetFtConfig:
     """
 
     rate_hz: float = 1000.0
-    poll_period_ms: float = 2.0
-    silence_ms: float = 1000.0
     set_up: tuple[bytes, ...] = ()
     errors: int = ERROR
 
@@ -62,7 +62,7 @@ class NetFtConfig:
             raise ConfigurationError(f"rate_hz = {self.rate_hz:g}: a sensor sends 1 to 8000 records a second")
 
 
-class NetFt(SerialDevice):
+class NetFt(ScalarStream[NetFtChannel]):
     """Components of one sensor as SCALAR rows; all channels of a record have its number.
 
     ``tick`` is that number, ``device_status`` the high byte of the sensor's status. ``status`` is NOT_VALID where the
@@ -89,26 +89,13 @@ class NetFt(SerialDevice):
         config: NetFtConfig | None = None,
     ) -> None:
         self.config = NetFtConfig() if config is None else config
-        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
-        self._channels = {one.channel: one for one in channels}
-        if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(
-                f"{name}: channels {[each.channel for each in channels]}: give them different names"
-            )
-        self._period_of_record_ns = 1e9 / self.config.rate_hz
+        super().__init__(name, channels, open_port, clock, self.config)
         self._stream = RecordStream()
         self._number: int | None = None  # of the last record of this stream
-        self._next = 0  # number of the next row
         self._last_ns: int | None = None  # arrival of the last record
         self._last_sample = 0  # internal, of the last record
-        self._status = 0
         self._requests = deque[bytes]()  # still to be sent
         self._request_ns = 0  # when the next one may be
-
-    @property
-    def channels(self) -> Channels:
-        """See ``SerialDevice``."""
-        return dict.fromkeys(self._channels, SCALAR)
 
     def _opened(self, now_ns: int) -> None:
         self._stream = RecordStream()
@@ -144,8 +131,7 @@ class NetFt(SerialDevice):
                     text = f"record {number} after {self._number}: more than can have been sent"
                     self._bad_frame(host_ns, FrameError(text))
                     continue
-                if ahead > 1:
-                    self._lose(host_ns, ahead - 1, "records_lost", counted=True)
+                self._lose(host_ns, ahead - 1, "records_lost", counted=True)
                 status.append(0)
             self._number, self._last_ns, self._broken = number, host_ns, False
             used.append(place)
@@ -159,10 +145,9 @@ class NetFt(SerialDevice):
         self._tell_status(host_ns, table["status"])
         bad = np.where(table["status"] & self.config.errors, np.uint8(SampleStatus.NOT_VALID), np.uint8(0))
         for one in self._channels.values():
-            rows = np.zeros(len(table), SCALAR)
-            rows["sequence"], rows["tick"], rows["host_ns"] = numbers, numbers, host_ns
+            rows = self._rows(one, host_ns, numbers, numbers)
             rows["value_raw"] = table["counts"][:, one.component]
-            rows["scale"], rows["unit"] = one.scale, one.unit.encode()
+            rows["scale"] = one.scale
             rows["device_status"] = table["status"] >> 24
             rows["status"] = bad | np.array(status, np.uint8)
             self._report.rows(one.channel, rows)
@@ -174,21 +159,13 @@ class NetFt(SerialDevice):
             return 0
         if sample < self._last_sample:
             self._report.event(host_ns, Severity.WARNING, "restarted", "the sensor has been without power")
-        lost = round((host_ns - self._last_ns) / self._period_of_record_ns) - 1
-        if lost > 0:
-            self._lose(host_ns, lost, "silent", counted=False)
+        self._lose(host_ns, round((host_ns - self._last_ns) / self._frame_ns) - 1, "silent")
         return int(SampleStatus.AFTER_RESET)
 
     def _most_lost(self, host_ns: int) -> float:
         """Records that can be missing since the last one."""
         assert self._last_ns is not None
-        return FASTER * (host_ns - self._last_ns + 1e9 * ARRIVES_WITHIN_S) / self._period_of_record_ns
-
-    def _lose(self, host_ns: int, lost: int, cause: str, *, counted: bool) -> None:
-        for channel in self._channels:
-            first, last, duration_ns = self._next, self._next + lost - 1, round(lost * self._period_of_record_ns)
-            self._report.gap(host_ns, channel, first, last, duration_ns, cause, counted=counted)
-        self._next += lost
+        return FASTER * (host_ns - self._last_ns + 1e9 * ARRIVES_WITHIN_S) / self._frame_ns
 
     def _tell_status(self, host_ns: int, status: NDArray[np.uint32]) -> None:
         """Changes of the sensor's status; one that is over within one read is reported, too."""
@@ -207,6 +184,21 @@ class NetFt(SerialDevice):
         self._link.write(now_ns, request(STOP))
         if self._last_ns is not None:
             silent_ns = now_ns - self._last_ns
-            lost = int(silent_ns / self._period_of_record_ns)
-            if lost and self._misses_its_end(silent_ns, self._period_of_record_ns):
+            lost = int(silent_ns / self._frame_ns)
+            if lost and self._misses_its_end(silent_ns, self._frame_ns):
                 self._lose(now_ns, lost, "silent", counted=False)
+
+
+def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
+    """The components of a sensor that answers; none: nobody answers, or it sends something else.
+
+    A single record is asked for; a stream that goes to somebody else would end by it.
+
+    Raises:
+        OSError: The peer refuses.
+    """
+    port.write(request(START, records=1))
+    for _ in frames_heard(port, wait, RecordStream(), ANSWERED_NS):
+        for number, what in enumerate(COMPONENTS, 1):
+            yield Station(number, f'RDT sensor, {what}: component = {number}; of OnRobot: kind = "onrobot_hex"')
+        return

@@ -9,7 +9,7 @@ from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, Pack
 from drivers.nimu.timer import TURN_NS, PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
 from drivers.repeats import Repeats, longest_run
-from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_line.device import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 _GYRO, _ACCEL, _MAGNETOMETER, _TEMPERATURE = slice(0, 3), slice(3, 6), slice(6, 9), 9
 _DEG = np.pi / 180.0

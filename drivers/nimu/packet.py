@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, FrameError
+from drivers.serial_line.frames import ReceivedBuffer
 
 PACKET_BYTES = 38
 MOST_PACKETS = 4096  # in one take
@@ -102,30 +103,19 @@ def decode_packets(data: bytes, checksum_span: str = "packet") -> Packets:
     return _words(matrix)
 
 
-class PacketStream:
+class PacketStream(ReceivedBuffer):
     """Splits a byte stream into packets: ``receive`` bytes, then ``take`` until it returns None.
 
     ``take`` raises nothing but ``FrameError``.
 
     Args:
         checksum_span: See ``NimuConfig``.
-
-    Attributes:
-        waiting: Bytes of a packet that is not whole.
     """
 
     def __init__(self, checksum_span: str = "packet") -> None:
+        super().__init__()
         self._span = checksum_span
-        self.waiting = b""
         self._in_step = False  # the last take found packets where they were expected
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self.waiting += data
-
-    def clear(self) -> None:
-        """Drop a partial packet: the stream was interrupted."""
-        self.waiting = b""
 
     def take(self) -> Packets | None:
         """All whole packets up to the first bad place; None when more bytes are needed.

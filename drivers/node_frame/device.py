@@ -12,7 +12,7 @@ from drivers.marks import MARK
 from drivers.node_frame import frame
 from drivers.node_frame.counters import TURN, FrameTicks, NodeCounters
 from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_line.device import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 from drivers.unwrap import unwrapped
 
 MOST_HELD = 4096  # data frames held until the first descriptor

@@ -7,6 +7,6 @@ it does not send, so a drop-out is no lost message.
 """
 
 from drivers.pose_tracker.device import PoseTracker
-from drivers.pose_tracker.frame import MessageStream, PoseTrackerConfig, decode_message, decode_pose
+from drivers.pose_tracker.frame import PoseTrackerConfig, decode_message, decode_pose, message_stream
 
-__all__ = ["MessageStream", "PoseTracker", "PoseTrackerConfig", "decode_message", "decode_pose"]
+__all__ = ["PoseTracker", "PoseTrackerConfig", "decode_message", "decode_pose", "message_stream"]

@@ -3,9 +3,9 @@
 import numpy as np
 
 from drivers.errors import FrameError
-from drivers.pose_tracker.frame import ATT_POS_MOCAP, Message, MessageStream, PoseTrackerConfig, decode_pose
+from drivers.pose_tracker.frame import ATT_POS_MOCAP, Message, PoseTrackerConfig, decode_pose, message_stream
 from drivers.records import POSE, Rows, SampleStatus, Severity
-from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_line.device import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 UNIT_WITHIN = 1e-2  # of 1: the length of a quaternion that is a rotation
 PERIOD_POSES = 8  # contiguous ones, to learn the period from
@@ -29,7 +29,7 @@ class PoseTracker(SerialDevice):
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: PoseTrackerConfig | None = None) -> None:
         self.config = PoseTrackerConfig() if config is None else config
         super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
-        self._stream = MessageStream()
+        self._stream = message_stream()
         self._next = 0  # number of the next pose, if none is lost before it
         self._number: dict[tuple[int, int], int] = {}  # of each sender's last message
         self._last: Rows | None = None  # (1,)

@@ -6,7 +6,6 @@ flag 1 says so. Zeros at the end of its content are left out. The CRC can be che
 known; those that a motion capture bridge may send besides are read and left aside.
 """
 
-import binascii
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import POSE, Rows
+from drivers.serial_line.frames import FrameSplitter, crc_reflected
 
 START, HEADER_BYTES, CRC_BYTES, SIGNATURE_BYTES = 0xFD, 10, 2, 13
 ATT_POS_MOCAP = 138
@@ -29,7 +29,6 @@ _CONTENT = np.dtype(
         ("covariance", "<f4", (21,)),
     ]
 )
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,7 @@ class Message(NamedTuple):
 
 def crc(data: bytes, extra: int) -> int:
     """CRC-16/MCRF4XX (polynomial 1021h reflected, from FFFFh) of ``data`` and of the message's CRC_EXTRA."""
-    mirrored = binascii.crc_hqx((data + bytes([extra])).translate(_REVERSED), 0xFFFF)
-    return int(f"{mirrored:016b}"[::-1], 2)
+    return crc_reflected(data + bytes([extra]))
 
 
 def decode_message(data: bytes) -> Message:
@@ -113,51 +111,13 @@ def decode_pose(message: Message) -> Rows:
     return row
 
 
-class MessageStream:
-    """Splits a byte stream into messages: ``receive`` bytes, then ``take`` until it returns None.
+def _size(data: bytes) -> int:
+    """Of the message that ``data`` begins with; of a kind that cannot be checked, enough to name it."""
+    if len(data) < HEADER_BYTES or int.from_bytes(data[7:10], "little") not in CRC_EXTRA or data[2] & ~SIGNED:
+        return HEADER_BYTES + CRC_BYTES
+    return HEADER_BYTES + data[1] + CRC_BYTES + (SIGNATURE_BYTES if data[2] & SIGNED else 0)
 
-    ``take`` raises nothing but ``FrameError``.
-    """
 
-    def __init__(self) -> None:
-        self._buffer = b""
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self._buffer += data
-
-    def clear(self) -> None:
-        """Drop a partial message: the stream was interrupted."""
-        self._buffer = b""
-
-    def take(self) -> Message | None:
-        """The next message; None when more bytes are needed.
-
-        Raises:
-            FrameError: No message at this place; bytes that cannot begin one were discarded, call ``take`` again.
-        """
-        if not self._buffer:
-            return None
-        if self._buffer[0] != START:
-            text = "no MAVLink 2 message (FDh): set the bridge to MAVLink 2, check baud rate and wiring"
-            raise FrameError(f"{text}; {self._skip()} bytes skipped")
-        if len(self._buffer) < HEADER_BYTES:
-            return None
-        signed = SIGNATURE_BYTES if self._buffer[2] & SIGNED else 0
-        whole = HEADER_BYTES + self._buffer[1] + CRC_BYTES + signed
-        known = int.from_bytes(self._buffer[7:10], "little") in CRC_EXTRA and not self._buffer[2] & ~SIGNED
-        if known and len(self._buffer) < whole:
-            return None
-        try:
-            message = decode_message(self._buffer[:whole] if known else self._buffer)
-        except FrameError as error:
-            raise FrameError(f"{error}; {self._skip()} bytes skipped") from None
-        self._buffer = self._buffer[whole:]
-        return message
-
-    def _skip(self) -> int:
-        """Discard bytes up to the next possible start after the first; returns their count."""
-        place = self._buffer.find(START, 1)
-        place = len(self._buffer) if place < 0 else place
-        self._buffer = self._buffer[place:]
-        return place
+def message_stream() -> FrameSplitter[Message]:
+    """Splits a byte stream into messages."""
+    return FrameSplitter(START, _size, decode_message)

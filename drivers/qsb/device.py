@@ -16,7 +16,7 @@ from drivers.qsb.edges import SyncEdges
 from drivers.qsb.line import GREETING, Lines, LineStream
 from drivers.qsb.registers import Command, QsbConfig, greeting_commands, setup_commands
 from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_line.device import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 from drivers.unwrap import unwrapped
 
 TRIES = 3

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import FrameError
+from drivers.serial_line.frames import ReceivedBuffer
 
 LINE_BYTES = 26
 MOST_LINES = 4096  # in one take
@@ -81,26 +82,15 @@ def decode_lines(data: bytes) -> Lines:
     return _numbers(matrix)
 
 
-class LineStream:
+class LineStream(ReceivedBuffer):
     """Splits a byte stream into lines: ``receive`` bytes, then ``take`` until it returns None.
 
     ``take`` raises nothing but ``FrameError``.
-
-    Attributes:
-        waiting: Bytes of a line that is not whole.
     """
 
     def __init__(self) -> None:
-        self.waiting = b""
+        super().__init__()
         self._in_step = False  # the last take found 26-byte lines where they were expected
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self.waiting += data
-
-    def clear(self) -> None:
-        """Drop a partial line: the stream was interrupted."""
-        self.waiting = b""
 
     def take(self) -> Lines | None:
         """All whole lines up to the first of another form, or that one line; None when more bytes are needed.

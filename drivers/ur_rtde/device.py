@@ -1,14 +1,17 @@
 """The controller as a stream of SCALAR rows: set-up of its outputs, data packages in, lost ones found by its clock."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, FrameError
-from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.ports import SerialPort, Station
+from drivers.records import SampleStatus, Severity
+from drivers.serial_line.device import MS, Clock, OpenPort, ReceivedBytes
+from drivers.serial_line.frames import frames_heard
+from drivers.serial_line.scalars import ScalarStream, StreamConfig
 from drivers.ur_rtde import packet
 from drivers.ur_rtde.packet import IN_USE, Package, PackageStream, Recipe, RtdeChannel
 
@@ -35,32 +38,27 @@ SAFETY = {  # the other bits
 MODES = {-1: "no controller", 0: "disconnected", 1: "confirm safety", 2: "booting", 3: "power off", 4: "power on"}
 LEVELS = {2: Severity.WARNING, 3: Severity.INFO}
 _OWN = {"timestamp": "DOUBLE", "robot_mode": "INT32", "safety_status_bits": "UINT32"}
+ANSWERED_NS = 500 * MS  # a controller answers within a few control cycles of 2 to 8 ms
+JOINTS = range(1, 7)
 _NOT_VALID, _AFTER_RESET = np.uint8(SampleStatus.NOT_VALID), np.uint8(SampleStatus.AFTER_RESET)
 
 
 @dataclass(frozen=True)
-class RtdeConfig:
-    """How a controller is read.
-
-    Attributes:
-        rate_hz: Packages a second, 1 to 500 (CB3: 125); a whole fraction of the control rate.
-        poll_period_ms: How often the connection is read.
-        silence_ms: Time without a data package after which the connection is opened anew.
+class RtdeConfig(StreamConfig):
+    """How a controller is read; ``rate_hz``: 1 to 500 (CB3: 125), a whole fraction of the control rate.
 
     Raises:
         ConfigurationError: A value out of range.
     """
 
     rate_hz: float = 125.0
-    poll_period_ms: float = 2.0
-    silence_ms: float = 1000.0
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate_hz <= LARGEST_RATE_HZ:
             raise ConfigurationError(f"rate_hz = {self.rate_hz:g}: a controller sends 1 to 500 packages a second")
 
 
-class UrRtde(SerialDevice):
+class UrRtde(ScalarStream[RtdeChannel]):
     """Outputs of one controller as SCALAR rows; all channels of a package have its number and its time.
 
     ``tick`` is the controller's ``timestamp``, us. ``device_status`` is the low byte of ``safety_status_bits``.
@@ -88,12 +86,7 @@ class UrRtde(SerialDevice):
         config: RtdeConfig | None = None,
     ) -> None:
         self.config = RtdeConfig() if config is None else config
-        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
-        self._channels = {one.channel: one for one in channels}
-        if not channels or len(self._channels) < len(channels):
-            raise ConfigurationError(
-                f"{name}: channels {[each.channel for each in channels]}: give them different names"
-            )
+        super().__init__(name, channels, open_port, clock, self.config)
         self._wanted_types = _OWN | {one.variable: "VECTOR6D" for one in channels}
         self._names: list[str] = []  # outputs that were asked for
         self._stream = PackageStream()
@@ -102,17 +95,9 @@ class UrRtde(SerialDevice):
         self._recipe = Recipe(0, {})
         self._missing: dict[str, str] = {}  # outputs that it has not, and what it says of them
         self._version = ""
-        self._period_us = 1e6 / self.config.rate_hz
-        self._next = 0  # number of the next package, if none is lost before it
         self._following = dict.fromkeys(self._channels, 0)  # first number that is not recorded, by channel
         self._last: tuple[int, int] | None = None  # tick and arrival of the last package
-        self._was_down = False  # the connection was closed since
         self._safety, self._has_power = NORMAL, True
-
-    @property
-    def channels(self) -> Channels:
-        """See ``SerialDevice``."""
-        return dict.fromkeys(self._channels, SCALAR)
 
     # Set-up
 
@@ -121,9 +106,6 @@ class UrRtde(SerialDevice):
         self._broken = False  # a connection begins with a package
         self._names = list(self._wanted_types)
         self._ask(now_ns, packet.VERSION, packet.version_request())
-
-    def _closed(self, now_ns: int) -> None:
-        self._was_down = True
 
     def _ask(self, now_ns: int, kind: int, request: bytes) -> None:
         self._awaited, self._has_asked = kind, True
@@ -243,12 +225,11 @@ class UrRtde(SerialDevice):
         self._tell_safety(host_ns, int(safety[-1]))
         for one in self._channels.values():
             if one.variable in names:
-                rows = np.zeros(len(table), SCALAR)
-                rows["sequence"], rows["host_ns"], rows["tick"] = numbers, host_ns, ticks
+                rows = self._rows(one, host_ns, numbers, ticks)
                 values = table[one.variable][:, one.place]
                 good = np.abs(values) < LARGEST_COUNT * abs(one.scale)  # false of what is not finite
                 rows["value_raw"] = np.rint(np.where(good, values, 0.0) / abs(one.scale))
-                rows["scale"], rows["unit"] = one.scale, one.unit.encode()
+                rows["scale"] = one.scale
                 rows["device_status"] = safety & 0xFF
                 rows["status"] = status | ~good * _NOT_VALID
                 self._name_gaps(host_ns, one.channel, numbers, cause, counted=not (status & _AFTER_RESET).any())
@@ -264,10 +245,10 @@ class UrRtde(SerialDevice):
             began_anew = True  # and has been on for longer than before
         if began_anew:
             self._report.event(host_ns, Severity.WARNING, "restarted", "the controller's time began anew")
-            return max(0, round(waited_us / self._period_us) - 1), _AFTER_RESET
+            return max(0, round(1e3 * waited_us / self._frame_ns) - 1), _AFTER_RESET
         if since_us == 0:
             return 0, _NOT_VALID
-        return max(0, round(since_us / self._period_us) - 1), np.uint8(0)
+        return max(0, round(1e3 * since_us / self._frame_ns) - 1), np.uint8(0)
 
     def _name_gaps(
         self, host_ns: int, channel: str, numbers: NDArray[np.int64], cause: str, *, counted: bool = False
@@ -276,7 +257,7 @@ class UrRtde(SerialDevice):
         expected = np.append(self._following[channel], numbers[:-1] + 1)
         for k in np.flatnonzero(numbers > expected).tolist():
             first, last = int(expected[k]), int(numbers[k]) - 1
-            duration_ns = round(1e3 * (last - first + 1) * self._period_us)
+            duration_ns = round((last - first + 1) * self._frame_ns)
             self._report.gap(host_ns, channel, first, last, duration_ns, cause, counted=counted)
         self._following[channel] = int(numbers[-1]) + 1
 
@@ -284,8 +265,8 @@ class UrRtde(SerialDevice):
         if self._last is None:
             return
         silent_ns = now_ns - self._last[1]
-        if self._was_down or self._misses_its_end(silent_ns, 1e3 * self._period_us):
-            self._next += int(silent_ns / (1e3 * self._period_us))
+        if self._was_down or self._misses_its_end(silent_ns, self._frame_ns):
+            self._next += int(silent_ns / self._frame_ns)
         for channel, one in self._channels.items():
             cause = "not_found" if one.variable in self._missing else "silent"
             self._name_gaps(now_ns, channel, np.array([self._next]), cause)
@@ -312,3 +293,36 @@ class UrRtde(SerialDevice):
             self._report.event(host_ns, Severity.ERROR, "safety", f"{told}: clear it on the teach pendant")
         else:
             self._report.event(host_ns, Severity.INFO, "safety_normal", "it may move again")
+
+
+def answering(port: SerialPort, wait: Callable[[float], object]) -> Iterator[Station]:
+    """The joints of a controller that answers; none: nobody answers, or it is no RTDE; no output is asked for.
+
+    Raises:
+        OSError: The connection fails.
+    """
+    stream = PackageStream()
+    try:
+        version = _answer(port, wait, stream, packet.VERSION, packet.version_request())
+        if version is None:
+            return
+        if not packet.decode_accepted(version):
+            yield Station(0, "RTDE, protocol version 2 is refused: update the controller's software", is_read=False)
+            return
+        software = _answer(port, wait, stream, packet.URCONTROL, packet.package(packet.URCONTROL))
+        told = "" if software is None else f", URControl {packet.decode_urcontrol(software)}"
+    except FrameError:
+        return
+    for number in JOINTS:
+        yield Station(number, f"UR controller{told}: number = {number}")
+
+
+def _answer(
+    port: SerialPort, wait: Callable[[float], object], stream: PackageStream, kind: int, request: bytes
+) -> bytes | None:
+    """The payload of the answer to a request; None: it does not come."""
+    port.write(request)
+    for one in frames_heard(port, wait, stream, ANSWERED_NS):
+        if one.kind == kind:
+            return one.payload
+    return None

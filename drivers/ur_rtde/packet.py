@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.errors import FrameError
+from drivers.serial_line.frames import ReceivedBuffer
 
 VERSION, URCONTROL, TEXT, OUTPUTS, START, DATA = b"VvMOSU"
 INPUTS, PAUSE = b"IP"  # never sent by us
@@ -150,22 +151,11 @@ def decode_text(payload: bytes) -> Text:
     return Text(parts[0], parts[1], payload[at])
 
 
-class PackageStream:
+class PackageStream(ReceivedBuffer):
     """Splits a byte stream into packages: ``receive`` bytes, then ``take`` until it returns None.
 
     ``take`` raises nothing but ``FrameError``.
     """
-
-    def __init__(self) -> None:
-        self._waiting = b""
-
-    def receive(self, data: bytes) -> None:
-        """Append bytes."""
-        self._waiting += data
-
-    def clear(self) -> None:
-        """The connection was opened anew."""
-        self._waiting = b""
 
     def take(self) -> Package | None:
         """The next package; None when more bytes are needed.
@@ -173,13 +163,13 @@ class PackageStream:
         Raises:
             FrameError: No header of a package; all bytes were discarded.
         """
-        if len(self._waiting) < HEADER.size:
+        if len(self.waiting) < HEADER.size:
             return None
-        size, kind = HEADER.unpack_from(self._waiting)
+        size, kind = HEADER.unpack_from(self.waiting)
         if kind not in _KNOWN or not HEADER.size <= size <= LARGEST:
             self.clear()
             raise FrameError(f"no RTDE package: type {kind}, {size} bytes: is it the port 30004 of a controller?")
-        if len(self._waiting) < size:
+        if len(self.waiting) < size:
             return None
-        payload, self._waiting = self._waiting[HEADER.size : size], self._waiting[size:]
+        payload, self.waiting = self.waiting[HEADER.size : size], self.waiting[size:]
         return Package(kind, payload)

@@ -4,9 +4,29 @@ from collections import deque
 from collections.abc import Callable
 from typing import ClassVar
 
+import numpy as np
+
 from hil_sim.faults import NEVER, DeviceFaults
 
 _SUPPLY = "supply"
+
+
+class Latency:
+    """From a sample to the first bit of its message: a fixed part, and a random one of an exponential law.
+
+    Args:
+        fixed_ns: The fixed part.
+        jitter_ns: Mean of the random one.
+        seed: Of that, and of a device's other random numbers: ``rng``.
+    """
+
+    def __init__(self, fixed_ns: int, jitter_ns: int, *seed: int) -> None:
+        self._fixed_ns, self._jitter_ns = fixed_ns, jitter_ns
+        self.rng = np.random.default_rng(seed)
+
+    def draw_ns(self) -> int:
+        """That of the next message."""
+        return self._fixed_ns + round(self._jitter_ns * float(self.rng.standard_exponential()))
 
 
 class PoweredTwin:
@@ -43,6 +63,15 @@ class PoweredTwin:
             action(due_ns)
 
     # For subclasses
+
+    def _take_over(self, other: "PoweredTwin") -> None:
+        """Have the faults of another table of the same device, too."""
+        kinds, windows = self._faults.possible, (*self._faults.windows, *other._faults.windows)
+        self._faults = DeviceFaults(self._faults.device, windows).require(*kinds)
+        self._is_faulty = bool(windows)
+        for cycle in other._faults.power_cycles():
+            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
+        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
 
     def _gain_power(self, now_ns: int) -> None:
         """Begin with the reset values."""

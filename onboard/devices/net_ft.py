@@ -8,7 +8,7 @@ from pydantic import Field
 
 from drivers.device import Device
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig
-from drivers.net_ft.asking import answering
+from drivers.net_ft.device import answering
 from drivers.net_ft.record import ANY_BIT, onrobot_set_up
 from drivers.transports.network import UDP_URLS, UdpPort
 from onboard.devices.base import Answering, OpeningBus

@@ -10,7 +10,7 @@ from pydantic import Field
 from drivers.device import Device
 from drivers.transports.network import TCP_URLS, TcpPort
 from drivers.ur_rtde import RtdeChannel, RtdeConfig, UrRtde
-from drivers.ur_rtde.asking import answering
+from drivers.ur_rtde.device import answering
 from onboard.devices.base import Answering, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import ComponentDevice, PollPeriod, StreamedDevice
 from onboard.devices.driven import MotorDevice

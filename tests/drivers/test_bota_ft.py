@@ -9,11 +9,12 @@ from fastcrc.crc16 import ibm_sdlc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.bota_ft import FRAME, BotaChannel, BotaFt, BotaFtConfig, WrenchStream, decode_frame
+from drivers.bota_ft import FRAME, BotaFt, BotaFtConfig, decode_frame, wrench_stream
 from drivers.bota_ft.device import TEMPERATURE, answering
 from drivers.bota_ft.frame import crc
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
+from drivers.serial_line.scalars import WrenchChannel
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.serial_script import (
@@ -29,8 +30,8 @@ from tests.drivers.serial_script import (
 from tests.drivers.serial_script import whole as at_once
 
 BAD, RESET, FULL = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET, SampleStatus.SATURATED
-FX, MZ = BotaChannel("fx", 0, "N"), BotaChannel("mz", 5, "N m")
-WARM = BotaChannel("warm", TEMPERATURE, "degC")
+FX, MZ = WrenchChannel("fx", 0, "N"), WrenchChannel("mz", 5, "N m")
+WARM = WrenchChannel("warm", TEMPERATURE, "degC")
 SET_UP = [b"C", b"c,0,1,0,4", b"f,512,0,0,1", b"R"]  # as the maker's example writes them
 PERIOD_US = 10_000  # of a sinc length of 512
 
@@ -92,13 +93,13 @@ def test_the_checksum_is_the_one_of_its_name():
 
 @pytest.mark.parametrize("feed", [at_once(STREAM), bytewise(), pieces(3), pieces(8, 9)])
 def test_fed_any_way_the_same_frames_come_out(feed):
-    assert fed(WrenchStream(), STREAM, feed) == (FRAMES, [])
+    assert fed(wrench_stream(), STREAM, feed) == (FRAMES, [])
 
 
 @pytest.mark.parametrize("junk", [b"App Init\r\n", b"\xaa", b"\xaa\xaa\xaa", FRAMES[0][:20], FRAMES[0][:-1] + b"\0"])
 def test_after_junk_the_next_frames_are_taken(junk):
     for feed in (at_once(junk + STREAM), bytewise(), pieces(5)):
-        taken, errors = fed(WrenchStream(), junk + STREAM + b"\r", feed)
+        taken, errors = fed(wrench_stream(), junk + STREAM + b"\r", feed)
         assert taken == FRAMES
         assert errors
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError, UrlError
 from drivers.net_ft import NetFt, NetFtChannel, NetFtConfig, RecordStream, request
-from drivers.net_ft.asking import answering
+from drivers.net_ft.device import answering
 from drivers.net_ft.record import ANY_BIT, RECORD, onrobot_set_up
 from drivers.records import SampleStatus
 from drivers.transports.network import UdpPort

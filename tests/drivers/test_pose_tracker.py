@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
-from drivers.pose_tracker import MessageStream, PoseTracker, PoseTrackerConfig, decode_message, decode_pose
+from drivers.pose_tracker import PoseTracker, PoseTrackerConfig, decode_message, decode_pose, message_stream
 from drivers.records import SampleStatus
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
@@ -88,7 +88,7 @@ JUNK = {
 def test_fed_any_way_the_same_comes_out(feed, junk):
     good = [WHOLE, HEARTBEAT, SIGNED, SHORT]
     data = b"".join(good) + junk + b"".join(good) * 3
-    taken, errors = fed(MessageStream(), data, feed(data))
+    taken, errors = fed(message_stream(), data, feed(data))
     wanted = [decode_message(one) for one in good]
     assert taken[:4] == wanted
     assert taken[-8:] == wanted * 2
@@ -97,7 +97,7 @@ def test_fed_any_way_the_same_comes_out(feed, junk):
 
 @given(data=st.lists(st.binary(max_size=40) | st.sampled_from([WHOLE, SHORT, SIGNED, HEARTBEAT, b"\xfd"]), max_size=8))
 def test_any_bytes_give_messages_or_frame_errors(data):
-    stream = MessageStream()
+    stream = message_stream()
     taken = fed(stream, b"".join(data), pieces(3))[0]
     assert len(taken) <= sum(len(one) >= 12 for one in data) + sum(map(len, data)) // 12
 

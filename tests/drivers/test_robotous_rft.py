@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
-from drivers.robotous_rft import RftChannel, RftConfig, RftStream, RobotousRft, answering, command, decode_packet
+from drivers.robotous_rft import RftConfig, RobotousRft, answering, command, decode_packet, rft_stream
+from drivers.serial_line.scalars import WrenchChannel
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.serial_script import (
@@ -25,7 +26,7 @@ from tests.drivers.serial_script import (
 from tests.drivers.serial_script import whole as at_once
 
 BAD, RESET, FULL = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET, SampleStatus.SATURATED
-FX, TZ = RftChannel("fx", 0, "N"), RftChannel("tz", 5, "N m")
+FX, TZ = WrenchChannel("fx", 0, "N"), WrenchChannel("tz", 5, "N m")
 NAME, RATE, SET_RATE, FILTER, SET_FILTER, START, STOP, BIAS = 1, 16, 15, 9, 8, 11, 12, 17
 SET_UP = [STOP, NAME, RATE, FILTER, START, BIAS]
 
@@ -95,13 +96,13 @@ def test_commands_are_those_of_the_manual():
 
 @pytest.mark.parametrize("feed", [at_once(STREAM), bytewise(), pieces(3), pieces(8, 9)])
 def test_fed_any_way_the_same_packets_come_out(feed):
-    assert fed(RftStream(), STREAM, feed) == (FIELDS, [])
+    assert fed(rft_stream(), STREAM, feed) == (FIELDS, [])
 
 
 @pytest.mark.parametrize("junk", [b"hello", b"\x55", b"\x55\x55\x55", PACKETS[0][:12], PACKETS[0][:-1] + b"\0"])
 def test_after_junk_the_next_packets_are_taken(junk):
     for feed in (at_once(junk + STREAM), bytewise(), pieces(5)):
-        stream = RftStream()
+        stream = rft_stream()
         taken, errors = fed(stream, junk + STREAM + b"\r", feed)
         assert taken == FIELDS
         assert errors

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from drivers.errors import UrlError
 from drivers.marks import MARK
 from drivers.reporter import Reporter
-from drivers.serial_stream import SerialLink
+from drivers.serial_line.device import SerialLink
 from drivers.unwrap import steps
 from tests.drivers.batches import codes, texts
 from tests.drivers.serial_script import MS, ScriptedSerial

@@ -19,10 +19,9 @@ from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.bmi088 import Bmi088SpiTwin, Bmi088Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
-from hil_sim.devices.net_box import HexBox, NetBox
+from hil_sim.devices.network.net_box import HexBox, NetBox
+from hil_sim.devices.network.ur_controller import UrController, rate
 from hil_sim.devices.odrive import OdriveTwin
-from hil_sim.devices.robotous_rft import RftTwin
-from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
@@ -32,7 +31,8 @@ from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
-from hil_sim.devices.ur_controller import UrController, rate
+from hil_sim.devices.wrist.bota_ft import BotaTwin
+from hil_sim.devices.wrist.robotous_rft import RftTwin
 from hil_sim.scenario import bus_tables
 from onboard import config
 from onboard.flight.acquire.devices import OpenDevices, open_devices

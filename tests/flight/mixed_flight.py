@@ -12,8 +12,8 @@ from drivers.records import Rows
 from hil_sim.devices.hx711 import Hx711Twin
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
+from hil_sim.devices.network.ur_controller import UrController
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin
-from hil_sim.devices.ur_controller import UrController
 from onboard import config
 from tests.flight.mixed import MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import START_NS

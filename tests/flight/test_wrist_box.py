@@ -8,7 +8,7 @@ from drivers.records import SampleStatus
 from drivers.transports.network import UdpPort
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
-from hil_sim.devices.net_box import NetBox
+from hil_sim.devices.network.net_box import NetBox
 from hil_sim.faults import Fault, FaultPlan
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, whole

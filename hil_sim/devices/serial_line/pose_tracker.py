@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.powered import Latency
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock
@@ -88,9 +89,9 @@ class PoseTrackerTwin(SerialTwin):
         self._analog, self._clock = analog, FaultyClock(clock, faults)
         self._windows = [w for w in faults.windows if w.kind in INPUT_KINDS]
         self._period_ns = 1e9 / rate_hz
-        self._latency_ns, self._jitter_ns, self._hidden = latency_ns, jitter_ns, hidden
+        self._latency, self._hidden = Latency(latency_ns, jitter_ns, seed), hidden
         self._swapped = swapped
-        self._rng = np.random.default_rng(seed)
+        self._rng = self._latency.rng
         self._powered_chip_ns = 0
         self._next = self._number = 0
         self._unseen_until = 0  # number of the pose from which the markers are seen again
@@ -117,7 +118,7 @@ class PoseTrackerTwin(SerialTwin):
         for number, stamp_ns, time_s, pose in zip(numbers, own_ns, times_s, poses, strict=True):
             if self._is_hidden(int(number)):
                 continue
-            late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
+            late_ns = self._latency.draw_ns()
             self._send(self._message(int(stamp_ns) // 1000, pose), self._start_ns + round(time_s * 1e9) + late_ns)
             self.produced += 1
         self._next += n

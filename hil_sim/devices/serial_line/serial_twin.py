@@ -1,13 +1,10 @@
 """What every twin at the end of a serial line has in common: its faults and its connector."""
 
-from collections import deque
-from collections.abc import Mapping
-from typing import ClassVar, Final
+from typing import Final
 
 from hil_sim.devices.powered import PoweredTwin
 from hil_sim.devices.serial_wire import LineFormat, Transmit
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, DeviceFaults, FaultKind, FaultyClock, garbled
-from hil_sim.sensing.analog import ChipClock, ScalarAnalog
+from hil_sim.faults import INPUT_KINDS, DeviceFaults, FaultKind, garbled
 
 POLLED_KINDS: Final = (FaultKind.SATURATED, FaultKind.SLOW, *INPUT_KINDS)
 """Faults of a load cell that speaks when it is spoken to."""
@@ -91,50 +88,3 @@ class SerialTwin(PoweredTwin):
     def _lose_power(self, now_ns: int) -> None:
         self.powered = False
         super()._lose_power(now_ns)
-
-
-class ComponentsTwin(SerialTwin):
-    """Base of a sensor of several components, each of which a table of its own may stand for.
-
-    Args:
-        inputs: What it measures and its range, by component from 0; others are 0.
-        clock: Its oscillator.
-        line: Speed and format it comes up with.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        faults: What breaks.
-
-    Raises:
-        FaultError: a fault that it cannot have.
-    """
-
-    clock_kinds: ClassVar[tuple[FaultKind, ...]] = CLOCK_KINDS
-
-    def __init__(
-        self,
-        inputs: Mapping[int, tuple[ScalarAnalog, float]],
-        clock: ChipClock,
-        line: LineFormat,
-        start_ns: int,
-        faults: DeviceFaults,
-    ) -> None:
-        super().__init__(line, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *self.clock_kinds))
-        self.samples = 0  # that a client asked for
-        self.leader = self
-        self._inputs = dict(inputs)
-        self._clock = FaultyClock(clock, faults)
-
-    @property
-    def produced(self) -> int:
-        """Samples that it had to send to a client who asked for them."""
-        return self.leader.samples
-
-    def join(self, other: "ComponentsTwin") -> None:
-        """Take over the inputs and faults of another table of the same device."""
-        other.leader = self
-        self._inputs |= other._inputs
-        kinds, windows = self._faults.possible, (*self._faults.windows, *other._faults.windows)
-        self._faults = DeviceFaults(self._faults.device, windows).require(*kinds)
-        self._is_faulty = bool(windows)
-        for cycle in other._faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
-        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))

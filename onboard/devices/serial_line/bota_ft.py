@@ -7,10 +7,11 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from drivers import transports
-from drivers.bota_ft import BotaChannel, BotaFt, BotaFtConfig
+from drivers.bota_ft import BotaFt, BotaFtConfig
 from drivers.bota_ft.device import TEMPERATURE, answering
 from drivers.bota_ft.frame import FRAME_BYTES
 from drivers.device import Device
+from drivers.serial_line.scalars import WrenchChannel
 from onboard.devices.base import Answering, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import ComponentDevice, PollPeriod, StreamedDevice
 from onboard.section import Positive
@@ -63,10 +64,10 @@ class BotaFtDevice(StreamedDevice, ComponentDevice):
         config = next(iter(parts.values())).settings(bus.name)
         return [BotaFt(bus.name, channels, partial(transports.open_serial, bus.url), bus.clock, config)]
 
-    def outputs(self, name: str) -> list[BotaChannel]:
+    def outputs(self, name: str) -> list[WrenchChannel]:
         """What its driver is to make rows of."""
-        warm = [BotaChannel(f"{name}_temperature", TEMPERATURE, "degC")] if self.temperature else []
-        return [BotaChannel(name, self.component - 1, self.unit), *warm]
+        warm = [WrenchChannel(f"{name}_temperature", TEMPERATURE, "degC")] if self.temperature else []
+        return [WrenchChannel(name, self.component - 1, self.unit), *warm]
 
     def parts(self, name: str) -> Mapping[str, str]:
         """See ``StreamedDevice``."""

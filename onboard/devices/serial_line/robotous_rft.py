@@ -8,7 +8,8 @@ from pydantic import Field
 
 from drivers import transports
 from drivers.device import Device
-from drivers.robotous_rft import PACKET_BYTES, RftChannel, RftConfig, RobotousRft, answering
+from drivers.robotous_rft import PACKET_BYTES, RftConfig, RobotousRft, answering
+from drivers.serial_line.scalars import WrenchChannel
 from onboard.devices.base import Answering, OpeningBus, Problem, Surroundings
 from onboard.devices.buses import ComponentDevice, PollPeriod, StreamedDevice
 from onboard.section import Positive
@@ -65,7 +66,7 @@ counts_per_N_m = 2000          # 1000: RFT64-6A01, RFT80-6A01, RFT80-6A02
     def open_on(cls, bus: OpeningBus) -> list[Device]:
         """See ``BusDevice``: all of a sensor are a single driver."""
         parts = {name: one for name, one in bus.devices.items() if isinstance(one, RobotousRftDevice)}
-        channels = [RftChannel(name, one.component - 1, one.unit) for name, one in parts.items()]
+        channels = [WrenchChannel(name, one.component - 1, one.unit) for name, one in parts.items()]
         config = next(iter(parts.values())).settings(bus.name)
         return [RobotousRft(bus.name, channels, partial(transports.open_serial, bus.url), bus.clock, config)]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drivers.serial_stream import SerialDevice
+from drivers.serial_line.device import SerialDevice
 
 TEMPERATURE = np.dtype(
     [("sequence", "<u8"), ("host_ns", "<i8"), ("tick", "<u8"), ("temperature_k", "<f8"), ("humid", "u1")], align=True

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from drivers.records import SCALAR
-from drivers.serial_stream import SerialDevice
+from drivers.serial_line.device import SerialDevice
 
 COUNTS_PER_REVOLUTION = 500_000
 

@@ -8,8 +8,8 @@ from fastcrc.crc16 import ibm_sdlc
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial
-from hil_sim.devices.serial_line.bota_ft import BotaTwin
 from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.wrist.bota_ft import BotaTwin
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from onboard.cli import main
 from tests.flight.check.test_desk import served

@@ -11,7 +11,7 @@ import pytest
 
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
-from hil_sim.devices.net_box import HexBox, NetBox
+from hil_sim.devices.network.net_box import HexBox, NetBox
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock

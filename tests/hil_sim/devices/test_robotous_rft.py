@@ -6,8 +6,8 @@ import pytest
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial
-from hil_sim.devices.robotous_rft import RftTwin, sample_length
 from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.wrist.robotous_rft import RftTwin, sample_length
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

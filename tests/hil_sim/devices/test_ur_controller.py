@@ -12,7 +12,7 @@ import pytest
 
 from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.tcp_ends import ListeningTcp, VirtualTcp
-from hil_sim.devices.ur_controller import UrController, rate
+from hil_sim.devices.network.ur_controller import UrController, rate
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

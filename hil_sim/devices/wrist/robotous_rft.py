@@ -19,17 +19,15 @@ refused; its filter is stored and reported, and does nothing; serial number and 
 import struct
 from collections import Counter
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal
 
-import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import PositiveFloat
 
-from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.serial_line.serial_twin import ComponentsTwin
+from hil_sim.devices.emulator import Bench, Twin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.devices.wrist.components import ComponentEmulator, ComponentsTwin
+from hil_sim.faults import FaultKind, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
-from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -42,24 +40,14 @@ _START, _STOP, _BIAS = 11, 12, 17
 
 
 class RftTwin(ComponentsTwin):
-    """One sensor.
+    """One sensor; see ``ComponentsTwin``.
 
     Args:
-        inputs: What it measures and its rating, by component from 0, N and N m; others are 0.
-        clock: Its oscillator.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        line: Speed and format.
-        model: Its name.
-        torque_counts: Of a newton metre.
-        latency_ns: From a sample to the first bit of its packet.
-        jitter_ns: Mean of an exponential time more.
-        seed: Of the jitter.
-        faults: What breaks.
-
-    Raises:
-        FaultError: a fault that it cannot have.
+        torque_counts: Of a newton metre: of its model.
     """
 
+    comes_with = LineFormat(_BAUDS[1])
+    draws = 0x5254
     clock_kinds = (FaultKind.SLOW,)  # it tells no time
 
     def __init__(
@@ -68,21 +56,12 @@ class RftTwin(ComponentsTwin):
         clock: ChipClock,
         start_ns: int,
         *,
-        line: LineFormat = LineFormat(_BAUDS[1]),  # noqa: B008  (a constant)
-        model: str = "RFT40-SA01",
         torque_counts: float = 2000.0,
-        latency_ns: int = 400_000,
-        jitter_ns: int = 50_000,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
+        **options: Any,
     ) -> None:
-        super().__init__(inputs, clock, line, start_ns, faults)
-        self._model, self._torque_counts = model, torque_counts
-        self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
-        self._rng = np.random.default_rng([seed, 0x5254])
+        super().__init__(inputs, clock, start_ns, **options)
+        self._torque_counts = torque_counts
         self.rate, self.filter = 0, (0, 0)  # stored
-        self._heard = b""
-        self._runs = False
         self._next_chip_ns = 0.0
         self._bias = [0.0] * 6
         self._overloads: Counter[int] = Counter()
@@ -117,8 +96,7 @@ class RftTwin(ComponentsTwin):
         self._at("sample", self._clock.time_ns(round(self._next_chip_ns)), self._sample)
 
     def _sample(self, now_ns: int) -> None:
-        late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._respond(_START, self._contents(now_ns), now_ns + late_ns)
+        self._respond(_START, self._contents(now_ns), now_ns + self._latency.draw_ns())
         self.samples += 1
         self._arm()
 
@@ -151,7 +129,7 @@ class RftTwin(ComponentsTwin):
         speed = (1, 921_600), (2, 460_800), (3, 230_400), (4, 115_200), (5, 57_600)
         now = [code for code, baud in speed if baud == self.line.baud_rate]
         known = {
-            1: self._model.encode(),
+            1: b"RFT80-6A01" if self._torque_counts == 1000.0 else b"RFT40-SA01",
             2: b"000000000000001",
             3: b"1.8",
             7: bytes(now * 2),
@@ -176,30 +154,20 @@ def sample_length(message: bytes) -> int:
     return _RESPONSE_BYTES if len(message) == _RESPONSE_BYTES and message[1] == _START else 0
 
 
-class RobotousRftTable(MeasuringEmulator):
-    """A component of the sensor; a line has one twin."""
+class RobotousRftTable(ComponentEmulator):
+    """A component of the sensor."""
 
     baud_rates = _BAUDS
-    quantities = FORCES
-    where = "component {component}"
 
     kind: Literal["robotous_rft"]
-    component: Annotated[int, Field(ge=1, le=6)] = 1
     range: PositiveFloat = 1e6  # N or N m
     torque_counts: PositiveFloat = 2000.0  # a newton metre
     latency_ms: NonNegative = 0.4
 
     @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``."""
-        table = {
-            "component": said["component"],
-            "measures": name,
-            "at": said["frame"],
-            "range": said["capacity_N"],
-            "torque_counts": said.get("counts_per_N_m", 2000.0),
-        }
-        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
+    def further(cls, said: Mapping[str, Any]) -> dict[str, Any]:
+        """See ``ComponentEmulator``."""
+        return {**super().further(said), "torque_counts": said.get("counts_per_N_m", 2000.0)}
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
@@ -209,7 +177,6 @@ class RobotousRftTable(MeasuringEmulator):
             bench.clock,
             bench.start_ns,
             line=bench.line,
-            model="RFT80-6A01" if self.torque_counts == 1000.0 else "RFT40-SA01",
             torque_counts=self.torque_counts,
             latency_ns=round(1e6 * self.latency_ms),
             seed=bench.seed,

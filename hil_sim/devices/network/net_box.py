@@ -16,16 +16,15 @@ component beyond its range is not published: here bit 0.
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
-import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import PositiveFloat
 
-from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.networked import NetworkedTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.devices.emulator import Bench, Twin
+from hil_sim.devices.network.networked import NetworkedTwin
+from hil_sim.devices.wrist.components import ComponentEmulator
+from hil_sim.faults import FaultKind, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
-from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -38,22 +37,14 @@ Input = Callable[[float], tuple[float, bool]]
 
 
 class NetBox(NetworkedTwin[int]):
-    """One sensor.
+    """One sensor; see ``NetworkedTwin``.
 
     Args:
         inputs: What it measures, by component from 0; others are 0.
-        clock: Its oscillator.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
         rate_hz: Records a second.
-        latency_ns: From a record's sample to its sending.
-        jitter_ns: Mean of an exponential time more.
-        seed: Of the jitter.
-        faults: What breaks.
-
-    Raises:
-        FaultError: a fault that it cannot have.
     """
 
+    draws = 0x4654
     boot_ns = 500_000_000  # a real one takes some seconds
     internal_hz: ClassVar[int] = 7000
     error: ClassVar[int] = 0x8000_0000  # its status beyond its range
@@ -65,17 +56,12 @@ class NetBox(NetworkedTwin[int]):
         start_ns: int,
         *,
         rate_hz: float = 1000.0,
-        latency_ns: int = 400_000,
-        jitter_ns: int = 50_000,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
+        **options: Any,
     ) -> None:
-        faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, *INPUT_KINDS, *CLOCK_KINDS)
-        self._period_ns, self._latency_ns, self._jitter_ns = 1e9 / rate_hz, latency_ns, jitter_ns
-        self._rng = np.random.default_rng([seed, 0x4654])
+        self._period_ns = 1e9 / rate_hz
         self._next = 0  # number of the next record since power-up, at its rate
         self._number = self._left = 0  # in this stream; records to send
-        super().__init__(inputs, clock, start_ns, faults)
+        super().__init__(inputs, clock, start_ns, **options)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """See ``NetworkDevice``: a datagram."""
@@ -113,9 +99,8 @@ class NetBox(NetworkedTwin[int]):
         self._number += 1
         data = struct.pack(">III6i", self._number & 0xFFFF_FFFF, internal & 0xFFFF_FFFF, status, *counts)
         if self._active(FaultKind.GARBAGE, now_ns):
-            data = self._rng.bytes(len(data))
-        late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._send(data, self._next, now_ns + late_ns)
+            data = self._latency.rng.bytes(len(data))
+        self._send(data, self._next, now_ns + self._latency.draw_ns())
         self._next += 1
         self._left -= 1
         if self._left:
@@ -154,17 +139,14 @@ class HexBox(NetBox):
         return [value - bias for value, bias in zip(values, self._bias, strict=True)]
 
 
-class NetFtTable(MeasuringEmulator):
-    """A component of the sensor; a bus has one twin."""
+class NetFtTable(ComponentEmulator):
+    """A component of the sensor."""
 
     box: ClassVar[type[NetBox]] = NetBox
 
     needs = "udp"
-    quantities = FORCES
-    where = "component {component}"
 
     kind: Literal["net_ft"]
-    component: Annotated[int, Field(ge=1, le=6)] = 1
     rate_hz: PositiveFloat = 1000.0
     counts: PositiveFloat = 1e6  # of a newton or newton metre
     range: PositiveFloat = 1e6  # N or N m
@@ -176,18 +158,10 @@ class NetFtTable(MeasuringEmulator):
         return float(said.get("counts_per_N" if said["component"] < 4 else "counts_per_N_m", 1e6))
 
     @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``."""
-        counts = cls.counts_of(said)
-        table = {
-            "component": said["component"],
-            "measures": name,
-            "at": said["frame"],
-            "counts": counts,
-            "range": said["capacity_N"],
-        }
-        table |= {key: said[key] for key in ("rate_hz",) if key in said}
-        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
+    def further(cls, said: Mapping[str, Any]) -> dict[str, Any]:
+        """See ``ComponentEmulator``."""
+        rate = {"rate_hz": said["rate_hz"]} if "rate_hz" in said else {}
+        return {**super().further(said), **rate, "counts": cls.counts_of(said)}
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -7,7 +7,7 @@ does not stamp data: the stamp is taken with the device's clock when a read retu
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from drivers.errors import ConfigurationError, DriverError, FrameError
 from drivers.ports import SerialPort
 from drivers.records import Batch, Severity
 from drivers.reporter import Reporter
+from drivers.serial_line.frames import FrameDecoder
 
-Frame_co = TypeVar("Frame_co", covariant=True)
+Frame = TypeVar("Frame")
 OpenPort = Callable[[], SerialPort]
 Clock = Callable[[], int]
 Channels = Mapping[str, np.dtype[Any]]
@@ -43,16 +44,6 @@ class ReceivedBytes(NamedTuple):
     data: bytes
     host_ns: int
     fresh: bool = True
-
-
-class FrameDecoder(Protocol[Frame_co]):
-    """Splits received bytes into frames."""
-
-    def receive(self, data: bytes) -> None:
-        """Append received bytes."""
-
-    def take(self) -> Frame_co | None:
-        """The next frame, None for need more data. Raises FrameError; the bytes were discarded, call it again."""
 
 
 class SerialLink:
@@ -287,7 +278,7 @@ class SerialDevice(ABC):
         self._heard_ns = now_ns
         self._link.alive(now_ns)
 
-    def _frames_in(self, chunk: ReceivedBytes, decoder: FrameDecoder[Frame_co]) -> Iterator[Frame_co]:
+    def _frames_in(self, chunk: ReceivedBytes, decoder: FrameDecoder[Frame]) -> Iterator[Frame]:
         """Valid frames that the bytes read complete; invalid bytes are reported."""
         decoder.receive(chunk.data)
         while True:

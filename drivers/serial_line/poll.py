@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_line.device import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 SETTLE_NS = 10 * MS  # silence required after invalid bytes
 UNANSWERED_TO_TELL = 5

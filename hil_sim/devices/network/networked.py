@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
-from hil_sim.devices.powered import PoweredTwin
-from hil_sim.faults import DeviceFaults, FaultKind, FaultyClock
+from hil_sim.devices.powered import Latency, PoweredTwin
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock
 from hil_sim.sensing.analog import ChipClock
 
 Place = TypeVar("Place")
@@ -18,17 +18,38 @@ class NetworkedTwin(PoweredTwin, Generic[Place]):
         inputs: What it measures, by place.
         clock: Its oscillator.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        latency_ns: From a sample to its sending.
+        jitter_ns: Mean of an exponential time more.
+        seed: Of the jitter.
         faults: What breaks.
+
+    Raises:
+        FaultError: a fault that it cannot have.
     """
 
     boot_ns: ClassVar[int]  # from the return of its supply
+    draws: ClassVar[int]  # beside the seed
+    fault_kinds: ClassVar[tuple[FaultKind, ...]] = ()  # beside those of all
 
-    def __init__(self, inputs: Mapping[Place, Any], clock: ChipClock, start_ns: int, faults: DeviceFaults) -> None:
+    def __init__(
+        self,
+        inputs: Mapping[Place, Any],
+        clock: ChipClock,
+        start_ns: int,
+        *,
+        latency_ns: int = 400_000,
+        jitter_ns: int = 50_000,
+        seed: int = 0,
+        faults: DeviceFaults = NO_FAULTS,
+    ) -> None:
+        own = (FaultKind.OFF, FaultKind.RESET, FaultKind.GARBAGE, *self.fault_kinds)
+        faults.require(*own, *INPUT_KINDS, *CLOCK_KINDS)
+        self._latency_ns = latency_ns
+        self._latency = Latency(latency_ns, jitter_ns, seed, self.draws)
         self.listens = True
         self.leader = self
         self._inputs = dict(inputs)
         self._clock = FaultyClock(clock, faults)
-        self._all_faults = [faults]
         self._transmit: Callable[[bytes, int], None] = lambda data, ready_ns: None
         self._powered_chip_ns = 0
         self._sent = deque[tuple[bytes, int]]()  # samples under way, and their numbers since power-up
@@ -45,10 +66,7 @@ class NetworkedTwin(PoweredTwin, Generic[Place]):
         """Take over the inputs and faults of another table of the same device."""
         other.leader = self
         self._inputs |= other._inputs
-        self._all_faults += other._all_faults
-        for cycle in other._faults.power_cycles():
-            self._supply += [(cycle.down_ns, self._lose_power), (cycle.up_ns, self._gain_power)]
-        self._supply = deque(sorted(self._supply, key=lambda one: one[0]))
+        self._take_over(other)
 
     def plug_in(self, transmit: Callable[[bytes, int], None]) -> None:
         """See ``NetworkDevice``."""
@@ -74,7 +92,7 @@ class NetworkedTwin(PoweredTwin, Generic[Place]):
         self._transmit(data, ready_ns)
 
     def _active(self, kind: FaultKind, now_ns: int) -> bool:
-        return any(faults.active(kind, now_ns) is not None for faults in self._all_faults)
+        return self._faults.active(kind, now_ns) is not None
 
     # For PoweredTwin
 

@@ -23,21 +23,17 @@ numbers as text, another speed, chopping and fast settling are not here and refu
 import re
 import struct
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal
 
-import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import PositiveFloat
 
-from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.serial_line.serial_twin import ComponentsTwin
+from hil_sim.devices.emulator import Bench, Twin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.devices.wrist.components import ComponentEmulator, ComponentsTwin
+from hil_sim.faults import FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
-from hil_sim.scenario.sheets import Sheets
-from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
-_BAUD: Final = 460_800
 _FRAME_BYTES: Final = 37
 _CYCLE_NS: Final = 19_531.25
 _BOOT_NS: Final = 500_000_000
@@ -58,42 +54,14 @@ def _crc(data: bytes) -> int:
 
 
 class BotaTwin(ComponentsTwin):
-    """One sensor.
+    """One sensor; see ``ComponentsTwin``."""
 
-    Args:
-        inputs: What it measures and its range, by component from 0, N and N m; others are 0.
-        clock: Its oscillator.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        line: Speed and format.
-        latency_ns: From a frame's sample to its first bit.
-        jitter_ns: Mean of an exponential time more.
-        seed: Of the jitter.
-        faults: What breaks.
+    comes_with = LineFormat(460_800)
+    draws = 0x424F
 
-    Raises:
-        FaultError: a fault that it cannot have.
-    """
-
-    def __init__(
-        self,
-        inputs: Mapping[int, tuple[ScalarAnalog, float]],
-        clock: ChipClock,
-        start_ns: int,
-        *,
-        line: LineFormat = LineFormat(_BAUD),  # noqa: B008  (a constant)
-        latency_ns: int = 400_000,
-        jitter_ns: int = 50_000,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
-    ) -> None:
-        super().__init__(inputs, clock, line, start_ns, faults)
-        self._was_asked = False  # by a client, to run
-        self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
-        self._rng = np.random.default_rng([seed, 0x424F])
-        self._calibration, self._sinc = self._saved = _SAVED
-        self._heard = b""
-        self._runs = False
-        self._powered_chip_ns = self._next_chip_ns = 0
+    _was_asked = False  # by a client, to run
+    _calibration, _sinc = _saved = _SAVED
+    _powered_chip_ns = _next_chip_ns = 0
 
     def _power_up(self, now_ns: int) -> None:
         self._powered_chip_ns = self._clock.chip_ns(now_ns)
@@ -120,8 +88,7 @@ class BotaTwin(ComponentsTwin):
             wrench[component] = min(max(value, -most), most)
         own_us = (self._next_chip_ns - self._powered_chip_ns) // 1000 & 0xFFFF_FFFF
         content = struct.pack("<H6fIf", status, *wrench, own_us, 31.0 + 1e-3 * time_s)
-        late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._send(b"\xaa" + content + struct.pack("<H", _crc(content)), now_ns + late_ns)
+        self._send(b"\xaa" + content + struct.pack("<H", _crc(content)), now_ns + self._latency.draw_ns())
         self.samples += self._was_asked
         self._arm()
 
@@ -162,40 +129,26 @@ class BotaTwin(ComponentsTwin):
         return 0
 
 
-class BotaFtTable(MeasuringEmulator):
-    """A component of the sensor; a line has one twin."""
+class BotaFtTable(ComponentEmulator):
+    """A component of the sensor."""
 
-    baud_rates = (_BAUD,)
-    quantities = FORCES
-    where = "component {component}"
+    baud_rates = (BotaTwin.comes_with.baud_rate,)
 
     kind: Literal["bota_ft"]
-    component: Annotated[int, Field(ge=1, le=6)] = 1
     range: PositiveFloat = 1e6  # N or N m
     latency_ms: NonNegative = 0.4
     temperature: bool = False  # whether it is recorded, as NAME_temperature; it is sent always
 
     @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``."""
-        table = {
-            "component": said["component"],
-            "measures": name,
-            "at": said["frame"],
-            "range": said["capacity_N"],
-            "temperature": said.get("temperature", False),
-        }
-        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
+    def further(cls, said: Mapping[str, Any]) -> dict[str, Any]:
+        """See ``ComponentEmulator``."""
+        return {**super().further(said), "temperature": said.get("temperature", False)}
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
+        felt = FaultyScalar(bench.sensor(LoadCellSensor), bench.faults, bench.start_ns)
         twin = BotaTwin(
-            {
-                self.component - 1: (
-                    FaultyScalar(bench.sensor(LoadCellSensor), bench.faults, bench.start_ns),
-                    self.range,
-                )
-            },
+            {self.component - 1: (felt, self.range)},
             bench.clock,
             bench.start_ns,
             line=bench.line,

@@ -28,9 +28,10 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from hil_sim.devices.emulator import FORCES, Bench, Emulator, Equivalent, JointEmulator, MeasuringEmulator, Twin
-from hil_sim.devices.networked import NetworkedTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.devices.emulator import Bench, Emulator, Equivalent, JointEmulator, Twin
+from hil_sim.devices.network.networked import NetworkedTwin
+from hil_sim.devices.wrist.components import ComponentEmulator
+from hil_sim.faults import FaultKind, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
@@ -64,22 +65,15 @@ _RATE_WINDOW_S: Final = 2e-3
 
 
 class UrController(NetworkedTwin[tuple[str, int]]):
-    """One controller.
+    """One controller; see ``NetworkedTwin``.
 
     Args:
         inputs: What it measures at a mission time, by output and place from 0; others are 0.
-        clock: Its oscillator.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        latency_ns: From a package's time stamp to its sending.
-        jitter_ns: Mean of an exponential time more.
         lacks: Outputs that it has not, and what it says of them.
-        seed: Of the jitter.
-        faults: What breaks.
-
-    Raises:
-        FaultError: a fault that it cannot have.
     """
 
+    draws = 0x5552
+    fault_kinds = (FaultKind.TRIP, FaultKind.EMERGENCY_STOP)
     boot_ns = 1_000_000_000  # a real one takes a minute
 
     def __init__(
@@ -89,21 +83,15 @@ class UrController(NetworkedTwin[tuple[str, int]]):
         start_ns: int,
         *,
         latency_ns: int = 700_000,
-        jitter_ns: int = 50_000,
         lacks: Mapping[str, str] | None = None,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
+        **options: Any,
     ) -> None:
-        own = (FaultKind.OFF, FaultKind.RESET, FaultKind.TRIP, FaultKind.EMERGENCY_STOP, FaultKind.GARBAGE)
-        faults.require(*own, *INPUT_KINDS, *CLOCK_KINDS)
-        self._latency_ns, self._jitter_ns = latency_ns, jitter_ns
         self._types = {**_OUTPUTS, **(lacks or {})}
-        self._rng = np.random.default_rng([seed, 0x5552])
         self._request = bytearray()
         self._names: list[str] = []
         self._rate_hz = _CONTROL_HZ
         self._next = 0  # number of the next package since power-up, at its rate
-        super().__init__(inputs, clock, start_ns, faults)
+        super().__init__(inputs, clock, start_ns, latency_ns=latency_ns, **options)
 
     def connected(self) -> None:
         """See ``NetworkDevice``."""
@@ -160,9 +148,8 @@ class UrController(NetworkedTwin[tuple[str, int]]):
         for name in self._names:
             rest += struct.pack(f">{_FORMATS[self._types[name]]}", *self._measured(name, time_s, stamp_s, now_ns))
         if self._active(FaultKind.GARBAGE, now_ns):
-            rest = self._rng.bytes(len(rest))
-        late_ns = self._latency_ns + round(self._jitter_ns * float(self._rng.standard_exponential()))
-        self._send(_package("U", rest), self._next, now_ns + late_ns)
+            rest = self._latency.rng.bytes(len(rest))
+        self._send(_package("U", rest), self._next, now_ns + self._latency.draw_ns())
         self._next += 1
         self._arm(now_ns)
 
@@ -271,20 +258,15 @@ class UrJointTable(_UrTable, JointEmulator):
         return self.twin(bench, inputs, self.recorded(bench.name))
 
 
-class UrWrenchTable(_UrTable, MeasuringEmulator):
+class UrWrenchTable(_UrTable, ComponentEmulator):
     """A component of the wrench at the wrist."""
 
-    quantities = FORCES
-    where = "component {component}"
-
     kind: Literal["ur_wrench"]
-    component: Annotated[int, Field(ge=1, le=6)] = 1
 
     @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``."""
-        table = {"component": said["component"], "measures": name, "at": said["frame"]}
-        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "crystal"})
+    def further(cls, said: Mapping[str, Any]) -> dict[str, Any]:
+        """See ``ComponentEmulator``: it has no range."""
+        return {}
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -1,0 +1,1 @@
+"""Simulated devices with a connection of their own on a network."""
