@@ -1,6 +1,5 @@
 """AS5048A and B: decoder, and the driver against chips typed from the data sheet."""
 
-import errno
 from math import tau
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, FrameError
+from drivers.errors import FrameError
 from drivers.i2c.as5048 import As5048, As5048aPort, As5048Config, decode_output, framed, identify
 from drivers.ports import I2cReply
 from drivers.records import SampleStatus
@@ -121,61 +120,6 @@ def test_a_reading_of_the_a_is_three_commands_and_of_the_b_one_transfer(clock):
         assert set(flight.rows()["value_raw"]) == {3000}
         assert codes(flight.batches) == ["started"]
         assert all(transfer[0] != "write" for transfer in flight.chip.transfers)
-
-
-@pytest.mark.parametrize("wrong", [{"counts_per_revolution": 0}, {"sample_period_ms": 0.0}])
-def test_what_it_has_not_is_refused(wrong):
-    with pytest.raises(ConfigurationError):
-        As5048Config(**wrong)
-
-
-@BOTH
-@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
-def test_one_failed_transaction_at_any_place_is_tried_again(clock, kind, code):
-    for place in range(12):
-        chip = model_of(clock, kind)
-        chip.fail = lambda number, place=place: code if number == place else 0
-        flight = flown(clock, kind, chip=chip)
-        flight.fly(0.2)
-        assert codes(flight.batches) == ["started"], place
-        assert flight.device.bus_errors == 1
-        assert len(of(flight.batches, "gap")) == 0
-
-
-@BOTH
-@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO, errno.ETIMEDOUT, errno.ENODEV])
-def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, kind, code):
-    for place in range(12):
-        chip = model_of(clock, kind)
-        dead = {"until": 1 << 30}
-        chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
-        flight = flown(clock, kind, chip=chip)
-        flight.fly(3.0)
-        said = [one for one in codes(flight.batches) if one != "started"]
-        assert said in (["no_answer"], ["bus_error"]), place
-        where = "SPI does not answer" if kind == "A" else "I2C 0x40 does not answer"
-        assert where in texts(flight.batches, said[0])[0]
-        before, dead["until"] = len(of(flight.batches, NAME)), 0
-        flight.fly(2.0)
-        assert codes(flight.batches)[-1] in ("started", "bus_recovered")
-        assert len(flight.rows()) > 150
-        if before:
-            (gap,) = of(flight.batches, "gap")
-            assert gap["cause"] == b"bus_error"
-            assert gap["last_missing"] - gap["first_missing"] == pytest.approx(700, abs=110)
-
-
-@pytest.mark.parametrize(
-    ("registers", "said"), [({0xFB: 0x11}, "check bus and address"), ({0xFB: 0}, "one that does not start")]
-)
-@BOTH
-def test_another_chip_or_one_that_does_not_start_is_none(clock, kind, registers, said):
-    chip = model_of(clock, kind)
-    chip.stuck |= registers
-    flight = flown(clock, kind, chip=chip)
-    flight.fly(1.0)
-    assert codes(flight.batches) == ["wrong_device"]
-    assert said in texts(flight.batches, "wrong_device")[0]
 
 
 def test_it_is_known_by_its_reserved_bits_and_that_it_has_started(clock):

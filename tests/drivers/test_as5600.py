@@ -1,6 +1,5 @@
 """AS5600: decoder, and the driver against a chip typed from the data sheet."""
 
-import errno
 from math import tau
 
 import numpy as np
@@ -8,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, FrameError
+from drivers.errors import FrameError
 from drivers.i2c.as5600 import As5600, As5600Config, decode_reading
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of, texts
+from tests.drivers.batches import codes, of
 from tests.drivers.chip_flight import ChipFlight
 from tests.drivers.i2c_model import As5600Model
 
@@ -60,65 +59,6 @@ def test_the_set_up_leaves_what_is_not_its_own(clock, taps, code):
     assert chip.registers[0x07] == 0xC0 | code
     assert chip.registers[0x08] == 0xA0
     assert [data for kind, *data in chip.transfers if kind == "write"] == [[7, 0xC0 | code], [8, 0xA0]]
-
-
-@pytest.mark.parametrize("wrong", [{"slow_filter": 3}, {"counts_per_revolution": 0}, {"sample_period_ms": 0.0}])
-def test_what_it_has_not_is_refused(wrong):
-    with pytest.raises(ConfigurationError):
-        As5600Config(**wrong)
-
-
-@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
-def test_one_failed_transaction_at_any_place_is_tried_again(clock, code):
-    for place in range(12):
-        chip = As5600Model(clock)
-        chip.fail = lambda number, place=place: code if number == place else 0
-        flight = Flight(clock, chip=chip)
-        flight.fly(0.2)
-        assert codes(flight.batches) == ["started"], place
-        assert flight.device.bus_errors == 1
-        assert len(of(flight.batches, "gap")) == 0
-
-
-@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO, errno.ETIMEDOUT])
-def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, code):
-    for place in range(16):
-        chip = As5600Model(clock)
-        dead = {"until": 1 << 30}
-        chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
-        flight = Flight(clock, chip=chip)
-        flight.fly(3.0)
-        said = [one for one in codes(flight.batches) if one != "started"]
-        assert said in (["no_answer"], ["bus_error"]), place
-        before, dead["until"] = len(of(flight.batches, NAME)), 0
-        flight.fly(2.0)
-        assert codes(flight.batches)[-1] in ("started", "bus_recovered")
-        assert len(flight.rows()) > 150
-        if before:
-            (gap,) = of(flight.batches, "gap")
-            assert gap["cause"] == b"bus_error"
-            assert gap["last_missing"] - gap["first_missing"] == pytest.approx(700, abs=110)
-
-
-@pytest.mark.parametrize("registers", [{0x0B: 0x01}, {0x0C: 0x40}])
-def test_a_fuel_gauge_at_its_address_is_no_as5600(clock, registers):
-    """A MAX17048 answers at 36h too."""
-    chip = As5600Model(clock)
-    chip.stuck |= registers
-    flight = Flight(clock, chip=chip)
-    flight.fly(1.0)
-    assert codes(flight.batches) == ["wrong_device"]
-    assert "check bus and address" in texts(flight.batches, "wrong_device")[0]
-
-
-@pytest.mark.parametrize("register", [7, 8])
-def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, register):
-    chip = As5600Model(clock)
-    chip.stuck[register] = 0x09
-    flight = Flight(clock, chip=chip)
-    flight.fly(1.0)
-    assert codes(flight.batches) == ["configuration"]
-    assert len(of(flight.batches, NAME)) == 0
 
 
 def test_it_is_asked_in_its_period_and_stamps_both_ends(clock):

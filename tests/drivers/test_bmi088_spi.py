@@ -1,6 +1,5 @@
 """BMI088 on SPI: the driver against two dies with a select line each, typed from the data sheet."""
 
-import errno
 import os
 
 import pytest
@@ -102,33 +101,6 @@ def test_what_goes_over_the_lines(flight):
     assert set(rows["temperature_raw"]) == {127}
 
 
-def test_one_failed_transfer_at_any_place_is_tried_again(clock):
-    for place in range(32):
-        chip = Bmi088SpiModel(clock)
-        chip.fail = lambda number, place=place: errno.EIO if number == place else 0
-        flight = Flight(clock, chip)
-        flight.fly(0.4)
-        assert codes(flight.batches) == ["started"], place
-        assert flight.device.bus_errors == 1
-        assert len(of(flight.batches, "gap")) == 0
-
-
-@pytest.mark.parametrize("code", [errno.EIO, errno.ENODEV])
-def test_an_adapter_that_dies_at_any_transfer_is_told_once_and_survived(clock, code):
-    for place in range(30):
-        chip = Bmi088SpiModel(clock)
-        dead = {"until": 1 << 30}
-        chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
-        flight = Flight(clock, chip)
-        flight.fly(3.0)
-        said = [one for one in codes(flight.batches) if one != "started"]
-        assert said in (["no_answer"], ["bus_error"]), place
-        dead["until"] = 0
-        flight.fly(2.0)
-        assert codes(flight.batches)[-1] in ("started", "bus_recovered")
-        assert len(flight.rows()) > 150
-
-
 @pytest.mark.parametrize("die", [0, 1])
 @pytest.mark.parametrize("level", [0x00, 0xFF])
 def test_a_die_that_is_gone_is_told_before_a_row_of_it(flight, die, level):
@@ -154,17 +126,6 @@ def test_one_that_is_not_there_is_told_as_such(clock, die, level):
     flight.fly(1.0)
     assert codes(flight.batches) == ["no_answer"]
     assert "SPI does not answer" in texts(flight.batches, "no_answer")[0]
-
-
-@pytest.mark.parametrize(("register", "part"), [(0x00, "accelerometer on SPI"), (GYRO, "gyroscope on SPI")])
-def test_another_chip_on_either_line_is_named(clock, register, part):
-    chip = Bmi088SpiModel(clock)
-    chip.reset_values = {**Bmi088Model.reset_values, register: 0x68}
-    chip.reset()
-    flight = Flight(clock, chip)
-    flight.fly(1.0)
-    assert codes(flight.batches) == ["wrong_device"]
-    assert part in texts(flight.batches, "wrong_device")[0]
 
 
 @pytest.mark.parametrize(("ahead", "byte"), [(0, 2), (1, 1)])

@@ -1,0 +1,216 @@
+"""What holds of every chip on I2C or SPI: faults of its bus at any transaction, stuck registers, other chips."""
+
+import errno
+from collections.abc import Callable
+from typing import NamedTuple
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.hx711 import Hx711Config
+from drivers.i2c.as5048 import As5048Config
+from drivers.i2c.as5600 import As5600Config
+from drivers.i2c.nau7802 import Nau7802Config
+from drivers.inertial.bmi088 import Bmi088Config
+from drivers.inertial.icm20948 import Icm20948Config
+from tests.drivers import test_as5048, test_as5600, test_bmi088, test_bmi088_spi, test_icm20948, test_nau7802
+from tests.drivers.batches import codes, of, texts
+from tests.drivers.chip_flight import MS, ChipFlight
+from tests.drivers.i2c_model import Chip
+
+
+class Sensor(NamedTuple):
+    """A chip and its driver.
+
+    Attributes:
+        model: Makes the chip, of a clock.
+        fly: Its driver on it, started.
+        where: It is named so where it does not answer.
+        stuck: Registers that the driver reads back, and what they hold for good.
+        other: What another chip shows, and what is said of it.
+        readings: Transfers of readings that the laws of transfers hold of; of a FIFO they are others.
+    """
+
+    model: Callable[..., Chip]
+    fly: Callable[..., ChipFlight]
+    where: str
+    stuck: dict[int, int]
+    other: list[tuple[dict[int, int], str]]
+    readings: int = 4
+
+
+SENSORS = {
+    "as5048a": Sensor(
+        test_as5048.As5048aModel,
+        lambda clock, chip: test_as5048.flown(clock, "A", chip=chip),
+        "SPI does not answer",
+        {},
+        [({0xFB: 0x11}, "check bus and address"), ({0xFB: 0}, "one that does not start")],
+    ),
+    "as5048b": Sensor(
+        test_as5048.As5048bModel,
+        lambda clock, chip: test_as5048.flown(clock, "B", chip=chip),
+        "I2C 0x40 does not answer",
+        {},
+        [({0xFB: 0x11}, "check bus and address"), ({0xFB: 0}, "one that does not start")],
+    ),
+    "as5600": Sensor(
+        test_as5600.As5600Model,
+        lambda clock, chip: test_as5600.Flight(clock, chip=chip),
+        "I2C 0x36 does not answer",
+        {0x07: 0x09, 0x08: 0x09},
+        # a MAX17048, a fuel gauge, answers at 36h too
+        [({0x0B: 0x01}, "check bus and address"), ({0x0C: 0x40}, "check bus and address")],
+    ),
+    "bmi088": Sensor(
+        test_bmi088.Bmi088Model,
+        lambda clock, chip: test_bmi088.Flight(clock, chip=chip),
+        "does not answer",
+        {0x41: 0x03},
+        [({0x00: 0x68}, "accelerometer"), ({test_bmi088.GYRO: 0x68}, "gyroscope")],
+    ),
+    "bmi088_spi": Sensor(
+        test_bmi088_spi.Bmi088SpiModel,
+        test_bmi088_spi.Flight,
+        "SPI does not answer",
+        {},
+        [({0x00: 0x68}, "accelerometer on SPI"), ({test_bmi088.GYRO: 0x68}, "gyroscope on SPI")],
+    ),
+    "icm20948": Sensor(
+        test_icm20948.Icm20948Model,
+        lambda clock, chip: test_icm20948.Flight(clock, chip=chip),
+        "I2C 0x69 does not answer",
+        {0x007: 0x2A, 0x201: 0x2A, 0x211: 0x2A, 0x252: 0x2A},
+        [({0x000: 0x71}, "WHO_AM_I 0x71")],
+        readings=0,
+    ),
+    "nau7802": Sensor(
+        test_nau7802.Nau7802Model,
+        lambda clock, chip: test_nau7802.Flight(clock, chip=chip),
+        "I2C 0x2a does not answer",
+        {0x00: 0x49, 0x01: 0x49, 0x02: 0x49, 0x1C: 0x49},
+        [({0x1F: 0x42}, "revision 0x42")],
+    ),
+}
+EACH = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+
+
+def first_transfers(sensor, clock):
+    """Number of those of the set-up, and of the first readings."""
+    return sensor.fly(clock, sensor.model(clock)).set_up_transfers() + sensor.readings
+
+
+@EACH
+@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
+def test_one_failed_transaction_at_any_place_is_tried_again(clock, sensor, code):
+    for place in range(first_transfers(sensor, clock)):
+        chip = sensor.model(clock)
+        chip.fail = lambda number, place=place: code if number == place else 0
+        flight = sensor.fly(clock, chip)
+        flight.fly(0.6)
+        assert codes(flight.batches) == ["started"], place
+        assert flight.device.bus_errors == 1
+        assert len(of(flight.batches, "gap")) == 0
+        assert len(flight.rows()) > 10
+
+
+@EACH
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (errno.EREMOTEIO, "check its power"),
+        (errno.EIO, "check the bus"),
+        (errno.ETIMEDOUT, "power-cycle it"),
+        (errno.ENODEV, "plug it in"),
+    ],
+)
+def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, sensor, code, remedy):
+    for place in range(0, first_transfers(sensor, clock), 2):
+        chip, dead = sensor.model(clock), {"until": 1 << 30}
+        chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
+        flight = sensor.fly(clock, chip)
+        flight.fly(3.0)
+        (told,) = [one for one in codes(flight.batches) if one != "started"]
+        assert told in ("no_answer", "bus_error"), place
+        assert sensor.where in texts(flight.batches, told)[0]
+        assert remedy in texts(flight.batches, told)[0]
+        flew, dead["until"] = len(of(flight.batches, flight.device.name)), 0
+        flight.fly(2.0)
+        assert codes(flight.batches)[-1] in ("started", "bus_recovered")
+        assert len(flight.rows()) > 80
+        if flew:
+            (gap,) = [one for one in of(flight.batches, "gap") if one["cause"] == b"bus_error"]
+            seconds = 1e-9 * gap["duration_ns"]
+            assert seconds == pytest.approx(3.3, abs=0.6)  # and the back-off
+
+
+@EACH
+def test_a_chip_that_comes_late_is_taken_then(clock, sensor):
+    chip = sensor.model(clock)
+    chip.fail = lambda number: errno.ENXIO
+    flight = sensor.fly(clock, chip)
+    flight.fly(5.0)
+    assert codes(flight.batches) == ["no_answer"]
+    chip.fail = lambda number: 0
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["no_answer", "bus_recovered", "started"]
+    assert flight.rows()["sequence"][0] == 0
+
+
+@pytest.mark.parametrize(
+    ("sensor", "shows", "said"), [(one, *other) for one in SENSORS.values() for other in one.other]
+)
+def test_another_chip_is_named(clock, sensor, shows, said):
+    chip = sensor.model(clock)
+    chip.stuck |= shows
+    flight = sensor.fly(clock, chip)
+    flight.fly(2.0)
+    assert codes(flight.batches) == ["wrong_device"]
+    assert said in texts(flight.batches, "wrong_device")[0]
+
+
+@pytest.mark.parametrize(("sensor", "register"), [(one, place) for one in SENSORS.values() for place in one.stuck])
+def test_a_register_that_is_stuck_is_told_and_gives_no_rows(clock, sensor, register):
+    chip = sensor.model(clock)
+    chip.stuck[register] = sensor.stuck[register]
+    flight = sensor.fly(clock, chip)
+    flight.fly(3.0)
+    assert codes(flight.batches) == ["configuration"]
+    assert len(of(flight.batches, flight.device.name)) == 0
+
+
+@EACH
+def test_rows_and_gaps_add_up_through_stops_and_starts(clock, sensor):
+    chip = sensor.model(clock)
+    flight = sensor.fly(clock, chip)
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    clock.advance(3_000 * MS)
+    flight.batches += flight.device.start(clock())
+    flight.fly(1.0)
+    chip.fail = lambda number: errno.ENXIO
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    assert len(flight.rows()) > 80
+    assert codes(flight.batches)[-1] == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("config", "wrong"),
+    [
+        *((As5048Config, one) for one in ({"counts_per_revolution": 0}, {"sample_period_ms": 0.0})),
+        *((As5600Config, one) for one in ({"slow_filter": 3}, {"counts_per_revolution": 0}, {"sample_period_ms": 0.0})),
+        *((Bmi088Config, one) for one in ({"address": 0x68}, {"gyro_address": 0x18}, {"accel_range_g": 4})),
+        *((Bmi088Config, one) for one in ({"gyro_range_deg_s": 300}, {"filter_code": 4}, {"sample_period_ms": 0.0})),
+        *((Icm20948Config, one) for one in ({"address": 0x6A}, {"sample_rate_hz": 1000.0}, {"accel_range_g": 3})),
+        *((Icm20948Config, one) for one in ({"gyro_range_deg_s": 300}, {"filter_code": 7}, {"poll_period_ms": 33.0})),
+        (Icm20948Config, {"max_transfer_bytes": 13}),
+        *((Nau7802Config, one) for one in ({"sample_rate_hz": 100}, {"amplifier": 3}, {"supply_V": 5.0})),
+        (Nau7802Config, {"poll_period_ms": 7}),
+        *((Hx711Config, one) for one in ({"sample_rate_hz": 40}, {"amplifier": 1}, {"poll_period_ms": 7.0})),
+        (Hx711Config, {"poll_period_ms": 0.05}),
+    ],
+)
+def test_what_it_has_not_is_refused(config, wrong):
+    with pytest.raises(ConfigurationError):
+        config(**wrong)
