@@ -17,7 +17,7 @@ such terms is taken back to "as stated" by the same rule with ``-(1 + D' U + U' 
 """
 
 from collections.abc import Callable, Collection, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -77,19 +77,19 @@ class Changed(NamedTuple):
                 several it is none: they are not looked for.
             farthest: size from which on one of several has none, in its sigmas.
         """
-        columns, several = columns_of(suspects), np.array([one.along.shape[1] > 1 for one in suspects], np.bool_)
-        at = np.array([own[0] for own in columns], np.intp)[~several]
-        d, J = self.d[at], self.J[np.ix_(at, at)]
+        columns = np.array([one.along.shape[1] for one in suspects], np.intp)
+        first, several = columns.cumsum() - columns, columns > 1
+        ones = (~several).nonzero()[0]
+        at = first[ones]
+        d, J = self.d[at], self.J[at[:, None], at]
         M = 1.0 + np.maximum(J.diagonal(), 0.0)
         alone, slope = 0.5 * d**2 / M - 0.5 * np.log(M), J / M[:, None]
         left = np.maximum(M - J * slope, 1.0)  # of the second, given the first
-        nats = np.full((len(columns), len(columns)), -np.inf)
-        nats[np.ix_(~several, ~several)] = (
-            alone[:, None] + 0.5 * (d - d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
-        )
-        nats[~several, ~several] = alone
+        nats = np.full((len(suspects), len(suspects)), -np.inf)
+        nats[ones[:, None], ones] = alone[:, None] + 0.5 * (d - d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
+        nats[ones, ones] = alone
         if several.any():
-            own = np.array([each for each, many in zip(columns, several, strict=True) if many])
+            own = first[several][:, None] + np.arange(columns.max())
             values, V = np.linalg.eigh(np.eye(own.shape[1]) + self.J[own[:, :, None], own[:, None]])
             values = np.maximum(values, 1.0)
             along = (self.d[own][:, None] @ V)[:, 0]
@@ -97,7 +97,9 @@ class Changed(NamedTuple):
             told = 0.5 * (along**2 / values - np.log(values)).sum(axis=1)
             nats[several, several] = np.where(sizes < farthest, told, -np.inf)
         odds = np.log([one.odds for one in suspects])
-        return nats, nats + odds + odds[:, None] * ~np.eye(len(odds), dtype=np.bool_)
+        each, both = nats + odds, nats + odds + odds[:, None]
+        np.fill_diagonal(both, each.diagonal())
+        return nats, both
 
     def sizes(self, which: Sequence[int]) -> Known:
         """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
@@ -124,20 +126,22 @@ class Changed(NamedTuple):
         ones = np.flatnonzero(every | (alone > least - np.log(max(len(alone), 1)))).tolist()
         found = [self._hypothesis(suspects[k], columns[k], float(nats[k, k])) for k in ones]
         second = logs > np.maximum(alone, alone[:, None]) + np.log(LIKELIER)
-        for k, other in np.argwhere(np.triu(second & (logs > least), 1)).tolist():
-            both, which = _both(suspects[k], suspects[other]), (*columns[k], *columns[other])
-            found.append(self._hypothesis(both, which, float(nats[k, other])))
+        for k, other in np.argwhere(second & (logs > least)).tolist():
+            if k < other:
+                both, which = _both(suspects[k], suspects[other]), (*columns[k], *columns[other])
+                found.append(self._hypothesis(both, which, float(nats[k, other])))
         return found
 
     def _hypothesis(self, suspect: Suspect, which: tuple[int, ...], nats: float) -> Hypothesis:
         (mean, root), at = self.sizes(which), [*which]
-        size, g = float(np.abs(mean).max()), root.T @ self.d[at]
-        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, self.D[:, at] @ root, which)
+        size, g, D = float(np.abs(mean).max()), root.T @ self.d[at], self.D[:, at]
+        moves = D * root if len(at) == 1 else D @ root
+        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, moves, which)
 
 
 def columns_of(suspects: Sequence[Suspect]) -> list[tuple[int, ...]]:
     """Numbers of the columns of each suspect among those of all."""
-    ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
+    ends = accumulate((one.along.shape[1] for one in suspects), initial=0)
     return [tuple(range(*pair)) for pair in pairwise(ends)]
 
 

@@ -116,6 +116,7 @@ class Steps:
 
     Attributes:
         changed: D, d and J of each step.
+        suspects: what each step is of.
     """
 
     def __init__(self, predictor: ImuPredictor, payload: slice = PAYLOAD) -> None:
@@ -161,6 +162,7 @@ class Steps:
         """The filter goes on from a window with these steps, in this state, (p,)."""
         self._batches, self.changed = 0, inside
         self._stands = np.ones(len(inside.d) // max(len(self._of), 1))  # times that each time stands for
+        self.suspects = [*self._what] * len(self._stands)
         self._begun = np.full(len(self._stands), -1)  # batch after which each is there; -1: in the window
         self._may_be(state)
 
@@ -177,11 +179,6 @@ class Steps:
         """For how many batches one of these columns may have been there; 0: since some time in a window."""
         begun = int(self._begun[which // len(self._of)])
         return 0 if begun < 0 else self._batches - begun + _EVERY
-
-    @property
-    def suspects(self) -> list[Suspect]:
-        """What each step is of."""
-        return [one._replace(odds=one.odds * times) for times in self._stands.tolist() for one in self._what]
 
     def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray, state: FloatArray) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
@@ -202,21 +199,24 @@ class Steps:
 
     def _may_be(self, state: FloatArray) -> None:
         """From now on, too; of too many times the least likely but the newest is left to the one after it."""
-        (D, d, J, _), each = self.changed, len(self._of)
+        (D, d, J, _), each, kinds = self.changed, len(self._of), len(self._what)
         if not each:
             return
         logs, kept = self.changed.evidence(self.suspects)[1], np.arange(len(self._stands))
-        logs = logs.max(axis=1, initial=-np.inf).reshape(-1, len(self._what)).max(axis=1, initial=-np.inf)
+        logs = logs.max(axis=1, initial=-np.inf).reshape(-1, kinds).max(axis=1, initial=-np.inf)
         while len(kept) >= _TIMES:
             least = int(logs[kept][:-1].argmin())
             self._stands[kept[least + 1]] += self._stands[kept[least]]
-            kept = np.delete(kept, least)
+            times, own = float(self._stands[kept[least + 1]]), slice(kinds * least, kinds * (least + 1))
+            self.suspects[own], kept = [], np.delete(kept, least)
+            self.suspects[own] = [one._replace(odds=one.odds * times) for one in self._what]
         steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
         new = now.about(state).changed(len(D))
         d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
         self.changed = Changed(np.hstack([D[:, steps], new]), d, J, self._of_each)
         self._stands = np.append(self._stands[kept], 1.0)
         self._begun = np.append(self._begun[kept], self._batches)
+        self.suspects += self._what
 
 
 def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
