@@ -83,9 +83,10 @@ class AngleJumps:
             arrived: (n,) when, in the same unit.
         """
         kept = self._kept.shape[1]
-        every = np.hstack([self._kept, [readings, times, arrived]])
+        every = np.empty((3, kept + len(readings)))
+        every[:, :kept], every[0, kept:], every[1, kept:], every[2, kept:] = self._kept, readings, times, arrived
         self._kept = every[:, -_WINDOW - _BEFORE :]
-        step = np.diff(every)
+        step = every[:, 1:] - every[:, :-1]
         if step.shape[1] < _WINDOW:
             return []
         length = np.abs(step[0])
@@ -93,7 +94,7 @@ class AngleJumps:
             length[1:-1] > 0.5 * self._least
         )
         found = list[Jump]()
-        for k in (np.flatnonzero(may_be) + 1).tolist():
+        for k in (may_be.nonzero()[0] + 1).tolist():
             if not max(kept - _SIDE - 1, _SIDE) <= k < step.shape[1] - _SIDE:
                 continue  # judged when it came, or not before more have come
             size, travel = _jump(*step[:, k - _SIDE : k + _SIDE + 1])

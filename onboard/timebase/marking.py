@@ -20,6 +20,7 @@ from onboard.timebase.pulse_train import PulsePlace
 SYNC_COUNTER_MODULUS = 240  # CiA 301 1019h as the sync box is set
 # A QSB reports an edge in two lines of 1.13 ms; a position due meanwhile is measured after them
 BUSY_TICKS = 3.1
+_RESET = int(SampleStatus.AFTER_RESET)
 # Cycles of the code differ in the SYNC counter of their pulses by multiples of this: 16, which is 80 ms
 _CYCLE_COUNTS = int(np.gcd(code.cycle_sync_periods(), SYNC_COUNTER_MODULUS))
 
@@ -103,18 +104,18 @@ class TickSource:
     def _samples(self, rows: Rows) -> tuple[Rows, bool]:
         """Take samples; returns those since the last restart of the ticks, and whether the arrival clock changed."""
         ticks = rows["tick"].astype(np.int64)
-        anew = np.flatnonzero(ticks[1:] < ticks[:-1]) + 1
+        anew = (ticks[1:] < ticks[:-1]).nonzero()[0] + 1
         if self._newest and ticks[0] < self._newest[0]:
             anew = np.append(0, anew)
         if "status" in (rows.dtype.names or ()):
-            resets = rows["status"] & SampleStatus.AFTER_RESET
+            resets = rows["status"] & _RESET
             anew = np.union1d(anew, np.flatnonzero(resets)) if resets.any() else anew
         if len(anew):
             self.restart()
             rows, ticks = rows[anew[-1] :], ticks[anew[-1] :]
         moved = False
         stamps = rows["host_ns"]
-        last = np.append(np.flatnonzero(stamps[1:] != stamps[:-1]), len(stamps) - 1)  # last sample of each read
+        last = [*(stamps[1:] != stamps[:-1]).nonzero()[0].tolist(), len(stamps) - 1]  # last sample of each read
         for tick, host_ns in zip(ticks[last].tolist(), stamps[last].tolist(), strict=True):
             moved |= self.arrival.arrived(tick, host_ns)
         self._newest = (int(ticks[-1]), int(rows["host_ns"][-1]))
@@ -187,10 +188,12 @@ class FlaggingSource(TickSource):
         before = self._newest
         rows, _ = self._samples(rows)
         ticks = rows["tick"].astype(np.int64)
-        contiguous = np.diff(ticks, prepend=before[0] if before and self._newest else ticks[0]) == 1
+        contiguous = np.empty(len(ticks), np.bool_)
+        contiguous[0] = before is not None and self._newest is not None and ticks[0] - before[0] == 1
+        contiguous[1:] = ticks[1:] - ticks[:-1] == 1
         if before is not None and not contiguous.all():
             self.clock.blur(1.0)
-        for place in np.flatnonzero(rows["sync"]):
+        for place in rows["sync"].nonzero()[0].tolist():
             tick = int(ticks[place])
             # a pulse still high at the end of its sample flags the next one too: only the first one is a mark,
             # and which is first is unknown after a gap

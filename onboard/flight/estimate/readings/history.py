@@ -44,7 +44,8 @@ class History:
 
     def mark(self, which: slice, wrong: int) -> None:
         """Samples, counted from the end (negative), turn out to be wrong for one more reason, where still held."""
-        self._wrong[max(0, self._end + which.start) : max(0, self._end + which.stop)] |= wrong
+        if which.start < which.stop:
+            self._wrong[max(0, self._end + which.start) : max(0, self._end + which.stop)] |= wrong
 
     def clear(self) -> None:
         """Clear: the device's ticks restarted."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows, SampleStatus, Severity
+from drivers.records import Rows, Severity
 from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel, TrackerRole
@@ -92,7 +92,7 @@ class SignalSmoother:
             if name not in self._signals or not len(arrived):
                 continue
             signal, history = self._signals[name], self._histories[name]
-            restarts = np.flatnonzero(arrived["status"] & SampleStatus.AFTER_RESET)
+            restarts = (arrived["status"] & si.AFTER_RESET).nonzero()[0]
             if len(restarts):
                 history.clear()
                 if not signal.absolute:
@@ -125,7 +125,7 @@ class SignalSmoother:
                 jumped, before, each = self._jumps[name].watch(rows, angle, times_ns(name, rows), in_use)
                 said += [(name, told) for told in each]
                 history.mark(before, GateReason.JUMPED)
-                wrong |= reasons(jumped, GateReason.JUMPED)
+                wrong |= reasons(jumped, GateReason.JUMPED) if jumped.any() else 0
             history.append(rows, values, wrong)
         return said
 
@@ -188,7 +188,7 @@ class SignalSmoother:
         """What of a channel can be under the kernel at any of ``at_ns``."""
         history = self._histories[name]
         # a sample is taken before it arrives: what arrived long before the window is not under it
-        recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
+        recent = slice(int(history.stamps["host_ns"].searchsorted(at_ns[0] - self._reach_ns)), None)
         stamps = history.stamps[recent]
         if len(stamps) < 2:
             return GateReason.GAP
@@ -204,7 +204,7 @@ class SignalSmoother:
             kept = np.append(True, later) & ~waited
             times_s, values, wrong = times_s[kept], values[kept], wrong[kept]
         last_s = (at_ns[-1] - at_ns[0]) * 1e-9
-        near = slice(*np.searchsorted(times_s, [-self.width_s, last_s + self.width_s]).tolist())
+        near = slice(*times_s.searchsorted((-self.width_s, last_s + self.width_s)).tolist())
         if near.stop - near.start < 2:
             return GateReason.GAP
         timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9

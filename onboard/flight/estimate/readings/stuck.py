@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows, SampleStatus, Severity
+from drivers.records import Rows, Severity
+from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.stuck import NONE, StuckReadings, longest_run
 
@@ -89,12 +90,11 @@ def breaks(rows: Rows, last: int | None) -> list[int]:
         rows: in order, at least one.
         last: sequence number of the one before these; None: there was none.
     """
-    numbers = rows["sequence"].astype(np.int64)
-    resets = (rows["status"] & SampleStatus.AFTER_RESET) != 0
+    numbers, resets = rows["sequence"], rows["status"] & si.AFTER_RESET
     begins = int(numbers[0]) - 1 if last is None else last
     if int(numbers[-1]) - begins == len(rows) and not resets.any():  # they ascend
         return []
-    return np.flatnonzero((np.diff(numbers, prepend=begins) != 1) | resets).tolist()
+    return np.flatnonzero((np.diff(numbers.astype(np.int64), prepend=begins) != 1) | (resets != 0)).tolist()
 
 
 def _longest(signal: SmoothedChannel, row: np.void) -> float | None:

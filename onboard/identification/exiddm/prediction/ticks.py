@@ -80,6 +80,8 @@ class Ticks(NamedTuple):
     def joined(parts: "Sequence[Ticks]") -> "Ticks":
         """One part after the other, of one at least."""
         some = [part for part in parts if len(part.time_s)] or parts[:1]
+        if len(some) == 1:
+            return some[0]
         return Ticks(*(np.concatenate(part) for part in zip(*some, strict=True)))
 
     @staticmethod

@@ -89,7 +89,8 @@ class BoundedWork(ABC):
             late_s = ticks.time_s[0] - self._pending.time_s[-1] - self._period_s
             if abs(late_s) > 0.5 * self._period_s:
                 self._interrupted()
-        breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self._period_s - 1.0) > 0.5)
+        apart_s = ticks.time_s[1:] - ticks.time_s[:-1]
+        breaks = (np.abs(apart_s / self._period_s - 1.0) > 0.5).nonzero()[0]
         last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
         self._pending = self._pending.and_then(ticks.part(slice(0, last)))
         if last < len(ticks.time_s):

@@ -33,11 +33,11 @@ class JointGaps:
         """Those of known joints, and those of a gap that is over; of a longer one than :data:`LONGEST_s` nothing."""
         given = len(self._held.time_s) > 0
         ticks = self._held.and_then(ticks)
-        at = np.flatnonzero(np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1))
+        at = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1).nonzero()[0]
         if not at.size:
             return self._none
         parts, before = [], None
-        for one in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+        for one in [at] if at[-1] - at[0] < len(at) else np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
             first, last = int(one[0]), int(one[-1])
             if before is not None:
                 gap_s = ticks.time_s[first] - ticks.time_s[before]
