@@ -19,6 +19,7 @@ sensitivity (``dS/dt = A S + forcing``, A = eta x J - w x) are computed in ``onb
 
 import ctypes
 from collections.abc import Sequence
+from operator import is_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +58,7 @@ class BasePrediction(NamedTuple):
     bodies: Bodies | None = None  # the links as they move
     displaced: Displaced | None = None  # what errors of the joints do to them
     local: slice = slice(0)  # columns of errors at each tick by itself; if there are any, further ones are the last
+    made: structures.BaseStruct | None = None  # of this motion, where it is the core's own
 
     @property
     def at_first(self) -> slice:
@@ -89,6 +91,8 @@ class BasePrediction(NamedTuple):
         """
         n, total = len(self.rate), self.along.shape[2]
         fields = self.rate, self.acceleration, self.specific_force, self.by_rate, self.by_wrench, self.along
+        if self.made is not None and all(map(is_, fields, self.made.kept)):
+            return self.made
         shapes = (n, 3), (n, 3), (n, 3), (n, 6, 3), (n, 6, 6), (n, 9, total)
         given = (library.given(part, *shape) for part, shape in zip(fields, shapes, strict=True))
         return structures.BaseStruct(n, total, *given)
@@ -209,7 +213,8 @@ def _predict(
         np.ascontiguousarray(x) for x in (bodies.twist[:, 3:], bodies.thrust[:, :3], bodies.thrust[:, 3:])
     )
     of_local = slice(3 + own - local, 3 + own)
-    moved = bodies.momentum, d_momentum, bodies, displaced, of_local
+    made = structures.BaseStruct(n, total, w, spin, force, by_base, by_wrench, along)
+    moved = bodies.momentum, d_momentum, bodies, displaced, of_local, made
     return BasePrediction(w, spin, force, along, by_base, by_wrench, *moved)
 
 

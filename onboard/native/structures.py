@@ -14,7 +14,7 @@ class _Structure(ctypes.Structure):
     def __init__(self, *values: "int | FloatArray | IndexArray | None") -> None:
         count = self.NUMBERS
         self.made_of, self.kept = values, values[count:]
-        super().__init__(*values[:count], *(address(part) for part in values[count:]))  # type: ignore[arg-type]
+        super().__init__(*values[:count], *map(address, self.kept))  # type: ignore[arg-type]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy, also one in another process, points to arrays of its own."""

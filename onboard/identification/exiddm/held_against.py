@@ -55,11 +55,11 @@ class HeldAgainst:
             known[suspect.at] = False
         steady = known.copy()
         steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
-        at = np.flatnonzero(steady)
+        at = steady.nonzero()[0]
         sigma, P = stated[at], covariance[np.ix_(at, at)]
-        in_all = together(state[at] / sigma, P / np.outer(sigma, sigma))
+        in_all = together(state[at] / sigma, P / (sigma[:, None] * sigma))
         known[self._weighed] = steady[self._weighed] = False
-        every, each = np.flatnonzero(known), np.flatnonzero(steady)
+        every, each = known.nonzero()[0], steady.nonzero()[0]
         in_told = state[each] / expected_sigma(stated[each] ** 2, covariance[each, each])
         return Corrections(every, state[every] / stated[every], each, in_told, in_all)
 

@@ -110,10 +110,10 @@ class FurtherCell(NamedTuple):
             parts = np.column_stack([true + felt @ errors[4:], felt])
         change = (parts[2:] - parts[:-2]) / (2.0 * period_s)
         late = tick_mean(parts, self.samples)[1:-1] - delay_s * change
-        time_s = period_s * np.arange(1, len(true) - 1)
-        gain = 1.0 + scale
-        of_cell = np.ones_like(time_s), time_s, late[:, 0], -gain * change[:, 0]
-        return gain * late[:, 0] + bias + drift * time_s, np.column_stack([*of_cell, gain * late[:, 1:]])
+        gain, along = 1.0 + scale, np.ones((len(late), 3 + parts.shape[1]))
+        along[:, 1] = time_s = period_s * np.arange(1, len(true) - 1)
+        along[:, 2], along[:, 3], along[:, 4:] = late[:, 0], -gain * change[:, 0], gain * late[:, 1:]
+        return gain * late[:, 0] + bias + drift * time_s, along
 
 
 def cuts_of(
