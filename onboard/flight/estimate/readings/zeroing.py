@@ -99,6 +99,7 @@ class Zeroing:
         self._told = self._warned = False  # by events
         self._sums = np.zeros((2, 4))  # of 1 and T times [1, 3 components]; T T beside
         self._temperature_square, self._force_square = 0.0, np.zeros(3)
+        self._fitted: tuple[float, FloatArray, FloatArray, FloatArray, FloatArray] | None = None  # by these
         self.offset_m_s2: FloatArray | None = np.zeros(3) if settings is None else None
 
     def apply(
@@ -162,7 +163,7 @@ class Zeroing:
         self._sums += np.outer([1.0, kelvin], [1.0, *force])
         self._temperature_square += kelvin * kelvin
         self._force_square += force * force
-        self.ticks += 1
+        self.ticks, self._fitted = self.ticks + 1, None
 
     def _explains(self, force: FloatArray, kelvin: float) -> bool:
         """Whether a tick at rest lies near the line; all do before it is known."""
@@ -174,6 +175,16 @@ class Zeroing:
     def _line(self, kelvin: float) -> tuple[FloatArray, FloatArray]:
         """Offset at a temperature, (3,), and the sigma of one tick there, (3,)."""
         assert self._settings is not None
+        self._fitted = self._fitted or self._fit()
+        mean_k, mean, slope, scatter, unsure = self._fitted
+        if not self._settings.drift_sigma_m_s2_k:
+            return mean, np.sqrt(scatter)
+        away_k = kelvin - mean_k
+        return mean + slope * away_k, np.sqrt(scatter + unsure * away_k**2)
+
+    def _fit(self) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of all ticks at rest: mean temperature and offset there, slope, variance of a tick, that by temperature."""
+        assert self._settings is not None
         n, mean_k = self.ticks, self._sums[1, 0] / self.ticks
         mean = self._sums[0, 1:] / n
         spread_k = max(self._temperature_square - n * mean_k * mean_k, _TINY)
@@ -181,13 +192,10 @@ class Zeroing:
         left = self._force_square - n * mean * mean - together * together / spread_k
         scatter = np.maximum(left / n, _TINY)  # (3,) of a tick about the line of least squares
         prior = self._settings.drift_sigma_m_s2_k
-        if not prior:
-            return mean, np.sqrt(scatter)
-        ridge = scatter * self._together / prior**2  # (3,) K^2
+        ridge = scatter * self._together / prior**2 if prior else np.zeros(3)  # (3,) K^2
         slope = together / (spread_k + ridge)
         unsure = scatter * self._together / (spread_k + ridge)
-        away_k = kelvin - mean_k
-        return mean + slope * away_k, np.sqrt(scatter + unsure * away_k**2)
+        return mean_k, mean, slope, scatter, unsure
 
 
 def _median(values: NDArray[np.integer]) -> float:
