@@ -1,17 +1,13 @@
 """A vehicle of ``heft init`` with AS5048s on SPI or I2C flies in virtual and in real time and survives what breaks."""
 
-import json
-import time
 import tomllib
 
 import pytest
 
 from drivers.records import SampleStatus
 from onboard.cli import main
-from tests.flight.check.test_desk import served
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
-from tests.hil_sim.devices.twin_bench import MS
 
 ARM = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802", "--encoder"]
 KINDS = pytest.mark.parametrize("kind", ["as5048a", "as5048b"])
@@ -58,27 +54,3 @@ def test_heft_init_gives_each_joint_a_select_line(tmp_path):
     assert main(["init", str(tmp_path / "it"), *ARM, "as5048a"]) == 0
     buses = tomllib.loads((tmp_path / "it" / "vehicle.toml").read_text())["bus"]
     assert [buses[name]["url"] for name in ("spi_1", "spi_2")] == ["spi:///dev/spidev0.0", "spi:///dev/spidev0.1"]
-
-
-@KINDS
-@pytest.mark.realtime
-@pytest.mark.timeout(180)
-def test_it_flies_in_real_time_and_comes_back(tmp_path, kind):
-    _, log, _ = rehearsed(tmp_path, [*ARM, kind], "--realtime", "--fault", "silent:joint_1:2:3", swing=4.0)
-    assert len(log.read("joint_2")) > 800
-    assert b"bus_recovered" in codes_of(log, b"joint_1")
-
-
-@KINDS
-@pytest.mark.realtime
-def test_it_is_tried_on_the_desk(tmp_path, kind):
-    assert main(["init", str(tmp_path / "mine"), *ARM, kind]) == 0
-    report = tmp_path / "report.json"
-    with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
-        while time.monotonic_ns() < urls["start_ns"] + 500 * MS:  # they start
-            time.sleep(0.05)
-        url = urls["spi_1" if kind == "as5048a" else "i2c_1"]
-        assert main(["devices", "--test", kind, "--url", url, "--seconds", "2", "--json", str(report)]) in (0, 4)
-    [one] = json.loads(report.read_text())["tests"]
-    assert (one["kind"], one["signals"][0]["unit"]) == (kind, "rad")
-    assert one["rows"] > 200

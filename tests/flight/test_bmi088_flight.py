@@ -1,17 +1,12 @@
 """A free arm with a BMI088 flies in virtual and in real time and survives what breaks."""
 
-import json
-import time
-
 import pytest
 
 from drivers.records import SampleStatus
 from onboard.cli import main
-from tests.flight.check.test_desk import served
 from tests.flight.test_devices import timed
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
-from tests.hil_sim.devices.twin_bench import MS
 
 FREE = ["--base", "free", "--joints", "2", "--imu"]
 INERTIAL = [*FREE, "bmi088"]
@@ -76,38 +71,3 @@ def test_a_gyroscope_at_an_address_that_is_taken_is_refused(tmp_path, capsys):
     path.write_text(path.read_text() + f"\n[device.imu_tip]{other}\n")
     assert main(["preflight", str(path)]) != 0
     assert "shares its I2C address" in capsys.readouterr().err
-
-
-def test_a_bus_without_the_gyroscope_s_node_is_refused(tmp_path, capsys):
-    assert main(["init", str(tmp_path / "it"), *FREE, "bmi088_spi"]) == 0
-    path = tmp_path / "it" / "vehicle.toml"
-    said = path.read_text()
-    assert 'url = "spi:///dev/spidev1.0?second=/dev/spidev1.1"' in said
-    path.write_text(said.replace("?second=/dev/spidev1.1", ""))
-    assert main(["preflight", str(path)]) != 0
-    assert "the gyroscope's node is missing" in capsys.readouterr().err
-
-
-@KINDS
-@pytest.mark.realtime
-@pytest.mark.timeout(180)
-def test_it_flies_in_real_time_and_comes_back(tmp_path, kind):
-    _, log, _ = rehearsed(tmp_path, [*FREE, kind], "--realtime", "--fault", "silent:imu_base:2:3", swing=4.0)
-    assert len(log.read("imu_base")) > 0.6 * 7.0 * 1600
-    assert b"bus_recovered" in codes_of(log, b"imu_base")
-
-
-@KINDS
-@pytest.mark.realtime
-def test_it_is_found_and_tried_on_the_desk(tmp_path, kind):
-    assert main(["init", str(tmp_path / "mine"), *FREE, kind]) == 0
-    report = tmp_path / "report.json"
-    with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
-        while time.monotonic_ns() < urls["start_ns"] + 500 * MS:
-            time.sleep(0.05)
-        url = urls["i2c_1" if kind == "bmi088" else "imu_spi"]
-        asked = ["devices", "--test", kind, "--url", url, "--seconds", "2"]
-        assert main([*asked, "--json", str(report)]) in (0, 4)  # a busy computer reads too slowly, and that is told
-    [one] = json.loads(report.read_text())["tests"]
-    assert (one["kind"], len(one["signals"])) == (kind, 6)
-    assert one["rows"] > 150

@@ -1,12 +1,8 @@
 """A vehicle of ``heft init --load-cell hx711`` flies in virtual time and in real time, and survives what breaks."""
 
-import json
-
 import pytest
 
 from drivers.records import SampleStatus
-from onboard.cli import main
-from tests.flight.check.test_desk import served
 from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
@@ -42,25 +38,3 @@ def test_it_survives_unplugging_brown_out_and_its_chip_of_gpio_lines_going(tmp_p
     saturated = rows["status"] & SampleStatus.SATURATED != 0
     assert set(rows["value_raw"][saturated]) == {-(1 << 23)}
     assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(180)
-def test_a_cell_on_an_hx711_flies_in_real_time(tmp_path):
-    _, log, _ = rehearsed(tmp_path, CELL, "--realtime", "--fault", "silent:load_cell:2:3", swing=4.0)
-    assert len(log.read("load_cell")) > 300
-    assert b"bus_recovered" in codes_of(log, b"load_cell")
-
-
-@pytest.mark.realtime
-def test_it_is_tried_on_the_desk_by_its_url(tmp_path, capsys):
-    assert main(["devices", "--test", "hx711"]) == 2
-    assert "--url 'gpio-pair:///dev/gpiochip0?data=5&clock=6'" in capsys.readouterr().err
-    assert main(["init", str(tmp_path / "mine"), *CELL]) == 0
-    report = tmp_path / "report.json"
-    with served(str(tmp_path / "mine" / "vehicle.toml"), tmp_path / "wires") as urls:
-        asked = ["devices", "--test", "hx711", "--url", urls["cell_lines"], "--seconds", "2"]
-        assert main([*asked, "--json", str(report)]) in (0, 4)  # a busy computer reads too slowly, and that is told
-    [cell] = json.loads(report.read_text())["tests"]
-    assert (cell["kind"], cell["signals"][0]["unit"]) == ("hx711", "N")
-    assert cell["rows"] > 50

@@ -105,12 +105,3 @@ def test_a_free_flyer_of_servos_is_made(tmp_path):
     assert text.count("gain_N_m_A = 1.78") == 4
     assert "id = 4 " in text
     assert 'url = "serial:///dev/tty_servos?baud=1000000"' in text
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(180)
-def test_an_arm_of_servos_flies_in_real_time(tmp_path):
-    _, log, _ = rehearsed(tmp_path, ARM, "--realtime", "--fault", "unplug:tty_servos:2:3", swing=4.0)
-    assert b"bus_recovered" in codes_of(log, b"tty_servos")
-    for channel in CHANNELS:
-        assert len(log.read(channel)) > 600

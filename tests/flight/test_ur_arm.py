@@ -55,12 +55,15 @@ def test_samples_are_put_on_the_time_when_they_were_taken(mixed_flight, tmp_path
     """By arrivals alone, within twice the stated sigma, against the truth."""
     flying = mixed_flight.vehicle(tmp_path)
     times_ns, sigma_ns = timed(flying, mixed_flight.rows, "robot_8")
-    _, stated_ns = flying.file.device["robot_8"].delay_ns
+    delay_ns, stated_ns = flying.file.device["robot_8"].delay_ns
     assert stated_ns == pytest.approx(1e6 * np.hypot(8.0, 2.0) / 12**0.5)
     assert stated_ns < sigma_ns < 1.5 * stated_ns
-    late_ns = mixed_flight.late_ns("robot_8", times_ns[-200:])
+    numbers = mixed_flight.rows["robot_8"]["sequence"][-200:]
+    late_ns = times_ns[-200:] - mixed_flight.taken_ns["robot_8"][numbers]
     assert len(times_ns) > 480
     assert np.abs(late_ns).max() < 2.0 * stated_ns
+    early_ns = delay_ns - 700e3  # that of the file, half a period, is more than the twin's
+    assert late_ns + early_ns == pytest.approx(0.0, abs=2e6 / 12**0.5)  # of the poll; a sample more or less: 8 ms
 
 
 def test_rows_of_all_devices_of_a_controller_have_one_time(mixed_flight):
