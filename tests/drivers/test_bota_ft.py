@@ -6,13 +6,11 @@ import struct
 import numpy as np
 import pytest
 from fastcrc.crc16 import ibm_sdlc
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drivers.bota_ft import FRAME, BotaFt, BotaFtConfig, decode_frame, wrench_stream
 from drivers.bota_ft.device import TEMPERATURE, answering
 from drivers.bota_ft.frame import crc
-from drivers.errors import ConfigurationError, FrameError
+from drivers.errors import FrameError
 from drivers.records import SampleStatus
 from drivers.serial_line.scalars import WrenchChannel
 from tests.conftest import VirtualClock
@@ -22,9 +20,7 @@ from tests.drivers.serial_script import (
     ScriptedSerial,
     SerialFlight,
     bytewise,
-    fault_at_any_call,
     fed,
-    fuzzed,
     pieces,
 )
 from tests.drivers.serial_script import whole as at_once
@@ -329,53 +325,9 @@ def test_a_stop_tells_what_is_missing_at_the_end(up):
     assert set(of(up.batches, "gap")["last_missing"]) == {3 + 90 - 1}
 
 
-def test_a_fault_at_any_call_loses_no_count():
-    for flight in fault_at_any_call(
-        Flight, lambda flight: flight.frames(26), lambda flight: flight.frames(400), fewest_calls=40
-    ):
-        assert len(whole(flight.batches, "fx")) > 10
-
-
-TIMES = st.integers(4_900_000, 5_600_000) | st.integers(0, 2**32 - 1)
-NUMBERS = st.lists(st.floats(width=32), min_size=6, max_size=6)
-SAID = st.lists(
-    st.builds(frame, TIMES, st.sampled_from([0, 0, 1, 2, 4, 8, 0xFFFF]), NUMBERS)
-    | st.binary(max_size=80)
-    | st.sampled_from([b"App Init\r\n", b"r,0,C,0", b"r,0,R,0", b"r,0,f,99999999999"]),
-    max_size=3,
-)
-
-
-@settings(max_examples=150)
-@given(
-    sends=st.booleans(),
-    moves=st.lists(
-        st.tuples(st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS]), SAID, st.integers(0, 40)), max_size=25
-    ),
-)
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(sends, moves):
-    flight = Flight((FX, MZ, WARM))
-    flight.start()
-    if sends:
-        flight.frames(25)
-    fuzzed(flight, moves, lambda after_ns, said: flight.pump(after_ns, b"".join(said)))
-
-
-@pytest.mark.parametrize("rate_hz", [0.0, -100.0, 24.9, 51_200 / 63, 51_200 / 2049, 300.0, math.nan])
-def test_a_rate_that_no_sensor_has_is_refused(rate_hz):
-    with pytest.raises(ConfigurationError, match="rate_hz"):
-        BotaFtConfig(rate_hz)
-
-
 @pytest.mark.parametrize(("rate_hz", "sinc"), [(25.0, 2048), (100.0, 512), (800.0, 64)])
 def test_the_rate_is_the_sinc_length(rate_hz, sinc):
     assert BotaFtConfig(rate_hz).commands[2] == b"f,%d,0,0,1" % sinc
-
-
-@pytest.mark.parametrize("channels", [(), (FX, FX)])
-def test_channels_need_names_of_their_own(channels):
-    with pytest.raises(ConfigurationError, match="channels"):
-        Flight(channels)
 
 
 def test_a_sensor_that_is_heard_names_its_components():

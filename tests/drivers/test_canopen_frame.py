@@ -1,8 +1,6 @@
 """CANopen frames: golden bytes of published manuals, and any bytes at all."""
 
-import hypothesis.strategies as st
 import pytest
-from hypothesis import given
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.frame import NmtCommand, NmtState
@@ -66,18 +64,6 @@ def test_nmt_heartbeat_sync_emcy():
     assert [frame.decode_sync(bytes([counter])) for counter in (1, 240)] == [1, 240]
     emergency = frame.decode_emergency(bytes.fromhex("10 FF 81 01 02 03 04 05"))
     assert emergency == (0xFF10, 0x81, b"\x01\x02\x03\x04\x05")
-
-
-DECODERS = [frame.decode_sdo_reply, frame.decode_heartbeat, frame.decode_sync, frame.decode_emergency]
-
-
-@pytest.mark.parametrize("decode", DECODERS)
-@given(data=st.binary(max_size=8))
-def test_any_bytes_give_a_value_or_a_frame_error(decode, data):
-    try:
-        decode(data)
-    except FrameError as error:
-        assert ":" in str(error)  # noqa: PT017 - any other exception is the bug looked for
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,6 @@ from typing import NamedTuple
 
 import pytest
 
-from drivers.errors import ConfigurationError
-from drivers.hx711 import Hx711Config
-from drivers.i2c.as5048 import As5048Config
-from drivers.i2c.as5600 import As5600Config
-from drivers.i2c.nau7802 import Nau7802Config
-from drivers.inertial.bmi088 import Bmi088Config
-from drivers.inertial.icm20948 import Icm20948Config
 from tests.drivers import test_as5048, test_as5600, test_bmi088, test_bmi088_spi, test_icm20948, test_nau7802
 from tests.drivers.batches import codes, of, texts
 from tests.drivers.chip_flight import MS, ChipFlight
@@ -193,24 +186,3 @@ def test_rows_and_gaps_add_up_through_stops_and_starts(clock, sensor):
     flight.batches += flight.device.stop(clock())
     assert len(flight.rows()) > 80
     assert codes(flight.batches)[-1] == "stopped"
-
-
-@pytest.mark.parametrize(
-    ("config", "wrong"),
-    [
-        *((As5048Config, one) for one in ({"counts_per_revolution": 0}, {"sample_period_ms": 0.0})),
-        *((As5600Config, one) for one in ({"slow_filter": 3}, {"counts_per_revolution": 0}, {"sample_period_ms": 0.0})),
-        *((Bmi088Config, one) for one in ({"address": 0x68}, {"gyro_address": 0x18}, {"accel_range_g": 4})),
-        *((Bmi088Config, one) for one in ({"gyro_range_deg_s": 300}, {"filter_code": 4}, {"sample_period_ms": 0.0})),
-        *((Icm20948Config, one) for one in ({"address": 0x6A}, {"sample_rate_hz": 1000.0}, {"accel_range_g": 3})),
-        *((Icm20948Config, one) for one in ({"gyro_range_deg_s": 300}, {"filter_code": 7}, {"poll_period_ms": 33.0})),
-        (Icm20948Config, {"max_transfer_bytes": 13}),
-        *((Nau7802Config, one) for one in ({"sample_rate_hz": 100}, {"amplifier": 3}, {"supply_V": 5.0})),
-        (Nau7802Config, {"poll_period_ms": 7}),
-        *((Hx711Config, one) for one in ({"sample_rate_hz": 40}, {"amplifier": 1}, {"poll_period_ms": 7.0})),
-        (Hx711Config, {"poll_period_ms": 0.05}),
-    ],
-)
-def test_what_it_has_not_is_refused(config, wrong):
-    with pytest.raises(ConfigurationError):
-        config(**wrong)

@@ -10,7 +10,7 @@ from drivers.errors import ConfigurationError
 from drivers.records import SCALAR, SampleStatus, Severity
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.dynamixel_model import ChainModel, ServoModel
-from tests.drivers.serial_script import MS, AskedFlight, ScriptedSerial, fault_at_any_call
+from tests.drivers.serial_script import MS, AskedFlight, ScriptedSerial
 
 FAST, SYNC, READ = 0x8A, 0x82, 0x02
 JOINTS = (
@@ -308,12 +308,6 @@ def test_a_stop_names_the_open_question(flight):
     assert {(gap["cause"], gap["counted"]) for gap in of(flight.batches, "gap")} == {(b"stopped", 0)}
 
 
-def test_a_fault_at_any_call_is_survived(clock):
-    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(80), lambda f: f.fly(80), 50):
-        for channel in flight.device.channels:
-            assert len(flight.rows(channel)) > 3
-
-
 @pytest.mark.parametrize("nth", range(12))
 def test_any_answer_may_be_missing(clock, nth):
     """Of the questions who they are, of limits, of rounds."""
@@ -364,9 +358,3 @@ def test_a_loss_that_is_counted_does_not_make_an_estimate_exact(flight):
 def test_servos_that_cannot_be_told_apart_are_refused(clock, joints):
     with pytest.raises(ConfigurationError):
         DynamixelBus("arm", joints, ScriptedSerial().open, clock)
-
-
-@pytest.mark.parametrize("bad", [{"id": 253}, {"id": -1}, {"counts_per_revolution": 0}, {"ampere_per_count": 0.0}])
-def test_servos_that_cannot_be_are_refused(bad):
-    with pytest.raises(ConfigurationError):
-        DynamixelConfig("a", **bad)

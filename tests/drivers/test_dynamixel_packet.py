@@ -184,18 +184,6 @@ def test_no_inverted_bit_passes(bit):
     )
 
 
-@given(st.lists(st.binary(max_size=40), max_size=8), st.booleans(), st.booleans())
-def test_any_bytes_give_blocks_or_a_frame_error(said, fast, begun):
-    reply = dynamixel.Reply([3, 7, 4], 4, fast=fast)
-    try:
-        for data in [FAST_ANSWER[:9] if fast else SYNC[:9], *said] if begun else said:
-            reply.receive(data)
-            assert reply.missing >= 1
-    except FrameError:
-        return
-    assert len(reply.blocks) <= 3
-
-
 def test_what_is_out_of_the_protocol_is_refused():
     for bad in ([], [1, 1], [253], [-1]):
         with pytest.raises(ConfigurationError):

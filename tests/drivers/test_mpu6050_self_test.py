@@ -102,30 +102,6 @@ def test_a_temperature_that_drifts_is_no_slip():
     assert first_misaligned(np.array([-32768, 32767], np.int16), None) == 1
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"address": 0x6A},
-        {"accel_range_g": 3},
-        {"gyro_range_deg_s": 300},
-        {"filter_code": 7},
-        {"filter_code": -1},
-        {"sample_rate_hz": 300},
-        {"sample_rate_hz": 2},
-        {"sample_rate_hz": 0},
-        {"poll_period_ms": 37.0},
-        {"poll_period_ms": 0.0},
-        {"poll_period_ms": math.nan},
-        {"max_transfer_bytes": 13},
-        {"max_transfer_bytes": 8193},
-    ],
-    ids=str,
-)
-def test_what_the_chip_does_not_have_is_refused(wrong):
-    with pytest.raises(ConfigurationError, match=next(iter(wrong)) if "address" not in wrong else "0x6a"):
-        Mpu6050Config(**wrong)
-
-
 CODES = bytes([0b101_01010, 0b011_11111, 0b110_00001, 0b00_01_10_11])  # accel 21, 14, 27; gyro 10, 31, 1
 GYRO_CODES, ACCEL_CODES = (10, 31, 1), (0b10101, 0b01110, 0b11011)
 

@@ -190,13 +190,6 @@ def test_a_stop_tells_what_is_missing_at_the_end(up):
     assert set(of(up.batches, "gap")["last_missing"]) == {3 + 90 - 1}
 
 
-def test_a_fault_at_any_call_loses_no_count():
-    for flight in fault_at_any_call(
-        Flight, lambda flight: flight.records(6), lambda flight: flight.records(20), fewest_calls=14
-    ):
-        assert len(whole(flight.batches, "fx")) > 10
-
-
 SAID = st.lists(
     st.builds(datagram, st.builds(record, st.integers(0, 2**32), st.integers(0, 2**32), st.sampled_from([0, 1 << 31])))
     | st.builds(datagram, st.binary(max_size=80)),
@@ -214,18 +207,6 @@ def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(moves):
     flight = Flight()
     flight.start()
     fuzzed(flight, moves, lambda after_ns, said: flight.pump(after_ns, b"".join(said)))
-
-
-@pytest.mark.parametrize("rate_hz", [0.5, 8001.0, np.nan])
-def test_a_rate_that_no_sensor_has_is_refused(rate_hz):
-    with pytest.raises(ConfigurationError, match="rate_hz"):
-        NetFtConfig(rate_hz)
-
-
-@pytest.mark.parametrize("channels", [(), (FX, FX)])
-def test_channels_need_names_of_their_own(channels):
-    with pytest.raises(ConfigurationError, match="channels"):
-        Flight(channels)
 
 
 def test_a_sensor_that_is_asked_who_it_is_names_its_components():

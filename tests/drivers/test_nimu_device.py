@@ -10,7 +10,7 @@ from drivers.nimu import Nimu, NimuConfig
 from drivers.records import IMU, SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.nimu_model import PACKET, PERIOD, TICK_NS, NimuModel
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call, run_for
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, run_for
 
 
 class Flight(SerialFlight):
@@ -205,11 +205,6 @@ def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
     rows = flight.rows()
     assert codes(flight.batches)[-1] == "bus_recovered"
     np.testing.assert_array_equal(numbers(rows), rows["sequence"])
-
-
-def test_a_fault_at_any_call_is_survived(clock):
-    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(30), lambda f: f.fly(10), 30):
-        assert len(flight.rows()) > 90
 
 
 @pytest.mark.parametrize("most", [1, 11, 38])

@@ -11,7 +11,7 @@ from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, whole
 from tests.drivers.node_flight import ANGLE, CHANNELS, FORCE, Flight, S
 from tests.drivers.node_model import NodeModel, framed
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, fault_at_any_call
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial
 
 
 @pytest.fixture
@@ -226,15 +226,6 @@ def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
     flight.fly(100)
     assert codes(flight.batches)[-1] == "bus_recovered"
     assert flight.rows()["sequence"][-1] == 2199
-
-
-def test_a_fault_at_any_call_is_survived(clock):
-    def fly(flight):
-        flight.descend()
-        flight.fly(100)
-
-    for flight in fault_at_any_call(lambda: Flight(clock), fly, fly, 20):
-        assert len(flight.rows()) >= 80
 
 
 def test_it_works_on_a_pty():

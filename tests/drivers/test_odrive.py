@@ -5,7 +5,6 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
@@ -14,7 +13,6 @@ from drivers.ports import CanFrame
 from drivers.records import SampleStatus
 from tests.conftest import VirtualClock
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.serial_script import nothing_left_out
 
 MS = 1_000_000
 BAD, RESET = SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET
@@ -250,29 +248,6 @@ FRAMES = st.lists(
     | st.tuples(st.integers(0, 2047), st.binary(max_size=8)),
     max_size=6,
 )
-
-
-@settings(max_examples=150)
-@given(data=st.data())
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(data):
-    flight = Flight()
-    times = st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS])
-    for after_ns, said, broken in data.draw(st.lists(st.tuples(times, FRAMES, st.integers(0, 20)), max_size=25)):
-        flight.bus.broken = broken == 1
-        flight.pump(after_ns, *said)
-    flight.bus.broken = False
-    flight.stop()
-    for axis in AXES:
-        for channel in axis.channels:
-            nothing_left_out(flight.batches, channel)
-
-
-@pytest.mark.parametrize(
-    "keys", [{"node": 64}, {"node": -1}, {"counts_per_revolution": 0}, {"rate_hz": 0.5}, {"rate_hz": 1001.0}]
-)
-def test_what_no_axis_has_is_refused(keys):
-    with pytest.raises(ConfigurationError, match="0 to 63"):
-        OdriveAxis("knee", **keys)
 
 
 @pytest.mark.parametrize("axes", [(), (OdriveAxis("a", 1), OdriveAxis("b", 1))])

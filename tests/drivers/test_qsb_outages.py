@@ -6,7 +6,6 @@ import pytest
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts
 from tests.drivers.qsb_flight import Flight, S, model_counts
-from tests.drivers.serial_script import fault_at_any_call
 
 
 @pytest.mark.parametrize("greets", [True, False])
@@ -155,8 +154,3 @@ def test_what_a_stop_finds_missing_is_named_once(flight):
     flight.fly(50)
     rows = flight.rows()
     np.testing.assert_array_equal(rows["tick"], rows["sequence"])
-
-
-def test_a_fault_at_any_call_is_survived(clock):
-    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(30), lambda f: f.fly(15), 60):
-        assert len(flight.rows()) > 120

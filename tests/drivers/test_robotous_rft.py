@@ -1,13 +1,10 @@
 """A Robotous sensor: packets fed three ways, every question of the set-up, losses, pauses, overloads; any bytes."""
 
-import math
 import struct
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, FrameError
+from drivers.errors import FrameError
 from drivers.records import SampleStatus
 from drivers.robotous_rft import RftConfig, RobotousRft, answering, command, decode_packet, rft_stream
 from drivers.serial_line.scalars import WrenchChannel
@@ -18,9 +15,7 @@ from tests.drivers.serial_script import (
     ScriptedSerial,
     SerialFlight,
     bytewise,
-    fault_at_any_call,
     fed,
-    fuzzed,
     pieces,
 )
 from tests.drivers.serial_script import whole as at_once
@@ -323,48 +318,6 @@ def test_a_stop_tells_what_is_missing_at_the_end(up):
     up.pump(900 * MS)
     up.stop()
     assert set(of(up.batches, "gap")["last_missing"]) == {last + 90}
-
-
-def test_a_fault_at_any_call_loses_no_count():
-    for flight in fault_at_any_call(
-        Flight, lambda flight: flight.packets(40), lambda flight: flight.packets(300), fewest_calls=60
-    ):
-        assert len(whole(flight.batches, "fx")) > 10
-
-
-SAID = st.lists(
-    st.builds(sample, st.lists(st.integers(-32768, 32767), min_size=6, max_size=6), st.integers(0, 255))
-    | st.builds(packet, st.integers(0, 20), st.binary(max_size=15))
-    | st.binary(max_size=80),
-    max_size=3,
-)
-
-
-@settings(max_examples=150)
-@given(
-    sends=st.booleans(),
-    moves=st.lists(
-        st.tuples(st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS]), SAID, st.integers(0, 40)), max_size=25
-    ),
-)
-def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(sends, moves):
-    flight = Flight()
-    flight.start()
-    if sends:
-        flight.packets(40)
-    fuzzed(flight, moves, lambda after_ns, said: flight.pump(after_ns, b"".join(said)))
-
-
-@pytest.mark.parametrize("rate_hz", [0.0, -100.0, 300.0, 2000.0, math.nan])
-def test_a_rate_that_no_sensor_has_is_refused(rate_hz):
-    with pytest.raises(ConfigurationError, match="rate_hz"):
-        RftConfig(rate_hz)
-
-
-@pytest.mark.parametrize("channels", [(), (FX, FX)])
-def test_channels_need_names_of_their_own(channels):
-    with pytest.raises(ConfigurationError, match="channels"):
-        Flight(channels)
 
 
 def test_a_sensor_that_answers_or_sends_names_its_components():

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, FrameError, UrlError
+from drivers.errors import FrameError, UrlError
 from drivers.transports.network import TcpPort
-from drivers.ur_rtde import PackageStream, RtdeConfig, decode_recipe, decode_text
+from drivers.ur_rtde import PackageStream, decode_recipe, decode_text
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.rtde_flight import BAD, CHANNELS, MS, PERIOD_S, Flight
+from tests.drivers.rtde_flight import BAD, MS, PERIOD_S, Flight
 from tests.drivers.rtde_model import PACKED, framed, text
 from tests.drivers.serial_script import bytewise, fed, pieces
 from tests.drivers.serial_script import whole as at_once
@@ -234,15 +234,6 @@ def test_a_message_with_other_lengths_is_refused(payload):
 def test_a_url_without_host_and_port_is_refused(url):
     with pytest.raises(UrlError, match="30004"):
         TcpPort.open(url)
-
-
-def test_what_cannot_be_configured_is_refused():
-    for rate_hz in (0.5, 501.0):
-        with pytest.raises(ConfigurationError):
-            RtdeConfig(rate_hz=rate_hz)
-    for channels in ((), (CHANNELS[0], CHANNELS[0])):
-        with pytest.raises(ConfigurationError):
-            Flight(channels=channels)
 
 
 @pytest.fixture
