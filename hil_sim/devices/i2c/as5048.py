@@ -12,95 +12,45 @@ Where the data sheet is silent: fields at which COMP high and low are set; AGC a
 angle is noise. Left out: programming and burning, daisy chains.
 """
 
-from collections.abc import Mapping
 from math import tau
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field
 
-from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar, garbled
-from hil_sim.scenario.sheets import Sheets
-from hil_sim.scenario.tables import ScenarioError
+from hil_sim.devices.i2c.magnet import NONE, STRONG, WEAK, MagnetTable, MagnetTwin
+from hil_sim.devices.i2c.twin import POWER_KINDS
+from hil_sim.faults import FaultKind, garbled
 from hil_sim.sensing.analog import ScalarAnalog
-from hil_sim.sensing.sensors import EncoderSensor
 
 _SAMPLES_S: Final = 11_250.0
 _LATE_S: Final = 100e-6
 _NOISE_DEG: Final = 0.06
-_POWER_UP_NS: Final = 10_000_000
-_WEAK, _STRONG, _OVERFLOW, _NONE = 0.5, 1.5, 2.0, 0.1  # of the nominal field: our choice
+_OVERFLOW: Final = 2.0  # of the nominal field: our choice
 _COUNTS: Final = 16384
-_FINER: Final = 64  # steps of the sensor in a count: the chip rounds, after its noise
 _FRAMING, _COMMAND, _PARITY = 1, 2, 4
 _WRITABLE: Final = (0x03, 0x16, 0x17)
 
 
-class As5048bTwin(I2cTwin):
-    """One chip on I2C.
+class As5048bTwin(MagnetTwin):
+    """One chip on I2C; see ``MagnetTwin``."""
 
-    Args:
-        analog: Angle of the joint, rad.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        address: 7-bit address, by its pins.
-        turns: Of the magnet in one of the joint; negative: the other way.
-        zero_count: What it reads at joint angle zero.
-        seed: Of its noise.
-        faults: What breaks.
+    registers = 0x100
 
-    Raises:
-        FaultError: a fault that it cannot have.
-    """
+    def __init__(self, analog: ScalarAnalog, start_ns: int, *, address: int = 0x40, **options: Any) -> None:
+        super().__init__(analog, start_ns, address=address, **options)
 
-    def __init__(
-        self,
-        analog: ScalarAnalog,
-        start_ns: int,
-        *,
-        address: int = 0x40,
-        turns: float = 1.0,
-        zero_count: int = 0,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
-        kinds: tuple[FaultKind, ...] = POWER_KINDS,
-    ) -> None:
-        super().__init__(address, start_ns, faults, (*kinds, *INPUT_KINDS, FaultKind.FIELD))
-        self._joint = FaultyScalar(analog, faults, start_ns)
-        self._turns, self._zero, self._seed = turns, zero_count, seed
-        self.answered = 0  # readings of an angle
-        self._power_up(start_ns)
+    def _is_reading(self, write: bytes, read_count: int) -> bool:
+        return bool(write) and write[0] + read_count > 0xFF
 
-    def _power_up(self, now_ns: int) -> None:
-        self._reg = bytearray(0x100)
-        self._ready_ns = now_ns + _POWER_UP_NS
-
-    def _run(self, until_ns: int) -> None:
-        """It is asked."""
-
-    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
-        """See ``I2cTwin``."""
-        self._settle(now_ns)
-        if read_count:
-            self._sense(now_ns)
-        answer = super().transfer(address, write, read_count, now_ns)
-        self.answered += bool(write) and write[0] + read_count > 0xFF
-        return answer
-
-    def _sense(self, now_ns: int) -> None:
-        """What its output registers hold now."""
-        if now_ns < self._ready_ns:
-            return
-        window = self._faults.active(FaultKind.FIELD, now_ns)
-        field = 1.0 + (window.value if window is not None else 0.0)
-        weak, strong = field < _WEAK, field > _STRONG
+    def _sense(self, field: float, time_s: float) -> None:
+        weak, strong = field < WEAK, field > STRONG
         self._reg[0xFA] = 255 if weak else 0 if strong else round(60.0 / field)
         self._reg[0xFB] = 0x01 | (0x02 if field > _OVERFLOW else 0) | (0x04 if strong else 0) | (0x08 if weak else 0)
         if field > _OVERFLOW:  # the last valid ones stay
             return
         self._put(0xFC, round(min(max(4700.0 * (field if weak or strong else 1.0), 0.0), _COUNTS - 1.0)))
-        self._put(0xFE, self._angle((now_ns - self._start_ns) * 1e-9, is_there=field > _NONE))
+        self._put(0xFE, self._angle(time_s, is_there=field > NONE))
 
     def _put(self, register: int, value: int) -> None:
         self._reg[register], self._reg[register + 1] = value >> 6, value & 0x3F
@@ -163,7 +113,7 @@ class As5048aTwin(As5048bTwin):
             self._write(at, content & 0xFF, now_ns)
             return content
         if word & 0x4000:
-            self._sense(now_ns)
+            self._look(now_ns)
             return self._word(content)
         self._writes = content if content in _WRITABLE else None
         return self._fault(_COMMAND) if content and self._writes is None else 0
@@ -181,45 +131,18 @@ class As5048aTwin(As5048bTwin):
         return words[register] if register in words else self._fault(_COMMAND)
 
 
-class As5048bTable(MeasuringEmulator):
-    """An AS5048B on a joint; ``turns``: of its magnet in one of the joint, ``zero_count``: at joint angle zero."""
+class As5048bTable(MagnetTable):
+    """An AS5048B on a joint."""
 
-    needs = "i2c"
-    has_clock = False
-    quantities = ("joint_angle",)
+    full, finer, eccentricity_rad = _COUNTS, 64, 9.9e-3
     where = "address {address}"
 
     kind: Literal["as5048b"]
     address: Annotated[int, Field(ge=0x40, le=0x43)] = 0x40
-    turns: PositiveFloat = 1.0
-    zero_count: int = 0
 
-    @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: a magnet a little beside the axis, by what the file says of its eccentricity."""
-        counts = said.get("counts_per_revolution", _COUNTS)
-        if counts <= 0:
-            raise ScenarioError(f"device.{name}: {counts} counts a revolution; rehearse it with the count's size")
-        table = {key: said[key] for key in ("address", "zero_count") if key in said}
-        table |= {"measures": name, "at": said["joint"], "turns": counts / _COUNTS}
-        own = {"eccentricity_rad": 9.9e-3, **said, "counts_per_revolution": counts * _FINER}
-        return Equivalent(table, {name: sheets.encoder(name, own)}, {})
-
-    def chip(self, **options: Any) -> As5048bTwin:
-        """The chip."""
-        return As5048bTwin(address=self.address, **options)
-
-    def build(self, bench: Bench) -> Twin:
-        """See ``Emulator``."""
-        twin = self.chip(
-            analog=bench.sensor(EncoderSensor),
-            start_ns=bench.start_ns,
-            turns=self.turns,
-            zero_count=self.zero_count,
-            seed=bench.seed,
-            faults=bench.faults,
-        )
-        return Twin(twin, lambda: twin.answered, (bench.name,))
+    def chip(self, analog: ScalarAnalog, start_ns: int, **options: Any) -> As5048bTwin:
+        """See ``MagnetTable``."""
+        return As5048bTwin(analog, start_ns, address=self.address, **options)
 
 
 class As5048aTable(As5048bTable):
@@ -230,6 +153,6 @@ class As5048aTable(As5048bTable):
 
     kind: Literal["as5048a"]  # type: ignore[assignment]
 
-    def chip(self, **options: Any) -> As5048bTwin:
-        """See ``As5048bTable``."""
-        return As5048aTwin(**options)
+    def chip(self, analog: ScalarAnalog, start_ns: int, **options: Any) -> As5048bTwin:
+        """See ``MagnetTable``."""
+        return As5048aTwin(analog, start_ns, **options)

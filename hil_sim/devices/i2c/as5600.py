@@ -11,68 +11,31 @@ its START. Left out: fast filter, hysteresis, low-power modes, watchdog and burn
 effect.
 """
 
-from collections.abc import Mapping
 from math import tau
 from typing import Any, Final, Literal
 
 import numpy as np
-from pydantic import PositiveFloat
 
-from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
-from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
-from hil_sim.scenario.sheets import Sheets
-from hil_sim.scenario.tables import ScenarioError
+from hil_sim.devices.i2c.magnet import NONE, STRONG, WEAK, MagnetTable, MagnetTwin
 from hil_sim.sensing.analog import ScalarAnalog
-from hil_sim.sensing.sensors import EncoderSensor
 
 _SAMPLE_S: Final = 150e-6
-_POWER_UP_NS: Final = 10_000_000
 _SETTLES: Final = (15, 7, 4, 2)  # samples of the slow filter, by SF
 _NOISE_DEG: Final = (0.015, 0.021, 0.030, 0.043)
-_WEAK, _STRONG, _NONE = 0.5, 1.5, 0.1  # of the nominal field: our choice
 _HELD: Final = frozenset({0x0C, 0x0E, 0x1B})
-_FINER: Final = 256  # steps of the sensor in a count: the chip rounds, after its noise
 
 
-class As5600Twin(I2cTwin):
-    """One chip.
+class As5600Twin(MagnetTwin):
+    """One chip; see ``MagnetTwin``."""
 
-    Args:
-        analog: Angle of the joint, rad.
-        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        turns: Of the magnet in one of the joint; negative: the other way.
-        zero_count: What it reads at joint angle zero.
-        seed: Of its noise.
-        faults: What breaks.
+    registers = 0x20
 
-    Raises:
-        FaultError: a fault that it cannot have.
-    """
-
-    def __init__(
-        self,
-        analog: ScalarAnalog,
-        start_ns: int,
-        *,
-        turns: float = 1.0,
-        zero_count: int = 0,
-        seed: int = 0,
-        faults: DeviceFaults = NO_FAULTS,
-    ) -> None:
-        super().__init__(0x36, start_ns, faults, (*POWER_KINDS, *INPUT_KINDS, FaultKind.FIELD))
-        self._joint = FaultyScalar(analog, faults, start_ns)
-        self._turns, self._zero, self._seed = turns, zero_count, seed
-        self.answered = 0  # readings of STATUS or an angle, from their first byte
-        self._power_up(start_ns)
+    def __init__(self, analog: ScalarAnalog, start_ns: int, **options: Any) -> None:
+        super().__init__(analog, start_ns, address=0x36, **options)
 
     def _power_up(self, now_ns: int) -> None:
-        self._reg = bytearray(0x20)
-        self._ready_ns = now_ns + _POWER_UP_NS
+        super()._power_up(now_ns)
         self._kept_on: int | None = None
-
-    def _run(self, until_ns: int) -> None:
-        """It is asked."""
 
     def _point(self, register: int) -> None:
         super()._point(register)
@@ -83,24 +46,19 @@ class As5600Twin(I2cTwin):
             return self._kept_on
         return super()._following(register)
 
-    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
-        """See ``I2cTwin``."""
-        self._settle(now_ns)
-        if read_count and now_ns >= self._ready_ns:
-            self._sense(now_ns)
-        answer = super().transfer(address, write, read_count, now_ns)
-        self.answered += bool(read_count > 1 and write[:1] in (b"\x0b", b"\x0c", b"\x0e"))
-        return answer
+    def _is_reading(self, write: bytes, read_count: int) -> bool:
+        return read_count > 1 and write[:1] in (
+            b"\x0b",
+            b"\x0c",
+            b"\x0e",
+        )
 
-    def _sense(self, now_ns: int) -> None:
-        """What its output registers hold now."""
-        window = self._faults.active(FaultKind.FIELD, now_ns)
-        field = 1.0 + (window.value if window is not None else 0.0)
-        weak, strong = field < _WEAK, field > _STRONG
-        self._reg[0x0B] = (0x20 if field > _NONE else 0) | (0x10 if weak else 0) | (0x08 if strong else 0)
+    def _sense(self, field: float, time_s: float) -> None:
+        weak, strong = field < WEAK, field > STRONG
+        self._reg[0x0B] = (0x20 if field > NONE else 0) | (0x10 if weak else 0) | (0x08 if strong else 0)
         self._reg[0x1A] = 128 if weak else 0 if strong else round(64.0 / field)
         self._reg[0x1B:0x1D] = round(min(max(1500.0 * field, 0.0), 4095.0)).to_bytes(2, "big")
-        raw = self._raw((now_ns - self._start_ns) * 1e-9) if field > _NONE else 0
+        raw = self._raw(time_s) if field > NONE else 0
         self._reg[0x0C:0x0E] = raw.to_bytes(2, "big")
         self._reg[0x0E:0x10] = self._scaled(raw).to_bytes(2, "big")
 
@@ -127,37 +85,14 @@ class As5600Twin(I2cTwin):
             self._reg[register] = value & (0x3F if register == 7 else 0xFF if register % 2 == 0 else 0x0F)
 
 
-class As5600Table(MeasuringEmulator):
-    """An AS5600 on a joint; ``turns``: of its magnet in one of the joint, ``zero_count``: at joint angle zero."""
+class As5600Table(MagnetTable):
+    """An AS5600 on a joint."""
 
-    needs = "i2c"
-    has_clock = False
-    quantities = ("joint_angle",)
+    full, finer, eccentricity_rad = 4096, 256, 0.006
     where = "address 0x36"
 
     kind: Literal["as5600"]
-    turns: PositiveFloat = 1.0
-    zero_count: int = 0
 
-    @classmethod
-    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: a magnet a little beside the axis, by what the file says of its eccentricity."""
-        counts = said.get("counts_per_revolution", 4096)
-        if counts <= 0:
-            raise ScenarioError(f"device.{name}: {counts} counts a revolution; rehearse it with the count's size")
-        table = {"measures": name, "at": said["joint"], "turns": counts / 4096, "zero_count": said.get("zero_count", 0)}
-        own = {"eccentricity_rad": 0.006, **said, "counts_per_revolution": counts * _FINER}
-        return Equivalent(table, {name: sheets.encoder(name, own)}, {})
-
-    def build(self, bench: Bench) -> Twin:
-        """See ``Emulator``."""
-        encoder = bench.sensor(EncoderSensor)
-        twin = As5600Twin(
-            encoder,
-            bench.start_ns,
-            turns=self.turns,
-            zero_count=self.zero_count,
-            seed=bench.seed,
-            faults=bench.faults,
-        )
-        return Twin(twin, lambda: twin.answered, (bench.name,))
+    def chip(self, analog: ScalarAnalog, start_ns: int, **options: Any) -> As5600Twin:
+        """See ``MagnetTable``."""
+        return As5600Twin(analog, start_ns, **options)
