@@ -9,6 +9,7 @@ cuts by Sutherland and Hodgman (1974), hulls by Andrew (1979), moments by Green'
 """
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from onboard.native import library
 
 Polygon = FloatArray  # (k, 2); without corners: nothing is possible
 NOTHING: Polygon = np.zeros((0, 2))
+_NONE = (0.0,) * 6  # in place of segments or lines that are not there
 
 _MOST_CORNERS = 16  # of a wider one: above it, those of the shortest sides are left out, from outside
 
@@ -56,12 +58,7 @@ def moved(
     """
     count = len(polygon)
     given = library.given(polygon, count, 2)
-    how = np.zeros(12)
-    how[:2] = shear
-    for k, segment in enumerate(segments):
-        how[2 + 2 * k : 4 + 2 * k] = segment
-    for k, line in enumerate(lines):
-        how[6 + 3 * k : 9 + 3 * k] = line
+    how = np.array([*shear, *chain(*segments, _NONE[2 * len(segments) : 4], *lines, _NONE[3 * len(lines) : 6])])
     numbers = len(segments), len(lines), library.address(how)
     out = np.empty(1 + 20 * (count + 2))
     library.call("heft_polygon", count, _MOST_CORNERS, library.address(given), *numbers, out=out)

@@ -36,6 +36,7 @@ added up. Where errors are noise, nothing repeats, and repetitions do count.
 
 import copy
 import math
+from functools import lru_cache
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -52,6 +53,12 @@ _FEWEST = 3  # blocks in a period: neighbours are alike for other reasons, and t
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
 NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
 _TINY = float(np.finfo(np.float64).tiny)
+
+
+@lru_cache(maxsize=8)
+def _pairs(count: int) -> tuple[IndexArray, IndexArray]:
+    """Of so many each two, by their numbers."""
+    return np.triu_indices(count, 1)
 
 
 def phases(numbers: FloatArray, scores: FloatArray) -> IndexArray:
@@ -71,15 +78,16 @@ def phases(numbers: FloatArray, scores: FloatArray) -> IndexArray:
     recording = np.empty_like(alone)
     recording[order] = np.cumsum(begins) - 1
     since = numbers - numbers[order][begins][recording]
-    one, other = np.triu_indices(len(numbers), 1)
-    one, other = np.array([one, other])[:, recording[one] == recording[other]]
+    one, other = _pairs(len(numbers))
+    if recording.any():
+        one, other = np.array([one, other])[:, recording[one] == recording[other]]
     cosine = np.einsum("ip,ip->i", scores[one], scores[other]) / (length[one] * length[other])
     lag = np.rint(np.abs(since[one] - since[other])).astype(np.intp)
-    pairs = np.maximum(np.bincount(lag, minlength=_FEWEST + 1), 1)
+    pairs = np.bincount(lag, minlength=_FEWEST + 1)
+    looks, pairs = int(np.count_nonzero(pairs[_FEWEST:])), np.maximum(pairs, 1)
     total = np.bincount(lag, cosine, len(pairs))
     away = total / np.sqrt(pairs * np.mean(cosine**2))
     away[:_FEWEST] = 0.0
-    looks = len(np.unique(lag[lag >= _FEWEST]))
     beyond = away > sigmas(of_each(DOUBT, looks))
     if not beyond.any():
         return alone
