@@ -6,11 +6,12 @@ The regressor is made of base motion, measured (plain least squares, biased by i
 variables).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import composite_inertia, cross, link_motions, wrench_columns
+from onboard.dynamics.kinematics import LinkMotion, composite_inertia, cross, link_motions, wrench_columns
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import possible_body
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -38,12 +39,21 @@ def measured_base(vehicle: VehicleModel, imu_frame: str, signals: FlightSignals,
         signals: the flight.
         width_s: width of the kernel, common to all signals.
     """
-    R, p = vehicle.pose_in_base(imu_frame)
+    return base_of(vehicle, imu_frame, smoothed_imu(signals, width_s))
+
+
+def smoothed_imu(signals: FlightSignals, width_s: float) -> BaseSignals:
+    """The motion of the IMU's frame, in its axes, by a kernel of such a width."""
     known = np.isfinite(np.concatenate([signals.rate, signals.specific_force], axis=1)).all(axis=1)
     at = signals.period_s * np.arange(len(known))
-    rate, force = signals.rate[known] @ R.T, signals.specific_force[known] @ R.T
-    w, dw = (smooth(at[known], rate, at, width_s, derivative).values for derivative in (0, 1))
-    f = smooth(at[known], force, at, width_s).values
+    w, dw = (smooth(at[known], signals.rate[known], at, width_s, derivative).values for derivative in (0, 1))
+    return BaseSignals(w, dw, smooth(at[known], signals.specific_force[known], at, width_s).values)
+
+
+def base_of(vehicle: VehicleModel, imu_frame: str, imu: BaseSignals) -> BaseSignals:
+    """The base's motion from that of an IMU's frame, in its axes."""
+    R, p = vehicle.pose_in_base(imu_frame)
+    w, dw, f = (part @ R.T for part in imu)
     return BaseSignals(w, dw, f - cross(dw, p) - cross(w, cross(w, p)))
 
 
@@ -51,9 +61,15 @@ def zero_wrench_rows(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, base: BaseSignals
 ) -> tuple[FloatArray, FloatArray]:
     """Rows ``W_payload chi_payload = -W_known chi_known``: Y (n, 6, 10), y (n, 6); wrench about the base's origin."""
-    links = link_motions(vehicle, q, dq, ddq)
+    return zero_wrench_of(vehicle, link_motions(vehicle, q, dq, ddq), base)
+
+
+def zero_wrench_of(
+    vehicle: VehicleModel, links: Sequence[LinkMotion], base: BaseSignals
+) -> tuple[FloatArray, FloatArray]:
+    """As :func:`zero_wrench_rows`, by the motion of the links."""
     columns = vehicle.payload_columns()
-    Y, y = np.empty((len(q), 6, 10)), np.zeros((len(q), 6))
+    Y, y = np.empty((len(base.rate), 6, 10)), np.zeros((len(base.rate), 6))
     for index, link in enumerate(links):
         W = wrench_columns(link, base.rate, base.specific_force, base.acceleration)
         if 10 * index == columns.start:

@@ -140,7 +140,7 @@ def identify(
         check_channels(vehicle, reader)
         check_times(vehicle, reader)
     by_likelihood = BY_LIKELIHOOD.get(vehicle.prediction)
-    vehicle, more = with_chosen_width(vehicle, readers[0], by_likelihood)
+    vehicle, more, first = with_chosen_width(vehicle, readers[0], by_likelihood)
     loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
     by_log = {log.path: load for log, load in zip(readers, loads, strict=True) if load is not None}
     if alone := throws.carriers(vehicle, by_log):
@@ -156,7 +156,10 @@ def identify(
     )  # answers are its own
     for reader, load in zip(readers, loads, strict=True):
         about = None if load is None or flies else _settled(vehicle, reader)
-        found.append(_one(vehicle, reader, load, about) if by_likelihood is None else by_likelihood(vehicle, reader))
+        if by_likelihood is None:
+            found.append(_one(vehicle, reader, load, about))
+        else:
+            found.append(first if first is not None and not found else by_likelihood(vehicle, reader))
         if load is not None:
             pools[load.name] = _again(vehicle, reader, pools.get(load.name), about)
         if progress:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
+from onboard.devices.recorded import RecordedDevice
 from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
@@ -37,6 +38,8 @@ from onboard.identification.exiddm.before_capture import (
     Zeros,
     before_capture,
 )
+from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
+from onboard.identification.exiddm.misread import misread
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
@@ -56,6 +59,7 @@ _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
+_WIDE_s = 0.8  # kernel through which a slow motion is seen
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
@@ -114,6 +118,8 @@ class _Flight:
         self._online, self._ticks, self._attached = online, ticks, attached
         self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
         self._held = settings.exiddm.held_at_start or settings.carried is not None
+        self._recorded = all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values())
+        self._smoothing_s = 1e-3 * settings.smoothing_ms
 
     def identified(
         self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
@@ -123,6 +129,8 @@ class _Flight:
         seen = int(np.isfinite(self._ticks.measured).sum())
         if self._online.exiddm.predictor.bends.size:
             return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
+        if mistaken := self._misread():
+            return likelihood_log.no_answer(kept, seen, mistaken, misread=True)
         failure = ""
         best: Tested | None = None
         for known in self._starts(log):
@@ -155,6 +163,19 @@ class _Flight:
             kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names)
         )
         return said.with_before(self._before(made))
+
+    def _misread(self) -> str:
+        """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""
+        if not self._recorded or not self._held or not self._attached.all():
+            return ""
+        predictor = self._online.exiddm.predictor
+        ticks = self._ticks.part(slice(round(likelihood_log.LONGEST_S / self._period_s)))
+        known = predictor.vehicle, predictor.imu_frames[0], ticks, self._period_s
+        # noise hides a slow motion, and a wide kernel a fast one
+        for width_s in (_WIDE_s, max(ROUGH_WIDTH_s, self._smoothing_s)):
+            if (found := misread(*known, width_s)) is not None:
+                return found.text
+        return ""
 
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""

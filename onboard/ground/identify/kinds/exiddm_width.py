@@ -7,6 +7,7 @@ same by every width, so the width by which one half of the flight best predicts 
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from onboard import config
 from onboard.devices.recorded import RecordedDevice
@@ -20,12 +21,21 @@ _NARROWER_ms = (400.0, 200.0, 100.0)
 _WIDER_ms = (800.0,)
 
 
+class ChosenWidth(NamedTuple):
+    """A vehicle with the width of its smoothing, what is said of it, and the answer by it where it is known by now."""
+
+    vehicle: config.Vehicle
+    said: tuple[str, ...] = ()
+    found: Identified | None = None
+
+
 def with_chosen_width(
     vehicle: config.Vehicle, log: LogReader, identify: Callable[[config.Vehicle, LogReader], Identified] | None
-) -> tuple[config.Vehicle, tuple[str, ...]]:
-    """A recorded vehicle that floats, with the width of smoothing that its recording asks for, and what is said of it.
+) -> ChosenWidth:
+    """A recorded vehicle that floats, with the width of smoothing that its recording asks for.
 
     As it is, without words, is any other vehicle, one whose file says how wide, and one whose recording does not tell.
+    A recording whose mapping has a mistake is answered by the first width: by none it is another.
 
     Args:
         vehicle: its file.
@@ -36,13 +46,14 @@ def with_chosen_width(
     recorded = all(isinstance(one, RecordedDevice) for one in devices)
     floats = vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
     if identify is None or not floats or not recorded or "smoothing_ms" in settings.model_fields_set:
-        return vehicle, ()
+        return ChosenWidth(vehicle)
     slowest_ms = 1e3 * max(signal.period_s for signal in roles_of(vehicle).signals.values())
-    errors = dict[float, float]()
+    errors, tried = dict[float, float](), dict[float, Identified]()
 
     def try_in_turn(widths_ms: Sequence[float]) -> None:
         for width_ms in (one for one in widths_ms if one >= FEWEST_SAMPLES * slowest_ms):
-            held_out = identify(with_settings(vehicle, width_ms), log).held_out
+            tried[width_ms] = identify(with_settings(vehicle, width_ms), log)
+            held_out = tried[width_ms].held_out
             if held_out is None:
                 break
             errors[width_ms] = math.sqrt(held_out.later.relative_error * held_out.earlier.relative_error)
@@ -50,8 +61,11 @@ def with_chosen_width(
                 break
 
     try_in_turn(_NARROWER_ms)
+    for width_ms, found in tried.items():
+        if found.misread:
+            return ChosenWidth(with_settings(vehicle, width_ms), (), found)
     try_in_turn(_WIDER_ms if errors else _NARROWER_ms[:0:-1])  # no fit by the widest: it smooths the motion away
     if not errors:
-        return vehicle, ()
+        return ChosenWidth(vehicle)
     best_ms, said = narrowest(dict(sorted(errors.items())))
-    return with_settings(vehicle, best_ms), (said,)
+    return ChosenWidth(with_settings(vehicle, best_ms), (said,), tried[best_ms])

@@ -97,6 +97,7 @@ class Identified:
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
+    misread: bool = False  # the mapping of the recording has a mistake, which the verdict names
 
     def only(self, links: Collection[str]) -> "Identified":
         """The same with the estimates of these links alone."""

@@ -124,12 +124,12 @@ def half_too_short(error: Exception) -> str:
     return f"not checked on motion that was not used: half of the run determines too little ({error})"
 
 
-def no_answer(kept: Kept, used: int, failure: str = "") -> Identified:
-    """A log without an estimate: rows used, and why the fit failed where it did."""
+def no_answer(kept: Kept, used: int, failure: str = "", *, misread: bool = False) -> Identified:
+    """A log without an estimate: rows used, and why the fit failed where it did, or was not tried."""
     log, nothing = kept.log, dict.fromkeys(_names(kept), False)
     refused = dict(kept.refused) if used else {**kept.refused, **kept.idle}
     evidence = Evidence(used, refused, nothing, None, failure=failure)
-    return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence))
+    return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence), misread=misread)
 
 
 def identified_of(kept: Kept, found: CheckedFit) -> Identified:

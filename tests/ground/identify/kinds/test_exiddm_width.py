@@ -4,7 +4,6 @@ import json
 from types import SimpleNamespace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from onboard import config
@@ -12,60 +11,39 @@ from onboard.cli import OK, main
 from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
-
-MASS_kg, CENTRE_m = 3.0, np.array([0.08, 0.02, -0.03])
-_S = 2e-3  # of a step
-_JOINTS = ("joint_1", "joint_2", "joint_3")
-
-
-def flown(urdf):
-    """Angles (n, 3), rate and specific force of the base at its origin (n, 3), each 2 ms for 50 s."""
-    model = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
-    hand = model.frames[model.getFrameId("payload")]
-    held = pin.Inertia(MASS_kg, CENTRE_m, np.diag([0.012, 0.02, 0.018]))
-    model.appendBodyToJoint(hand.parentJoint, held, hand.placement)
-    data, q, momentum = model.createData(), pin.neutral(model), np.array([0.03, -0.02, 0.04, 0.02, -0.03, 0.01])
-    t = _S * np.arange(25_000)
-    turns = 2.0 * np.pi * np.array([0.13, 0.17, 0.11]) * t[:, None] + [0.0, 1.0, 2.0]
-    angles = 0.5 * np.sin(turns) + 0.2 * np.sin(1.7 * turns)
-    rates, velocity = np.gradient(angles, _S, axis=0), np.zeros((len(t), 6))
-    for k in range(len(t)):
-        q[7:] = angles[k]
-        A = pin.computeCentroidalMap(model, data, q)
-        velocity[k] = np.linalg.solve(A[:, :6], momentum - A[:, 6:] @ rates[k])
-        q = pin.integrate(model, q, np.concatenate([velocity[k], rates[k]]) * _S)
-    accelerated = np.gradient(velocity, _S, axis=0)
-    return t, angles, velocity[:, 3:], accelerated[:, :3] + np.cross(velocity[:, 3:], velocity[:, :3])
+from tests.ground.identify.kinds.free_arm import JOINTS, MASS_kg, flown
 
 
 @pytest.mark.parametrize(("fits_ms", "tried_ms"), [((100, 200), [400, 100, 200]), ((), [400, 100])])
 def test_narrower_widths_are_tried_where_the_widest_gives_no_fit(tmp_path, fits_ms, tried_ms):
     """It smooths a fast motion away; where no narrower one gives a fit either, no time is spent on more."""
-    asked = ["--base", "free", "--joints", ",".join(_JOINTS), "--imu", "recorded", "--encoder", "recorded"]
+    asked = ["--base", "free", "--joints", ",".join(JOINTS), "--imu", "recorded", "--encoder", "recorded"]
     assert main(["init", str(tmp_path / "lab"), *asked]) == OK
     tried = []
 
     def identify(vehicle, _):
         tried.append(vehicle.file.estimation.smoothing_ms)
         half = HeldOutFit(0.02 if tried[-1] == 100 else 0.01, 1.0)
-        return SimpleNamespace(held_out=HeldOut(half, half, half) if tried[-1] in fits_ms else None)
+        held_out = HeldOut(half, half, half) if tried[-1] in fits_ms else None
+        return SimpleNamespace(held_out=held_out, misread=False, by=tried[-1])
 
-    vehicle, said = with_chosen_width(config.load(tmp_path / "lab" / "vehicle.toml"), None, identify)
+    vehicle, said, found = with_chosen_width(config.load(tmp_path / "lab" / "vehicle.toml"), None, identify)
     assert tried == tried_ms
     assert bool(said) == bool(fits_ms)
     assert vehicle.file.estimation.smoothing_ms == (200 if fits_ms else 100)
+    assert (found and found.by) == (200 if fits_ms else None)
 
 
 def test_a_recording_at_100_Hz_with_rounded_angles_and_no_line_edited(tmp_path, rng):
     """14 bits, written in degrees to three places: through 100 ms they make the payload a third too light."""
     lab = tmp_path / "lab"
-    asked = ["--base", "free", "--joints", ",".join(_JOINTS), "--imu", "recorded", "--encoder", "recorded"]
+    asked = ["--base", "free", "--joints", ",".join(JOINTS), "--imu", "recorded", "--encoder", "recorded"]
     assert main(["init", str(lab), *asked]) == OK
     t, angles, rate, force = (one[::5] for one in flown((lab / "vehicle.urdf").read_text()))
     counts = np.rint(angles / (2.0 * np.pi) * 2**14)
     columns = [1e3 * t[:, None], force + rng.normal(0.0, 0.02, force.shape)]
     columns += [np.degrees(rate + rng.normal(0.0, 1.5e-3, rate.shape)), counts * 360.0 / 2**14]
-    names = [*(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_dps" for axis in "xyz"), *_JOINTS]
+    names = [*(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_dps" for axis in "xyz"), *JOINTS]
     table = tmp_path / "flight.csv"
     header = ",".join(["t_ms", *names[:6], *(f"{name}_deg" for name in names[6:])])
     np.savetxt(table, np.hstack(columns), "%.3f", ",", header=header, comments="")
