@@ -1,5 +1,7 @@
 """A chip's driver on its model, pumped when it asks for it."""
 
+import numpy as np
+
 from tests.drivers.batches import codes, whole
 
 MS = 1_000_000
@@ -46,3 +48,7 @@ class ConverterFlight(ChipFlight):
         """Of the chip's conversions, from the first row on."""
         values = self.rows()["value_raw"] - 1000
         return values - values[0]
+
+    def worst(self):
+        """Largest error of a number."""
+        return int(np.abs(self.true_numbers() - self.rows()["tick"].astype(int)).max())

@@ -1,17 +1,14 @@
 """AS5048A and B: decoder, and the driver against chips typed from the data sheet."""
 
-from math import tau
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import FrameError
-from drivers.i2c.as5048 import As5048, As5048aPort, As5048Config, decode_output, framed, identify
+from drivers.i2c.as5048 import As5048, As5048aPort, decode_output, framed, identify
 from drivers.ports import I2cReply
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of, texts
+from tests.drivers.batches import codes, texts
 from tests.drivers.chip_flight import ChipFlight
 from tests.drivers.i2c_model import Chip
 
@@ -173,48 +170,6 @@ def test_an_error_flag_is_cleared_and_the_reading_repeated(clock):
     assert flight.device.bus_errors == 1
 
 
-def test_it_is_asked_in_its_period_and_stamps_both_ends(clock):
-    chip = As5048bModel(clock, transfer_ns=200_000)
-    flight = flown(clock, "B", As5048Config(sample_period_ms=2.0), chip)
-    flight.fly(1.0)
-    rows = flight.rows()
-    assert (rows["host_ns"] - rows["tick"].astype(int) == 200_000).all()
-    assert set(rows["unit"]) == {b"rad"}
-    assert rows["scale"][0] == pytest.approx(tau / 16384)
-
-
-@BOTH
-@pytest.mark.parametrize("counts", [16384, -16384, 163840])
-def test_it_follows_turns_either_way_from_the_count_nearest_to_zero(clock, kind, counts):
-    chip = model_of(clock, kind)
-    began_ns = clock()
-    chip.angle = lambda now_ns: 16000 + round((now_ns - began_ns) * 1e-9 * 36000)  # two turns a second
-    flight = flown(clock, kind, As5048Config(counts, zero_count=100), chip)
-    flight.fly(2.0)
-    rows = flight.rows()
-    true = 16000 - 16384 + (rows["tick"].astype(np.int64) - began_ns) * 36e-6
-    np.testing.assert_allclose(rows["value_raw"], true, atol=1.0)
-    assert np.sign(rows["scale"][0]) == np.sign(counts)
-
-
-@BOTH
-@pytest.mark.parametrize(
-    ("diagnostics", "code"),
-    [(0x09, "magnet_weak"), (0x05, "magnet_strong"), (0x03, "magnet_unread"), (0x00, "magnet_unread")],
-)
-def test_a_magnet_that_is_not_right_is_a_fault(clock, kind, diagnostics, code):
-    flight = flown(clock, kind)
-    flight.fly(0.5)
-    flight.chip.diagnostics = diagnostics
-    flight.fly(0.5)
-    flight.chip.diagnostics = 0x01
-    flight.fly(0.5)
-    assert codes(flight.batches) == ["started", code, "magnet_over"]
-    rows = flight.rows()
-    assert rows["status"].tolist().count(NOT_VALID) == 100
-    assert set(rows["device_status"][rows["status"] != 0]) == {diagnostics}
-
-
 @BOTH
 def test_a_zero_position_of_its_own_is_kept_and_one_that_changes_is_told(clock, kind):
     chip = model_of(clock, kind)
@@ -225,20 +180,6 @@ def test_a_zero_position_of_its_own_is_kept_and_one_that_changes_is_told(clock, 
     chip.registers[0x17] = 0x04
     flight.fly(2.0)
     assert codes(flight.batches) == ["started", "configuration_lost", "started"]
-
-
-def test_frames_that_cannot_be_are_a_gap(clock):
-    flight = flown(clock, "B")
-    flight.fly(0.5)
-    flight.chip.stuck[0xFB] = 0x81
-    flight.fly(0.2)
-    del flight.chip.stuck[0xFB]
-    flight.fly(0.5)
-    (gap,) = of(flight.batches, "gap")
-    assert gap["cause"] == b"bad_frame"
-    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(39, abs=1)
-    flight.batches += flight.device.stop(clock())
-    assert codes(flight.batches) == ["started", "bad_frame", "stopped", "bad_frame"]
 
 
 def test_nothing_is_written_to_an_as5048a(clock):

@@ -1,7 +1,5 @@
 """AS5600: decoder, and the driver against a chip typed from the data sheet."""
 
-from math import tau
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from drivers.errors import FrameError
 from drivers.i2c.as5600 import As5600, As5600Config, decode_reading
 from drivers.records import SampleStatus
-from tests.drivers.batches import codes, of
+from tests.drivers.batches import codes
 from tests.drivers.chip_flight import ChipFlight
 from tests.drivers.i2c_model import As5600Model
 
@@ -61,30 +59,6 @@ def test_the_set_up_leaves_what_is_not_its_own(clock, taps, code):
     assert [data for kind, *data in chip.transfers if kind == "write"] == [[7, 0xC0 | code], [8, 0xA0]]
 
 
-def test_it_is_asked_in_its_period_and_stamps_both_ends(clock):
-    chip = As5600Model(clock, transfer_ns=120_000)
-    flight = Flight(clock, As5600Config(sample_period_ms=2.0), chip)
-    flight.fly(1.0)
-    rows = flight.rows()
-    assert (rows["host_ns"] - rows["tick"].astype(int) == 120_000).all()
-    assert len(rows) == pytest.approx(1.0 / 2.12e-3, abs=6)
-    assert set(rows["unit"]) == {b"rad"}
-    assert rows["scale"][0] == pytest.approx(tau / 4096)
-
-
-@pytest.mark.parametrize("counts", [4096, -4096, 40960])
-def test_it_follows_turns_either_way_from_the_count_nearest_to_zero(clock, counts):
-    chip = As5600Model(clock)
-    began_ns = clock()
-    chip.angle = lambda now_ns: 4000 + round((now_ns - began_ns) * 1e-9 * 9000)  # two turns a second
-    flight = Flight(clock, As5600Config(counts, zero_count=100), chip)
-    flight.fly(2.0)
-    rows = flight.rows()
-    true = 4000 - 4096 + (rows["tick"].astype(np.int64) - began_ns) * 9e-6
-    np.testing.assert_allclose(rows["value_raw"], true, atol=1.0)
-    assert np.sign(rows["scale"][0]) == np.sign(counts)
-
-
 def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(flight):
     flight.fly(0.5)
     flight.chip.angle = lambda now_ns: 2200
@@ -94,22 +68,6 @@ def test_an_impossible_step_is_not_valid_and_leaves_no_turn_behind(flight):
     rows = flight.rows()
     assert rows["status"].tolist().count(NOT_VALID) == 1
     assert set(rows["value_raw"][rows["status"] == 0]) == {100}
-
-
-@pytest.mark.parametrize(
-    ("status", "code"),
-    [(0x00, "magnet_missing"), (0x10, "magnet_missing"), (0x30, "magnet_weak"), (0x28, "magnet_strong")],
-)
-def test_a_magnet_that_is_not_right_is_a_fault(flight, status, code):
-    flight.fly(0.5)
-    flight.chip.status = status
-    flight.fly(0.5)
-    flight.chip.status = 0x20
-    flight.fly(0.5)
-    assert codes(flight.batches) == ["started", code, "magnet_over"]
-    rows = flight.rows()
-    assert rows["status"].tolist().count(NOT_VALID) == 100
-    assert set(rows["device_status"][rows["status"] != 0]) == {status}
 
 
 def test_a_brown_out_loses_the_filter_and_not_the_turns(clock):
@@ -124,17 +82,3 @@ def test_a_brown_out_loses_the_filter_and_not_the_turns(clock):
     assert chip.registers[7] == 3
     rows = flight.rows()
     np.testing.assert_allclose(rows["value_raw"], (rows["tick"].astype(np.int64) - began_ns) * 9e-7, atol=1.0)
-
-
-def test_frames_that_cannot_be_are_a_gap(clock, flight):
-    flight.fly(0.5)
-    flight.chip.stuck[0x0B] = 0xFF
-    flight.fly(0.2)
-    del flight.chip.stuck[0x0B]
-    flight.fly(0.5)
-    (gap,) = of(flight.batches, "gap")
-    assert gap["cause"] == b"bad_frame"
-    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(39, abs=1)
-    flight.batches += flight.device.stop(clock())
-    assert codes(flight.batches) == ["started", "bad_frame", "stopped", "bad_frame"]
-    flight.rows()

@@ -193,13 +193,6 @@ def test_an_accelerometer_that_stands_still_is_set_up_again(flight):
     assert len(flight.rows()) > 300
 
 
-def test_a_gyroscope_that_lost_its_range_is_told_within_a_second(flight):
-    flight.fly(1.0)
-    flight.chip.registers[GYRO | 0x0F] = 0x01
-    flight.fly(1.2)
-    assert codes(flight.batches) == ["started", "configuration_lost", "started"]
-
-
 def test_it_is_put_to_rest_in_the_end(clock, flight):
     flight.fly(1.0)
     flight.batches += flight.device.stop(clock())

@@ -137,6 +137,39 @@ def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, sen
             assert seconds == pytest.approx(3.3, abs=0.6)  # and the back-off
 
 
+@pytest.mark.parametrize("kind", ["icm20948", "nau7802"])
+@pytest.mark.parametrize("code", [errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.ENODEV])
+def test_a_bus_error_at_any_transaction_in_flight_is_told_once_and_costs_no_count(clock, kind, code):
+    sensor = SENSORS[kind]
+    for later in range(12):
+        flight = sensor.fly(clock, sensor.model(clock))
+        flight.fly(4.0 if kind == "icm20948" else 1.0)
+        first = len(flight.chip.transfers) + later
+        flight.chip.fail = lambda number, first=first: code if first <= number < first + 5 else 0
+        flight.fly(1.0)
+        said = [one for one in codes(flight.batches) if one != "fifo_overflow"]
+        assert said == ["started", "bus_error", "bus_recovered"], later
+        assert flight.worst() <= (1 if kind == "icm20948" else 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "register", "value"),
+    [
+        *(("icm20948", *one) for one in ((0x006, 0x41), (0x201, 0x13), (0x214, 0x01), (0x252, 0), (0x067, 1))),
+        *(("nau7802", *one) for one in ((0x01, 0x2E), (0x02, 0x70), (0x03, 0x00), (0x07, 0x40), (0x1C, 0x00))),
+        ("bmi088", test_bmi088.GYRO | 0x0F, 0x01),
+    ],
+)
+def test_a_flipped_bit_is_found_within_a_second(clock, kind, register, value):
+    sensor = SENSORS[kind]
+    flight = sensor.fly(clock, sensor.model(clock))
+    flight.fly(2.0)
+    flight.chip.registers[register] = value
+    flight.fly(2.5)
+    assert codes(flight.batches)[1:] in (["configuration_lost", "started"], ["brown_out", "started"])
+    assert flight.chip.registers[register] != value
+
+
 @EACH
 def test_a_chip_that_comes_late_is_taken_then(clock, sensor):
     chip = sensor.model(clock)

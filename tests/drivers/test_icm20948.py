@@ -167,19 +167,6 @@ def test_a_count_beyond_the_data_sheets_size_is_an_overflow(flight, count):
     assert flight.worst() <= 1
 
 
-@pytest.mark.parametrize("code", [errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.ENODEV])
-def test_a_bus_error_at_any_transaction_in_flight_is_survived(clock, code):
-    for later in range(12):
-        flight = Flight(clock)
-        flight.fly(4.0)
-        first = len(flight.chip.transfers) + later
-        flight.chip.fail = lambda number, first=first: code if first <= number < first + 5 else 0
-        flight.fly(1.0)
-        said = [one for one in codes(flight.batches)[1:] if one != "fifo_overflow"]
-        assert said == ["bus_error", "bus_recovered"], (later, said)
-        assert flight.worst() <= 1
-
-
 def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
     flight.fly(20.0)
     flight.chip.fail = lambda number: errno.ENXIO
@@ -203,15 +190,6 @@ def test_a_brown_out_is_found_and_it_is_set_up_again(flight):
     (gap,) = of(flight.batches, "gap")
     assert gap["cause"] == b"brown_out"
     assert flight.chip.registers[0x252] == 1
-
-
-@pytest.mark.parametrize(("register", "value"), [(0x006, 0x41), (0x201, 0x13), (0x214, 0x01), (0x252, 0), (0x067, 1)])
-def test_a_flipped_bit_is_found_within_a_second(flight, register, value):
-    flight.fly(2.0)
-    flight.chip.registers[register] = value
-    flight.fly(2.5)
-    assert codes(flight.batches)[1:] in (["configuration_lost", "started"], ["brown_out", "started"])
-    assert flight.chip.registers[register] != value
 
 
 def test_a_chip_that_stops_sampling_is_reset(flight):

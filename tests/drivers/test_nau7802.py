@@ -211,19 +211,6 @@ def test_late_polls_lose_what_they_lose_and_count_it(flight, rng):
     np.testing.assert_array_equal(flight.true_numbers(), rows["tick"])
 
 
-@pytest.mark.parametrize("code", [errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.ENODEV])
-def test_a_bus_error_at_any_transaction_in_flight_is_survived(clock, code):
-    for later in range(12):
-        flight = Flight(clock)
-        flight.fly(1.0)
-        first = len(flight.chip.transfers) + later
-        flight.chip.fail = lambda number, first=first: code if first <= number < first + 5 else 0
-        flight.fly(1.0)
-        said = codes(flight.batches)[1:]
-        assert said == ["bus_error", "bus_recovered"], (later, said)
-        np.testing.assert_array_equal(flight.true_numbers(), flight.rows()["tick"])
-
-
 def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
     flight.fly(30.0)
     flight.chip.fail = lambda number: errno.ENXIO
@@ -231,8 +218,7 @@ def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight
     flight.chip.fail = lambda number: 0
     flight.fly(5.0)
     assert codes(flight.batches) == ["started", "bus_error", "bus_recovered"]
-    rows = flight.rows()
-    assert np.abs(flight.true_numbers() - rows["tick"].astype(int)).max() <= 1
+    assert flight.worst() <= 1
     (gap,) = of(flight.batches, "gap")
     assert gap["cause"] == b"bus_error"
     assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 80 / 1.004, abs=90)  # and the back-off
@@ -253,15 +239,6 @@ def test_a_brown_out_is_found_and_the_zero_is_put_back(flight):
     assert gap["cause"] == b"brown_out"
     due = 4.0 - 0.35
     assert len(rows) + gap["last_missing"] - gap["first_missing"] + 1 == pytest.approx(80 * due, abs=8)
-
-
-@pytest.mark.parametrize(("register", "value"), [(1, 0x2E), (2, 0x70), (3, 0x00), (7, 0x40), (0x1C, 0x00)])
-def test_a_flipped_bit_is_found_within_a_second(flight, register, value):
-    flight.fly(2.0)
-    flight.chip.registers[register] = value
-    flight.fly(2.5)
-    assert codes(flight.batches)[1:] in (["configuration_lost", "started"], ["brown_out", "started"])
-    assert flight.chip.registers[register] != value
 
 
 def test_a_chip_that_stops_converting_is_reset(flight):
