@@ -3,7 +3,7 @@
 import math
 from typing import Literal
 
-from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.faults import INPUT_KINDS, FaultyScalar
 from hil_sim.sensing.sensors import EncoderSensor
@@ -33,6 +33,11 @@ class ToyAngleTable(MeasuringEmulator):
 
     quantities = ("joint_angle",)
     kind: Literal["toy_angle"]
+
+    @classmethod
+    def from_vehicle(cls, name, said, sheets):
+        sensor = sheets.encoder(name, {"counts_per_revolution": 500_000, **said})
+        return Equivalent({"measures": name, "at": said["joint"]}, {name: sensor}, {name: "crystal"})
 
     def build(self, bench: Bench) -> Twin:
         toy = ToyAngleTwin(bench.sensor(EncoderSensor), bench.clock, bench.start_ns, bench.line, bench.faults)
