@@ -170,24 +170,6 @@ def test_a_flight_computer_that_is_killed_leaves_servos_that_stop_and_hold(bench
     assert [flown.register(name, 98, 1) for name in ("shoulder", "elbow")] == [255, 255]
 
 
-def test_a_computer_that_stood_still_stops_the_arm(bench):
-    flown = bench().run(MIDWAY_S).run(0.06, pumped=False).run(0.8)
-    assert "no target was sent" in flown.text("drive_stopped") or "no answer" in flown.text("drive_stopped")
-    assert flown.is_at_rest()
-    assert torques(flown) == {0}
-
-
-def test_an_acquisition_that_is_started_again_does_not_move_the_arm(bench):
-    flown = bench().run(MIDWAY_S)
-    flown.opened.close()
-    flown.run(0.5, pumped=False)
-    flown.kept = Kept()
-    flown.start()
-    flown.run(1.0)
-    assert flown.codes == ["drive_not_rearmed"]
-    assert flown.is_at_rest()
-
-
 def test_after_a_stop_it_can_hold(bench):
     flown = bench(drive='after_stop = "hold"').run(MIDWAY_S)
     flown.stop()

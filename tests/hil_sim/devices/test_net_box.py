@@ -13,8 +13,9 @@ from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.udp_ends import UdpEnd
 from hil_sim.devices.network.net_box import HexBox, NetBox
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from tests.hil_sim.devices.network_bench import NetworkSession, sessions
 from tests.hil_sim.devices.serial_bench import RealTime
-from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock
+from tests.hil_sim.devices.twin_bench import START_NS, RateClock
 
 COUNTS = [100, -200, 300, -40, 50, -60]
 INPUTS = {k: (lambda time_s, counts=counts: (float(counts), False)) for k, counts in enumerate(COUNTS)}
@@ -54,17 +55,14 @@ def test_a_client_of_others_reads_it_once_and_as_a_stream():
         client.sock.close()
 
 
-class Session:
-    """A client of the virtual network; ``bus`` is advanced by milliseconds."""
+class Session(NetworkSession):
+    """A client of the virtual network."""
 
     def __init__(self, faults=(), inputs=INPUTS, kind=NetBox, **how) -> None:
-        self.end = UdpEnd("here")
-        self.bus = NetworkBus(self.end)
-        self.now_ns = START_NS
-        plan = FaultPlan([Fault(*fault) for fault in faults], START_NS)
-        self.twin = kind(inputs, RateClock(), START_NS, jitter_ns=0, faults=plan.of("wrist"), **how)
-        self.bus.add(self.twin)
-        self.bus.inject(plan.of("cable"))
+        def made(faults):
+            return kind(inputs, RateClock(), START_NS, jitter_ns=0, faults=faults, **how)
+
+        super().__init__(UdpEnd("here"), made, "wrist", faults)
         self.client()
 
     def client(self):
@@ -79,8 +77,7 @@ class Session:
             self.port.send(request)
         found = []
         for _ in range(ms):
-            self.now_ns += MS
-            self.bus.advance(self.now_ns)
+            self.pass_ms()
             with contextlib.suppress(BlockingIOError):
                 while True:
                     found.append(struct.unpack(">III6i", self.port.recv(100)))
@@ -88,20 +85,12 @@ class Session:
 
     def close(self):
         self.port.close()
-        self.end.close()
+        super().close()
 
 
 @pytest.fixture
 def session():
-    made = []
-
-    def make(*faults, **how):
-        made.append(Session(faults, **how))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from sessions(Session)
 
 
 def test_a_stream_begins_at_1_at_its_rate_and_ends_when_it_is_told(session):

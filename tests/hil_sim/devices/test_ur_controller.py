@@ -14,8 +14,9 @@ from hil_sim.buses.network import NetworkBus
 from hil_sim.buses.tcp_ends import ListeningTcp, VirtualTcp
 from hil_sim.devices.network.ur_controller import UrController, rate
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from tests.hil_sim.devices.network_bench import NetworkSession, sessions
 from tests.hil_sim.devices.serial_bench import RealTime
-from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
+from tests.hil_sim.devices.twin_bench import START_NS, Analog, RateClock
 
 SIX = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
 INPUTS = {
@@ -88,17 +89,14 @@ def test_sdu_s_client_reads_it():
     assert all(step == pytest.approx(0.008 * round(step / 0.008), abs=1e-9) for step in steps)  # some may be missed
 
 
-class Session:
-    """A client of the virtual network; ``bus`` is advanced by milliseconds."""
+class Session(NetworkSession):
+    """A client of the virtual network."""
 
     def __init__(self, faults=(), **how) -> None:
-        self.end = VirtualTcp("here")
-        self.bus = NetworkBus(self.end)
-        self.now_ns = START_NS
-        plan = FaultPlan([Fault(*fault) for fault in faults], START_NS)
-        self.twin = UrController(INPUTS, RateClock(), START_NS, jitter_ns=0, faults=plan.of("arm"), **how)
-        self.bus.add(self.twin)
-        self.bus.inject(plan.of("cable"))
+        def made(faults):
+            return UrController(INPUTS, RateClock(), START_NS, jitter_ns=0, faults=faults, **how)
+
+        super().__init__(VirtualTcp("here"), made, "arm", faults)
         self.port = self.end.connect()
 
     def said(self, letter: str = "", rest: bytes = b"", ms: int = 2) -> list[tuple[str, bytes]]:
@@ -106,8 +104,7 @@ class Session:
         if letter:
             self.port.send(struct.pack(">HB", 3 + len(rest), ord(letter)) + rest)
         for _ in range(ms):
-            self.now_ns += MS
-            self.bus.advance(self.now_ns)
+            self.pass_ms()
         data, found = b"", []
         with contextlib.suppress(BlockingIOError):
             data = self.port.recv(100_000)
@@ -124,15 +121,7 @@ class Session:
 
 @pytest.fixture
 def session():
-    made = []
-
-    def make(*faults, **how):
-        made.append(Session(faults, **how))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.end.close()
+    yield from sessions(Session)
 
 
 def begun(session, names=b"timestamp", hz=125.0):
