@@ -37,7 +37,10 @@ _KEPT = 400  # bytes of text that an answer is looked for in
 
 @dataclass(frozen=True)
 class BotaFtConfig(StreamConfig):
-    """How a sensor is read; ``rate_hz``, 25 to 800: 51,200 / ``rate_hz`` is its sinc length, a whole number.
+    """How a sensor is read.
+
+    Attributes:
+        rate_hz: Frames a second, 25 to 800: 51,200 / ``rate_hz`` is its sinc length, a whole number.
 
     Raises:
         ConfigurationError: A rate that it has not.

@@ -40,7 +40,7 @@ class StreamConfig:
     Attributes:
         rate_hz: Frames a second.
         poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Time without a frame after which the port is reopened, and the sensor set up anew.
+        silence_ms: Time without a frame after which the port is reopened, and the instrument set up anew.
     """
 
     rate_hz: float

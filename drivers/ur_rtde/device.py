@@ -45,7 +45,10 @@ _NOT_VALID, _AFTER_RESET = np.uint8(SampleStatus.NOT_VALID), np.uint8(SampleStat
 
 @dataclass(frozen=True)
 class RtdeConfig(StreamConfig):
-    """How a controller is read; ``rate_hz``: 1 to 500 (CB3: 125), a whole fraction of the control rate.
+    """How a controller is read.
+
+    Attributes:
+        rate_hz: Packages a second, 1 to 500 (CB3: 125); a whole fraction of the control rate.
 
     Raises:
         ConfigurationError: A value out of range.

@@ -274,7 +274,8 @@ def meaning(model: type[BaseModel], key: str) -> str:
         KeyError: Nobody says.
     """
     drivers = model.driver_configs if issubclass(model, BusDevice) else ()
-    of_driver = {k: v for driver in reversed(drivers) for k, v in _attributes(driver).items()}
+    classes = [one for driver in reversed(drivers) for one in reversed(driver.__mro__[:-1])]
+    of_driver = {k: v for one in classes for k, v in _attributes(one).items()}
     return model.model_fields[key].description or of_driver.get(key) or MEANING[key]
 
 
