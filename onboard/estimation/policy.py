@@ -11,6 +11,7 @@ A limit in sigmas is such a chance, of a normal's two sides.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtri
@@ -68,11 +69,13 @@ MOSTLY = 0.5
 of a channel, a line; of what is left over, what a reason names."""
 
 
+@lru_cache(maxsize=256)
 def of_each(budget: float, looks: float = 1.0) -> float:
     """Chance of one look of a test that looks so many times at a flight: ``1 - (1 - budget)^(1 / (TESTS looks))``."""
     return float(-np.expm1(np.log1p(-budget) / (TESTS * max(looks, 1.0))))
 
 
+@lru_cache(maxsize=256)
 def sigmas(chance: float) -> float:
     """Standard deviations that a normal is farther from its mean than, on either side, with a chance."""
     return float(-ndtri(0.5 * chance))

@@ -84,7 +84,7 @@ class TickSource:
     @property
     def best(self) -> "DeviceClock | ArrivalClock | None":
         """The clock to use now."""
-        return next((clock for clock in (self.clock, self.arrival) if clock.trusted), None)
+        return self.clock if self.clock.trusted else self.arrival if self.arrival.trusted else None
 
     def at(self, now_ns: int) -> ClockState:
         """The state of its main clock at ``now_ns``."""

@@ -84,7 +84,7 @@ class PulseTrain:
     def _pulses(self, first: NDArray[np.intp], after_ns: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """The pulses nearest to ``after_ns`` after pulses ``first`` (n,), and whether they are near enough."""
         expected_ns = self._rise_ns[first] + after_ns
-        after = np.clip(np.searchsorted(self._rise_ns, expected_ns), 1, len(self._rise_ns) - 1)
+        after = np.minimum(np.maximum(self._rise_ns.searchsorted(expected_ns), 1), len(self._rise_ns) - 1)
         before = after - 1
         later = self._rise_ns[after] - expected_ns < expected_ns - self._rise_ns[before]
         nearest = np.where(later, after, before)

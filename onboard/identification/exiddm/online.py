@@ -141,7 +141,7 @@ class ExiddmIdentifier:
             first = last
         self._mixed = None
         self._tell_of_capture(ticks)
-        for reason in self.refused:
+        for reason in self.refused if found.any() else ():
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         self._count(glitches)
         return found
