@@ -189,12 +189,15 @@ class Timebase:
         clock, _ = self._clock(channel)
         return np.inf if clock is None else clock.sigma_ns(clock.tick_at(at_ns))
 
-    def waited(self, channel: str, rows: Rows) -> NDArray[np.bool_]:
-        """Which samples (n,) were taken later than their ticks say: the device's line was busy telling of an edge."""
+    def waited(self, channel: str, rows: Rows) -> NDArray[np.bool_] | None:
+        """Which samples (n,) were taken later than their ticks say: the device's line was busy telling of an edge.
+
+        None of a channel whose device does not tell of edges.
+        """
         source = self._sources.get(channel)
         if isinstance(source, marking.LatchingSource):
             return source.waited(rows["tick"].astype(np.int64))
-        return np.zeros(len(rows), np.bool_)
+        return None
 
     def trusted(self, channel: str) -> bool:
         """Whether the channel's clock runs on the best it can have, and not on a stopgap."""

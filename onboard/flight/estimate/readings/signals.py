@@ -197,11 +197,11 @@ class SignalSmoother:
             return GateReason.NOT_SYNCHRONISED
         times_s = (times_ns - at_ns[0]) * 1e-9
         values, wrong = history.values[recent], history.wrong[recent]
-        later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
         waited = timebase.waited(name, stamps)
-        late = bool(waited.any())
-        if late or not later.all():
-            kept = np.append(True, later) & ~waited
+        late = waited is not None and bool(waited.any())
+        if late or not (times_s[1:] > times_s[:-1]).all():
+            later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
+            kept = np.append(True, later) & (True if waited is None else ~waited)
             times_s, values, wrong = times_s[kept], values[kept], wrong[kept]
         last_s = (at_ns[-1] - at_ns[0]) * 1e-9
         near = slice(*times_s.searchsorted((-self.width_s, last_s + self.width_s)).tolist())
