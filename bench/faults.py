@@ -86,6 +86,7 @@ _VALUES: dict[FaultKind, tuple[float, float] | list[float]] = {  # two: between 
     FaultKind.INTERMITTENT: (0.01, 0.5),
     FaultKind.SATURATED: [-1.0, 1.0],
     FaultKind.WRONG: [-2.0, -1.0, -0.1, 0.3, 1.0, 7.0],
+    FaultKind.SLIPPED: [-30.0, -2.0, 0.1, 5.0],
     FaultKind.DELAYED: (0.003, 1.0),
     FaultKind.GARBAGE: (1.0, 1000.0),
     FaultKind.SLOW: (0.003, 0.3),

@@ -142,6 +142,11 @@ def _cross_talk(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tab
     return {"sensor": {imu: {"accel_g": axes, "gyro_deg_s": axes} for imu in ("imu_base", "imu_2")}}, []
 
 
+def _slipped(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
+    joint, at_s, by_deg = str(rng.choice(JOINTS)), float(rng.uniform(5.0, 40.0)), size * float(rng.choice([-1.0, 1.0]))
+    return {}, [fault("slipped", joint, at_s, by_deg)]
+
+
 def _backlash(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
     del size
     play = {"joint": str(rng.choice(JOINTS)), "gap_mrad": [1.5, 1.5]}
@@ -204,6 +209,7 @@ CLASSES = {
     "drag, no cell": Class("external wrench", "dymaflex", ("disturbance", "wrench"), _DRAG_WRENCH, without="load_cell"),
     "mild: joint 2.5 ms late": Class("mild", "dymaflex", JOINTS, _late),
     "a joint stuck for a while": Class("mild", "dymaflex", JOINTS, _stuck),
+    "a coupling slips by 3 deg": Class("mild", "dymaflex", JOINTS, _slipped, 3.0),
     "mild: cross-talk 1 %": Class("mild", "dymaflex", ("imu",), _cross_talk),
     "mild: backlash 1.5 mrad": Class("mild", "dymaflex", JOINTS, _backlash),
     "mild: gyro 1 %": Class("mild", "dymaflex", ("imu",), _scale("imu_base"), 1.0),

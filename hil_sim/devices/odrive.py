@@ -27,7 +27,7 @@ from pydantic import Field, PositiveFloat
 from hil_sim.devices.can_bus.can_wire import TransmitFrame
 from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
 from hil_sim.devices.powered import PoweredTwin
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.faults import CLOCK_KINDS, ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor
@@ -78,7 +78,7 @@ class OdriveTwin(PoweredTwin):
     ) -> None:
         faults.require(
             *(FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.TRIP),
-            *(*INPUT_KINDS, *CLOCK_KINDS),
+            *(*ENCODER_KINDS, *CLOCK_KINDS),
         )
         self.hears_process_data = False
         self.samples = {_ESTIMATES: 0, _TORQUES: 0}

@@ -3,11 +3,21 @@
 from hil_sim.faults.inputs import FaultyImu, FaultyScalar, reported_phases
 from hil_sim.faults.oscillator import FaultyClock
 from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, PowerCycle, garbled
-from hil_sim.faults.vocabulary import CLOCK_KINDS, EFFECTS, INPUT_KINDS, Fault, FaultError, FaultKind, parse
+from hil_sim.faults.vocabulary import (
+    CLOCK_KINDS,
+    EFFECTS,
+    ENCODER_KINDS,
+    INPUT_KINDS,
+    Fault,
+    FaultError,
+    FaultKind,
+    parse,
+)
 
 __all__ = [
     "CLOCK_KINDS",
     "EFFECTS",
+    "ENCODER_KINDS",
     "INPUT_KINDS",
     "NEVER",
     "NO_FAULTS",

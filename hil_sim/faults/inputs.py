@@ -13,7 +13,7 @@ _INERTIAL = np.array([0, 1, 2, 4, 5, 6])  # columns of ImuAnalog.counts without 
 
 
 class FaultyScalar:
-    """A ``ScalarAnalog`` with the faults ``stuck``, ``saturated``, ``wrong`` and ``delayed``.
+    """A ``ScalarAnalog`` with the faults ``stuck``, ``saturated``, ``wrong`` and ``delayed``; angles, rad: ``slipped``.
 
     Args:
         analog: The healthy input.
@@ -41,6 +41,8 @@ class FaultyScalar:
         reading = self._analog.value(time_s if delayed is None else max(time_s - delayed.value, 0.0))
         wrong = self._faults.active(FaultKind.WRONG, now_ns)
         self._last = reading if wrong is None else reading * (1.0 + wrong.value)
+        slipped = self._faults.active(FaultKind.SLIPPED, now_ns)
+        self._last += 0.0 if slipped is None else math.radians(slipped.value)
         return self._last
 
     def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:

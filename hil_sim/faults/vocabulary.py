@@ -29,6 +29,7 @@ class FaultKind(StrEnum):
     SATURATED = "saturated"
     WRONG = "wrong"
     DELAYED = "delayed"
+    SLIPPED = "slipped"
     GARBAGE = "garbage"
     SLOW = "slow"
     CLOCK_JUMP = "clock_jump"
@@ -58,6 +59,7 @@ EFFECTS: Final = {
     FaultKind.STUCK: "the input holds its last value",
     FaultKind.SATURATED: "the input is at full scale, at the end that the sign of VALUE says",
     FaultKind.WRONG: "the reading is 1 + VALUE times the truth; a phase code or SYNC counter is VALUE too high",
+    FaultKind.SLIPPED: "the coupling of the encoder has slipped: it reads VALUE degrees too much",
     FaultKind.DELAYED: "the input shows what was VALUE seconds ago; CAN frames and edges arrive VALUE seconds late",
     FaultKind.GARBAGE: "it sends random bits in frames of the right form; the sync line has VALUE more edges a second",
     FaultKind.SLOW: "CAN nodes and polled cells answer VALUE seconds late; a clock runs slow by the share VALUE",
@@ -86,6 +88,9 @@ EFFECTS: Final = {
 INPUT_KINDS: Final = (FaultKind.STUCK, FaultKind.WRONG, FaultKind.DELAYED)
 """What ``FaultyScalar`` and ``FaultyImu`` apply to any analogue input; ``SATURATED`` is for inputs that have an end."""
 
+ENCODER_KINDS: Final = (*INPUT_KINDS, FaultKind.SLIPPED)
+"""What ``FaultyScalar`` applies to the angle of a joint."""
+
 CLOCK_KINDS: Final = (FaultKind.SLOW, FaultKind.CLOCK_JUMP)
 """What ``FaultyClock`` applies to any oscillator."""
 
@@ -99,6 +104,7 @@ _SECONDS: Final = {
 }
 _NOT_ZERO: Final = {
     FaultKind.WRONG: "how wrong it is",
+    FaultKind.SLIPPED: "the degrees it slips by",
     FaultKind.CLOCK_JUMP: "the jump in seconds",
     FaultKind.FIELD: "by what share the field is off",
 }

@@ -57,3 +57,10 @@ class Defers(Protocol):
 
     def work(self) -> None:
         """Do what the last update has left to be done, as far as the bound on a step goes; else the next one does."""
+
+
+@runtime_checkable
+class FollowsJumps(Protocol):
+    """An ``OnlineIdentifier`` that goes on after an encoder has jumped, see ``Signals.jumps``."""
+
+    follows_jumps: bool

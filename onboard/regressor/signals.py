@@ -61,6 +61,16 @@ def orders_of(rate_sensors: Sequence[bool]) -> NDArray[np.intp]:
     return np.concatenate([*joints, np.repeat([0, 1, 0], 3)])
 
 
+class EncoderJump(NamedTuple):
+    """An encoder that is another one from some time on, read so that its angle goes on smoothly."""
+
+    vehicle_ns: int  # the first sample after it
+    size: float  # rad or m, as the others
+    angle: float  # as it was read then
+    rate: float  # rad/s
+    sigma: float  # of the size
+
+
 class Signals(NamedTuple):
     """Smoothed signals at n ticks; every one through the same kernel. NaN where a window was not valid."""
 
@@ -77,3 +87,4 @@ class Signals(NamedTuple):
     refused: NDArray[np.int64] | None = None  # (n, rows) reasons to leave a row out, besides those of its whole tick
     cyclic: FloatArray | None = None  # (n, 3, m) functions of the joints' cyclic errors, and their two derivatives
     thrust: FloatArray | None = None  # (n, k) forces of thrusters, N, means over the ticks
+    jumps: tuple[tuple[str, EncoderJump], ...] = ()  # of the encoders of joints by name, in these ticks

@@ -10,6 +10,7 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
+from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay.replay import replay
 from onboard.identification.exiddm.captured_body import NAMES
@@ -161,3 +162,23 @@ def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_
     [mass] = answers[(answers["host_ns"] == answers["host_ns"][-1]) & (answers["name"] == b"m_payload")]
     assert mass["supported"]
     assert mass["low"] < flown.mass("m_payload")["truth"] < mass["high"]
+
+
+@pytest.mark.parametrize("fault", ["slipped:joint_2:8::3", "wrong:joint_2:8::0.05"])
+def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Path, fault: str) -> None:
+    """While the payload is held, on board and afterwards: it is told, and another scale is named."""
+    kind, device, start_s, _, value = fault.split(":")
+    broken = {"kind": kind, "device": device, "start_s": float(start_s), "value": float(value)}
+    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **SHORT, fault=[broken])
+    [said] = flown.events("angle_jumped")
+    assert said.startswith("joint_2: its angle jumps by +")
+    mass = flown.mass("m_payload")
+    assert mass["covered"]
+    assert 0.0 < mass["high"] - mass["low"] < 0.2 * mass["truth"]
+    assert "joint_2: its angle jumps" in mass["standing"]
+    assert ("scale_joint_2" in mass["standing"]) == (kind == "wrong")
+    found = identify_exiddm(config.load(config.packaged("dymaflex")), flown.log)
+    [again] = (one for one in found.answers if one.name == "m_payload")
+    assert again.low < mass["truth"] < again.high
+    assert again.high - again.low < 0.2 * mass["truth"]
+    assert any("joint_2: its angle jumps" in reason for reason in found.verdict.reasons)

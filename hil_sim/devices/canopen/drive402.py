@@ -32,7 +32,7 @@ from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import OFF, OPERATIONAL, CanopenNode
 from hil_sim.devices.canopen.rpdo import Rpdo
 from hil_sim.devices.emulator import Bench, Equivalent, JointEmulator, Twin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor
@@ -99,7 +99,7 @@ class Drive402(CanopenNode):
         faults: DeviceFaults = NO_FAULTS,
         extra_faults: tuple[FaultKind, ...] = (),
     ) -> None:
-        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *extra_faults))
+        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *ENCODER_KINDS, *extra_faults))
         self.hears_process_data = True
         here = [window for window in faults.windows if window.kind is not FaultKind.SATURATED]
         before = [window for window in here if window.kind is not FaultKind.STUCK]

@@ -16,7 +16,7 @@ from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, D
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import CanopenNode
 from hil_sim.devices.emulator import Bench, Equivalent, Twin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.sensors import EncoderSensor
@@ -50,7 +50,7 @@ class Encoder406(CanopenNode):
         counts_per_revolution: int = 500_000,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(node_id, 0x0002_0196, start_ns, faults, INPUT_KINDS)
+        super().__init__(node_id, 0x0002_0196, start_ns, faults, ENCODER_KINDS)
         self._analog = FaultyScalar(analog, faults, start_ns)
         self._zero_count = zero_count
         add, u16, u32 = self.dictionary.add, DataType.U16, DataType.U32

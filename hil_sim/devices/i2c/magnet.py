@@ -7,7 +7,7 @@ from pydantic import PositiveFloat
 
 from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.i2c.twin import POWER_KINDS, I2cTwin
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.analog import ScalarAnalog
@@ -48,7 +48,7 @@ class MagnetTwin(I2cTwin):
         faults: DeviceFaults = NO_FAULTS,
         kinds: tuple[FaultKind, ...] = POWER_KINDS,
     ) -> None:
-        super().__init__(address, start_ns, faults, (*kinds, *INPUT_KINDS, FaultKind.FIELD))
+        super().__init__(address, start_ns, faults, (*kinds, *ENCODER_KINDS, FaultKind.FIELD))
         self._joint = FaultyScalar(analog, faults, start_ns)
         self._turns, self._zero, self._seed = turns, zero_count, seed
         self.answered = 0  # readings of an angle

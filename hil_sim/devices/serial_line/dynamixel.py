@@ -36,7 +36,7 @@ import numpy as np
 
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
 
 BAUD_RATES: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -142,7 +142,7 @@ class DynamixelTwin(SerialTwin):
         self._heard, self._said = b"", 0  # of a Fast Sync Read's packet: what others said, and how much
         self._ready_ns = self._up_ns = self._byte_ns = start_ns
         self.answered = 0
-        super().__init__(line, start_ns, faults, (FaultKind.SLOW, FaultKind.TRIP, *INPUT_KINDS))
+        super().__init__(line, start_ns, faults, (FaultKind.SLOW, FaultKind.TRIP, *ENCODER_KINDS))
         self._trips = [window for window in faults.windows if window.kind is FaultKind.TRIP][::-1]
         self._next_trip()
 
@@ -334,7 +334,7 @@ class DynamixelTwin(SerialTwin):
         angle = self._angle.value(time_s)
         began_s = max(time_s - _WINDOW_S, self._seconds(self._up_ns))
         rate = 0.0
-        if time_s > began_s and self._faults.within(now_ns, *INPUT_KINDS) is None:
+        if time_s > began_s and self._faults.within(now_ns, *ENCODER_KINDS) is None:
             rate = self._turns * (angle - self._angle.value(began_s)) / (time_s - began_s)
         rng = np.random.default_rng([self._seed, 0x5045, int(time_s * 1e3)])
         counts = round(COUNTS * self._turns * angle / math.tau + _NOISE_COUNTS * rng.standard_normal()) + self._zero

@@ -27,7 +27,7 @@ from hil_sim.devices.serial_line import qsb_map as reg
 from hil_sim.devices.serial_line.quadrature import QuadratureCounter
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.faults import CLOCK_KINDS, ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 TICK_512_HZ: Final = 1e9 / 512  # ns; the document's "1/512 Hz" and "1.95 ms"
@@ -81,7 +81,7 @@ class QsbTwin(SerialTwin):
         counting: int = 4,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        kinds = (FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, *INPUT_KINDS, *CLOCK_KINDS)
+        kinds = (FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, *ENCODER_KINDS, *CLOCK_KINDS)
         super().__init__(_FACTORY_LINE, start_ns, faults, kinds)
         self.produced = 0  # lines streamed by S0E
         self.captures = 0

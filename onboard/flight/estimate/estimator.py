@@ -30,7 +30,7 @@ from onboard.flight.estimate.readings.tracked import TrackedTicks
 from onboard.flight.estimate.readings.witness import RateWitness
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.online import OnlineIdentifier
+from onboard.identification.online import FollowsJumps, OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.table.run import TableRun
@@ -98,7 +98,8 @@ class Estimator:
         self._temperatures = Temperatures(self._imu)
         further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
         seen = [one for one in roles.trackers if one.channel in {own.name for own in further}]
-        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted, trackers=seen)
+        follows = isinstance(self.online, FollowsJumps)
+        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted, trackers=seen, follows_jumps=follows)
         self._further, self._tracked = channels_of(roles, further), [TrackedTicks(one, self._period_ns) for one in seen]
         self._torques = TorqueLines.of(roles, self.model, self.online.row_names)
         self._witness: RateWitness | None = None
@@ -200,8 +201,7 @@ class Estimator:
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []
         joints, spread, refused, cyclic, of_joints = self._at_joints.at(self._signals, self._timebase, at_ns)
-        q, dq, ddq = joints
-        time_s = (at_ns * 1e-9).astype(np.float64)
+        (q, dq, ddq), time_s = joints, (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             measured, sigma, of_rows = self._means(at_ns)
             self._torques.state(dq, sigma, of_rows, self.inflation)
@@ -213,8 +213,8 @@ class Estimator:
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             own = OfSamples(np.hstack([*of_joints, np.zeros((len(at_ns), 9))]), self._at_joints.orders)
             noise = SignalNoise(spread[0], spread[1], spread[2], *motion, self.inflation, own)
-            more = sigma, None, noise, None, of_rows, cyclic, np.nan_to_num(thrust.derivatives[0])
-            signals = Signals(time_s, q, dq, ddq, motion, measured, *more)
+            more = of_rows, cyclic, np.nan_to_num(thrust.derivatives[0]), self._at_joints.jumps(self._signals, at_ns)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, None, noise, None, *more)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said

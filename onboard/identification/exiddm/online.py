@@ -26,7 +26,7 @@ from onboard.identification.exiddm.innovation import ReferenceErrors
 from onboard.identification.exiddm.prediction.further import Further, FurtherPose
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.exiddm.prediction.ticks import Ticks, gated, ticks_of
 from onboard.identification.exiddm.recursion.bounded_work import last_work
 from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
 from onboard.identification.exiddm.recursion.windowed import SOLVED_AT_s
@@ -71,16 +71,6 @@ def keys_of(predictor: ImuPredictor) -> tuple[str, ...]:
     return tuple("" if k in varying else predictor.key_of(name) for k, name in enumerate(predictor.names))
 
 
-def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
-    """Reasons for which each line of each tick, (n, lines), is not used."""
-    found = np.repeat(np.asarray(excluded, np.int64)[:, None], signals.measured.shape[1], axis=1)
-    if signals.refused is not None:
-        found |= signals.refused
-    joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
-    found[~(np.isfinite(signals.measured + signals.sigma) & joints[:, None])] |= GateReason.GAP
-    return found
-
-
 class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the lines of the base IMU, further IMUs and load cells.
 
@@ -93,6 +83,8 @@ class ExiddmIdentifier:
     Args:
         exiddm: the estimator.
     """
+
+    follows_jumps = True
 
     def __init__(self, exiddm: RecursiveExiddm) -> None:
         self.exiddm = exiddm
@@ -132,7 +124,11 @@ class ExiddmIdentifier:
             self._newest_s = float(signals.time_s[-1])
             self._taken_s = float(signals.time_s[(found == 0).any(axis=1)].max(initial=self._taken_s))
         first, glitches = 0, self.exiddm.glitches
-        for last in [*(np.flatnonzero(np.diff(attached)) + 1), n]:
+        of_jumps = [int(np.searchsorted(signals.time_s, 1e-9 * jump.vehicle_ns)) for _, jump in signals.jumps]
+        for last in sorted({*(np.flatnonzero(np.diff(attached)) + 1).tolist(), *of_jumps, n} - ({0} if n else set())):
+            for at, told in zip(of_jumps, signals.jumps, strict=True):
+                if at == first:
+                    self.exiddm.jumped(*told)
             held = bool(attached[first]) if n else self._attached
             if n and self._attached is not None and held != self._attached:
                 self.exiddm.announce(bool(held), float(signals.time_s[first]))

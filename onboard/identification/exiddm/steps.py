@@ -18,6 +18,10 @@ r of the solution and the transition F to its end,
 A payload that changes, as where a part comes off or propellant is used, is a step along the directions of
 :func:`.bodies.changes`, all of them together: a step of several columns.
 
+An encoder that jumps is followed by the filter. From there on its angle is read so that it goes on smoothly. If its
+zero has slipped, nothing is left of that. If its scale or its delay is another one, its size follows from that of the
+jump, and the zero takes off what it does there; each is as likely as a zero that has slipped.
+
 A time that is no longer kept, the one of the least likely hypotheses, leaves its odds to the one after it.
 """
 
@@ -27,12 +31,13 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import LIKELY_SIZE, STEPS_PER_HOUR
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, STEPS_PER_HOUR, LIKELY_DELAY_s
 from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
 from onboard.identification.evidence.bodies import CHANGES, EACH, changes
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.regressor.signals import EncoderJump
 
 _EVERY = 2  # batches between times of a step: 0.25 s beside it, a step of 2 % had half of its 60 nats within a second
 _TIMES = 8  # that are kept; with twelve, five flights with a step told the same
@@ -101,6 +106,44 @@ class Adds(NamedTuple):
     at: tuple[IndexArray, ...]  # places of what stepped
     shift: FloatArray  # (p,)
     root: FloatArray  # (p, r) of what is added to the covariance
+
+
+class OtherError(NamedTuple):
+    """An error that may be another one."""
+
+    name: str
+    at: IndexArray  # (k,) its place in the state, and that of the zero where this may be wrong
+    along: FloatArray  # (k,) by what these change
+
+
+class JumpedJoint:
+    """The joint of an encoder that has jumped.
+
+    Args:
+        predictor: of its vehicle.
+        joint: its name.
+        jump: of the encoder.
+
+    Attributes:
+        errors: places in the state of all errors of the encoder.
+        others: what may have changed.
+        cyclic: and the cyclic errors, which begin elsewhere.
+    """
+
+    def __init__(self, predictor: ImuPredictor, joint: str, jump: EncoderJump) -> None:
+        names, ends = predictor.names, f"_{joint}"
+        own = {name.removesuffix(ends): k for k, name in enumerate(names) if name.endswith(ends)}
+        cyclic = [k for kind, k in own.items() if kind.startswith("cyclic_")]
+        kinds = [own[kind] for kind in ("zero", "scale", "delay") if kind in own]
+        self.errors: IndexArray = np.array([*kinds, *cyclic], np.intp)
+        self.others = list[OtherError]()
+        zero = [own["zero"]] if "zero" in own else []
+        for kind, seen, likely in (("scale", jump.angle, LIKELY_SIZE), ("delay", jump.rate, LIKELY_DELAY_s)):
+            if kind in own and abs(jump.size) < FARTHEST_SIZE * likely * abs(seen):
+                at = np.array([own[kind], *zero], np.intp)
+                along = np.array([jump.size / seen, *[-jump.size] * len(zero)])
+                self.others.append(OtherError(names[own[kind]], at, along))
+        self.cyclic = [OtherError(names[k], np.array([k]), 2.0**0.5 * predictor.sigma[[k]]) for k in cyclic]
 
 
 ALTERED = "a change of the payload"

@@ -30,7 +30,7 @@ from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.further import FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.steps import ALTERED, Adds, Steps, named
+from onboard.identification.exiddm.steps import ALTERED, Adds, JumpedJoint, Steps, named
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
@@ -63,7 +63,7 @@ class Rivals:
 
     def __init__(self, predictor: ImuPredictor) -> None:
         self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), tuple[int, ...]()
-        self.steps = Steps(predictor)
+        self.steps, self._sigma = Steps(predictor), predictor.sigma
         self._of: tuple[FloatArray, FloatArray, Changed] | None = None
         self._nats = self._nats_before = 0.0  # evidence of what is free, by the last window and by what is not in it
         self._beyond = 0.0  # of that, what the linear model does not have
@@ -97,6 +97,24 @@ class Rivals:
             return known, initial
         state, covariance = known
         return (state + step.shift, covariance + step.root @ step.root.T), self._as_constants(step.at)(initial)
+
+    def jumped(self, joint: JumpedJoint) -> Callable[[Known], Known]:
+        """An encoder is another one; what that makes of what is known: of its errors nothing but what is stated."""
+        bank, before, every, own = self._bank, self.freed, list(self._bank.suspects), list[int]()
+        for other in joint.others:
+            k = next(k for k, one in enumerate(every) if one.along.shape[1] == 1 and other.at[0] == one.at[0])
+            every[k] = Suspect(other.name, other.at, other.along[:, None], 1.0)
+            own.append(k)
+        self._bank, self._of, at = Bank(every, self._sigma), None, joint.errors
+        self.freed = now = tuple(sorted({*before, *own}))
+
+        def of(known: Known) -> Known:
+            state, covariance = (part.copy() for part in (bank.as_stated(known, before) if before else known))
+            state[at], covariance[at], covariance[:, at] = 0.0, 0.0, 0.0
+            covariance[at, at] = self._sigma[at] ** 2
+            return self._bank.freed((state, covariance), now) if now else (state, covariance)
+
+        return of
 
     def _as_constants(self, stepped: Sequence[IndexArray]) -> Callable[[Known], Known]:
         """Free constants that have stepped, by their places; what that makes of a prior."""

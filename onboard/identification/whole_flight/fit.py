@@ -32,7 +32,8 @@ from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
 from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction
+from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.whole_flight.blocks import (
     FlightFit,
     Instrument,
@@ -43,22 +44,15 @@ from onboard.identification.whole_flight.blocks import (
     misfit_by_instrument,
     total_of,
 )
+from onboard.identification.whole_flight.segments import SHORTEST_TICKS, KINK_s, Segment, others_in
 
-KINK_s = 5.0
 _BLOCK_TICKS = 200
-SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
+_FEWEST_TICKS = 4  # of a prediction
 _EVALUATIONS = 25  # predictions of the flight in a stage
 _ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
 _LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
 _SAME = 0.05  # relative change of a sigma that counts as none: 0.1 % in the mean
 _DAMPING = 1e-6  # of the first step
-
-
-class Segment(NamedTuple):
-    """Ticks in succession, joints known, with one payload held or nothing."""
-
-    ticks: Ticks
-    held: bool
 
 
 class _Minimum(NamedTuple):
@@ -89,6 +83,7 @@ class WholeFlight:
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         segments: in the order of their times; too short ones are left out.
         without: numbers of the predictor's instruments that take no part.
+        jumped: encoders that are others from some time on, s; no segment has ticks of before and after.
 
     Attributes:
         names: of the p parameters: those of the predictor without the rate, rates, kinks of biases.
@@ -111,6 +106,7 @@ class WholeFlight:
         payload_sigma: FloatArray,
         segments: Sequence[Segment],
         without: Collection[int] = (),
+        jumped: Sequence[tuple[float, JumpedJoint]] = (),
     ) -> None:
         self._predictor = predictor
         self.further, self.key_of = predictor.further, predictor.key_of
@@ -125,24 +121,17 @@ class WholeFlight:
         drifts = [drift_at for _, drift_at in predictor.biases]
         self.constants = len(predictor.names) - PAYLOAD.start
         self.of_bodies = predictor.of_bodies - PAYLOAD.start
-        self.names: tuple[str, ...] = (
-            *predictor.names[PAYLOAD.start :],
-            *(f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE]),
-            *(f"{predictor.names[at]}_kink_{k}" for k in range(len(self._kinks_s)) for at in drifts),
-        )
-        self.stated = np.concatenate(
-            [
-                payload_sigma,
-                predictor.sigma[PAYLOAD.stop :],
-                np.full(3 * len(self.segments), np.nan),
-                np.tile(walk * predictor.sigma[drifts], len(self._kinks_s)),
-            ]
-        )
+        of_jumps, self._other = others_in(self.segments, jumped, len(predictor.names))
+        of_rates = (f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE])
+        of_kinks = (f"{predictor.names[at]}_kink_{k}" for k in range(len(self._kinks_s)) for at in drifts)
+        self.names: tuple[str, ...] = (*predictor.names[PAYLOAD.start :], *of_rates, *of_kinks, *of_jumps)
+        kinks = np.tile(walk * predictor.sigma[drifts], len(self._kinks_s))
+        rest = np.full(3 * len(self.segments), np.nan), kinks, np.ones(len(of_jumps))
+        self.stated = np.concatenate([payload_sigma, predictor.sigma[PAYLOAD.stop :], *rest])
         self.sigma = self.stated.copy()
-        pairs, kinks = len(drifts), len(self._kinks_s)
-        first = self.constants + 3 * len(self.segments)
+        pairs, first = len(drifts), self.constants + 3 * len(self.segments)
         self._of_lines: list[IndexArray] = [
-            np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(kinks))], np.intp)
+            np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(len(self._kinks_s)))], np.intp)
             for i, (bias_at, drift_at) in enumerate(predictor.biases)
         ]
         self.of_a_part = np.unique(np.concatenate([np.arange(self.constants, len(self.names)), *self._of_lines]))
@@ -345,7 +334,7 @@ class WholeFlight:
             state[PAYLOAD] = 0.0
         for bias_at, drift_at in self._predictor.biases:
             state[bias_at] = state[drift_at] = 0.0
-        return state
+        return np.asarray(state + self._other[segment] @ x[len(x) - self._other.shape[2] :], np.float64)
 
     def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[_Along]:
         """Block by block along a segment."""
@@ -401,7 +390,9 @@ class WholeFlight:
         J = by_constants.reshape(r.size, -1)
         J += by_rate @ along.d_rate[:, seen]
         first = self.constants + 3 * segment
-        parts, columns = [J, by_rate @ along.d_rate[:, RATE]], [seen - RATE.stop, np.arange(first, first + 3)]
+        others = np.arange(len(self.names) - self._other.shape[2], len(self.names))
+        parts = [J, by_rate @ along.d_rate[:, RATE], J @ self._other[segment, seen]]
+        columns = [seen - RATE.stop, np.arange(first, first + 3), others]
         lines = along.lines[use]  # (t, 2 + kinks)
         begun = lines.any(axis=0)
         for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):

@@ -135,6 +135,11 @@ def test_scalar_is_wrong_by_a_share_and_late_by_a_time():
     assert [late.value(t) for t in (0.5, 1.0, 1.5, 2.0)] == [0.5, 0.75, 1.25, 2.0]
 
 
+def test_an_angle_has_slipped_by_so_many_degrees():
+    slipped = FaultyScalar(Analog(lambda t: t), of(Fault("slipped", "x", 1.0, 2.0, -90.0)), START_NS)
+    assert [slipped.value(t) for t in (0.5, 1.0, 1.5, 2.0)] == [0.5, 1.0 - np.pi / 2, 1.5 - np.pi / 2, 2.0]
+
+
 def test_imu_is_late_and_wrong_and_keeps_its_temperature():
     times_s = np.arange(1, 41) * 1e-3
     late = FaultyImu(StairImu(), of(Fault("delayed", "x", 0.0105, 0.0205, 0.003)), START_NS)
@@ -177,6 +182,7 @@ def test_phases_are_told_as_the_input_shows_them(fault, told):
         (("slow", "x", 0.0), "late"),
         (("delayed", "x", 0.0, 1.0, -0.1), "delay in seconds, of 0.0001 or more"),
         (("wrong", "x", 0.0), "how wrong it is, other than 0"),
+        (("slipped", "x", 0.0), "the degrees it slips by, other than 0"),
         (("clock_jump", "x", 0.0), "the jump in seconds"),
         (("flood", "x", 0.0, 1.0, 0x800), "COB-ID"),
         (("byte_loss", "x", 0.0, 1.0, 1.5), "probability"),

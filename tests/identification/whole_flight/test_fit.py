@@ -18,12 +18,14 @@ from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
-from onboard.identification.whole_flight.fit import KINK_s, Segment, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
+from onboard.identification.whole_flight.segments import KINK_s, Segment, in_windows
 from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_of, freely, kinds_of, leans_on
-from onboard.identification.whole_flight.windows import in_windows
+from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -158,19 +160,56 @@ def test_what_was_flown_free_narrows_the_interval(ticks, predictor, fitted):
 
 
 def test_slopes_are_differences(ticks, predictor):
+    """Also those of what an encoder that has jumped may have done to its joint."""
     parts = [Segment(one.ticks.part(slice(0, 600)), one.held) for one in segments(ticks)]
-    flight = WholeFlight(predictor, WIDE, parts)
+    other = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2, 1e-5))
+    flight = WholeFlight(predictor, WIDE, parts, (), [(CAPTURE_s, other)])
+    assert flight.names[-2:] == ("scale_joint_2_jump_0", "delay_joint_2_jump_0")
     x = started(flight, predictor, standard_of(TRUTH))
     rng = np.random.default_rng(1)
     x[10:] += 0.3 * np.nan_to_num(flight.sigma[10:]) * rng.standard_normal(len(x) - 10)
     p = len(x)
     gradient = total_of(flight.blocks(x), p).gradient
-    assert (gradient[["kink" in name for name in flight.names]] != 0.0).all()
+    assert (gradient[["kink" in name or "jump" in name for name in flight.names]] != 0.0).all()
     for _ in range(4):
         step = 1e-3 * np.where(np.isfinite(flight.sigma), flight.sigma, 1e-2) * rng.standard_normal(p)
         step[:10] *= 1e-2
         up, down = (total_of(flight.blocks(x + sign * step), p).squares for sign in (1.0, -1.0))
         assert up - down == pytest.approx(4.0 * gradient @ step, rel=2e-3)
+
+
+def jumped(ticks, at_s, scale, zero):
+    """The encoder of the second joint is another one from some time on, and its angle goes on smoothly."""
+    after, k = ticks.time_s >= at_s, int(np.searchsorted(ticks.time_s, at_s))
+    angle, rate = float(ticks.q[k, 1]), float(ticks.dq[k, 1])
+    q, dq, ddq = (one.copy() for one in ticks[1:4])
+    q[after, 1] += scale * (q[after, 1] - angle)
+    for one in (dq, ddq):
+        one[after, 1] *= 1.0 + scale
+    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate, 1e-5)
+
+
+@pytest.mark.parametrize(("scale", "zero"), [(0.05, 0.0), (0.0, 0.02)])
+def test_a_flight_is_fitted_as_a_whole_where_an_encoder_jumps(ticks, predictor, scale, zero):
+    """A scale that is another one is estimated, and one that may be but is not costs little."""
+    at_s = 10.0
+    spoilt, jump = jumped(ticks, at_s, scale, zero)
+    free, held = segments(spoilt)
+    k = int(np.searchsorted(held.ticks.time_s, at_s))
+    parts = [free, *(Segment(held.ticks.part(part), True) for part in (slice(0, k), slice(k, None)))]
+    joint = JumpedJoint(predictor, "joint_2", jump)
+    flight = WholeFlight(predictor, WIDE, parts, (), [(at_s, joint)])
+    found = flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
+    sigma = np.sqrt(np.diag(found.payload.covariance))
+    off = found.payload.body.mass_kg - TRUTH.mass_kg
+    assert abs(off) < 3.0 * sigma[0] < 0.06 * TRUTH.mass_kg
+    assert found.misfit < 1.1
+    which = flight.names.index("scale_joint_2_jump_0")
+    size = found.fit.x[which] * joint.others[0].along[0]
+    assert size == pytest.approx(1.0 / (1.0 + scale) - 1.0, abs=0.004)
+    if scale:
+        unknowing = WholeFlight(predictor, WIDE, parts)
+        assert unknowing.fit(started(unknowing, predictor, 1.1 * standard_of(TRUTH))).misfit > 1.5
 
 
 def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):

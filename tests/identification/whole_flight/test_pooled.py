@@ -5,8 +5,9 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.model.payload import standard_of
-from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool
+from onboard.identification.whole_flight.segments import Segment
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of

@@ -42,10 +42,15 @@ class History:
         self._values[here], self._wrong[here] = values, wrong
         self._end += count
 
-    def mark(self, which: slice, wrong: int) -> None:
-        """Samples, counted from the end (negative), turn out to be wrong for one more reason, where still held."""
+    def mark(self, which: slice, wrong: int, off: float = 0.0) -> None:
+        """Samples, counted from the end (negative), turn out to be wrong for one more reason, where still held.
+
+        Or too large by ``off``.
+        """
         if which.start < which.stop:
-            self._wrong[max(0, self._end + which.start) : max(0, self._end + which.stop)] |= wrong
+            these = slice(max(0, self._end + which.start), max(0, self._end + which.stop))
+            self._wrong[these] |= wrong
+            self._values[these] -= off
 
     def clear(self) -> None:
         """Clear: the device's ticks restarted."""

@@ -9,7 +9,7 @@ from onboard.devices.roles import Roles
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.signals import SignalSmoother
-from onboard.regressor.signals import orders_of
+from onboard.regressor.signals import EncoderJump, orders_of
 from onboard.timebase.timebase import Timebase
 
 
@@ -36,7 +36,7 @@ class JointSignals:
     """
 
     def __init__(self, roles: Roles, model: VehicleModel, *, fitted: bool) -> None:
-        joints = {joint.joint: joint for joint in roles.joints}
+        joints, self._names = {joint.joint: joint for joint in roles.joints}, [joint.name for joint in model.joints]
         self._sensors = [joints[joint.name] for joint in model.joints]
         self._functions = [2 * len(roles.signals[one.channel].ripple) if fitted else 0 for one in self._sensors]
         self.orders = orders_of([one.is_rate for one in self._sensors])
@@ -59,3 +59,8 @@ class JointSignals:
                 if smoothed.cyclic is not None:
                     cyclic[column][:] = smoothed.cyclic
         return JointsAtTicks(values, sigma, refused, np.concatenate(cyclic, axis=2), share)
+
+    def jumps(self, signals: SignalSmoother, at_ns: NDArray[np.int64]) -> tuple[tuple[str, EncoderJump], ...]:
+        """Of encoders of angles, by joint, up to the last of some ticks, that were not taken before."""
+        each = zip(self._names, self._sensors, strict=True)
+        return tuple((name, one) for name, sensor in each for one in signals.jumps(sensor.channel, int(at_ns[-1])))

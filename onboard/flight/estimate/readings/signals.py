@@ -5,7 +5,7 @@ clock solution shifts all samples of a window consistently.
 """
 
 import ctypes
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +21,11 @@ from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWind
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks, nothing, side_by_side
 from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cyclic_of
 from onboard.flight.estimate.readings.history import History
-from onboard.flight.estimate.readings.jumps import JumpWatch
+from onboard.flight.estimate.readings.jumps import JumpWatch, jumped_text
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
 from onboard.native import library, structures
+from onboard.regressor.signals import EncoderJump
 from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
@@ -50,12 +51,18 @@ class SignalSmoother:
         vehicle: its file.
         cyclic_fitted: cyclic errors of encoders are fitted: their functions are returned, the noise is without them.
         trackers: whose poses are wanted.
+        follows_jumps: the estimator goes on after an encoder has jumped.
     """
 
     def __init__(
-        self, vehicle: config.Vehicle, *, cyclic_fitted: bool = False, trackers: Sequence[TrackerRole] = ()
+        self,
+        vehicle: config.Vehicle,
+        *,
+        cyclic_fitted: bool = False,
+        trackers: Sequence[TrackerRole] = (),
+        follows_jumps: bool = False,
     ) -> None:
-        self._cyclic_fitted = cyclic_fitted
+        self._cyclic_fitted, self._follows = cyclic_fitted, follows_jumps
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
         self._kernel = kernel_of(vehicle)
         self._response = Response(self.width_s, self._kernel)
@@ -68,14 +75,21 @@ class SignalSmoother:
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
         self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
-        self._jumps = {name: JumpWatch(signal) for name, signal in self._signals.items() if signal.travels}
+        moving = {name: signal for name, signal in self._signals.items() if signal.travels}
+        self._jumps = {name: JumpWatch(signal, follows=follows_jumps) for name, signal in moving.items()}
         self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
     @property
     def jumped(self) -> str:
         """Why answers are weak; empty where no angle has jumped since rows were used."""
         names = ", ".join(name for name, watch in self._jumps.items() if watch.jumped)
-        return names and f"{names}: its angle jumps between two samples; nothing is used from there until it jumps back"
+        return names and jumped_text(names, follows=self._follows)
+
+    def jumps(self, channel: str, until_ns: int) -> Iterator[EncoderJump]:
+        """Those of a channel up to some time, that were not taken before."""
+        new = self._jumps[channel].new if channel in self._jumps else []
+        while new and new[0].vehicle_ns <= until_ns:
+            yield new.pop(0)
 
     def append(
         self, batches: Mapping[str, Rows], times_ns: TimesOf | None = None, *, in_use: bool = True
@@ -122,10 +136,11 @@ class SignalSmoother:
                 wrong |= reasons(stuck, GateReason.STUCK)
             if name in self._jumps and times_ns is not None:
                 angle = np.where(wrong, np.nan, values[:, 0])
-                jumped, before, each = self._jumps[name].watch(rows, angle, times_ns(name, rows), in_use)
-                said += [(name, told) for told in each]
-                history.mark(before, GateReason.JUMPED)
-                wrong |= reasons(jumped, GateReason.JUMPED) if jumped.any() else 0
+                seen = self._jumps[name].watch(rows, angle, times_ns(name, rows), in_use)
+                said += [(name, told) for told in seen.said]
+                history.mark(seen.before, 0 if seen.before_off else GateReason.JUMPED, seen.before_off)
+                wrong |= reasons(seen.wrong, GateReason.JUMPED) if seen.wrong.any() else 0
+                values[:, 0] -= seen.off
             history.append(rows, values, wrong)
         return said
 
@@ -268,10 +283,13 @@ class SignalSmoother:
             rate: of each, (n, columns) rad/s.
             sigma: (orders, n, columns), which changes.
         """
-        columns, periods, rms, _ = self._errors(group)
+        columns, periods, rms, ends = self._errors(group)
         if not columns.size:
             return
-        left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
+        # those of an encoder that has jumped begin elsewhere, or turn at another rate
+        lost = [name in self._jumps and self._jumps[name].jumped for name in group]
+        fitted = self._cyclic_fitted & ~np.repeat(lost, np.diff([0, *ends]))
+        left = rms * np.where(fitted, CYCLIC_LEFT, 1.0)
         for order in range(len(sigma)):
             passed = left * self._response.gain(periods * rate[:, columns], order)
             for k, column in enumerate(columns.tolist()):

@@ -19,15 +19,16 @@ from onboard.devices.recorded import RecordedDevice
 from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
-from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.residuals import by_axis
+from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
@@ -41,18 +42,17 @@ from onboard.identification.exiddm.before_capture import (
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
 from onboard.identification.exiddm.misread import misread
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.further import Further
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks, ticks_of
-from onboard.identification.table.run import TableRun
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.verdict import Evidence
-from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import halves
+from onboard.identification.whole_flight.segments import Segment, in_windows
 from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
-from onboard.identification.whole_flight.windows import in_windows
 from onboard.identification.whole_flight.witnesses import Tested, tested, without_each
 from onboard.recording.reader import LogReader
-from onboard.regressor.signals import Signals
+from onboard.regressor.signals import EncoderJump
 
 _FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
@@ -61,22 +61,6 @@ _STAGES_s = (4.0,)  # part of each segment that is fitted first
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
 _WIDE_s = 0.8  # kernel through which a slow motion is seen
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
-
-
-class TickRecorder(TableRun):
-    """Gates the ticks and keeps them."""
-
-    def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
-        super().__init__(payload, further)
-        self.ticks: list[Ticks] = [Ticks.none(joints, len(self.row_names))]
-        self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
-
-    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Gates new ticks and keeps them."""
-        found = super().update(signals, attached, excluded)
-        self.ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
-        self.attached.append(attached)
-        return found
 
 
 class _Onboard(NamedTuple):
@@ -97,11 +81,11 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """
     online, model = build_exiddm(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
-    recorder = TickRecorder(payload, len(model.joints), online.further)
+    recorder = JumpRecorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)
     for _ in feed(estimator, log, AT_ONCE_s):
         pass
-    flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached))
+    flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached), recorder.jumps)
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
 
     def phase_at(time_s: float) -> int:
@@ -113,8 +97,18 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
 class _Flight:
     """The ticks of a flight, and the fits of them."""
 
-    def __init__(self, vehicle: config.Vehicle, online: ExiddmIdentifier, ticks: Ticks, attached: BoolArray) -> None:
-        settings = vehicle.file.estimation
+    def __init__(
+        self,
+        vehicle: config.Vehicle,
+        online: ExiddmIdentifier,
+        ticks: Ticks,
+        attached: BoolArray,
+        jumps: Sequence[tuple[str, EncoderJump]] = (),
+    ) -> None:
+        settings, predictor = vehicle.file.estimation, online.exiddm.predictor
+        self._jumps, times_s = jumps, [1e-9 * jump.vehicle_ns for _, jump in jumps]
+        self._jumped = [(at_s, JumpedJoint(predictor, *one)) for at_s, one in zip(times_s, jumps, strict=True)]
+        self._jumped_at: list[int] = np.searchsorted(ticks.time_s, times_s).tolist()
         self._online, self._ticks, self._attached = online, ticks, attached
         self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
         self._held = settings.exiddm.held_at_start or settings.carried is not None
@@ -220,7 +214,8 @@ class _Flight:
         exiddm = self._online.exiddm
 
         def without(*more: int) -> WholeFlight:
-            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, {*excluded, *hardly, *more})
+            left_out = {*excluded, *hardly, *more}
+            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, left_out, self._jumped)
 
         flight = without()
         start = flight.start(known.constants)
@@ -243,6 +238,7 @@ class _Flight:
             raise failure
         doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
         doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
+        doubts += [jumped_text(", ".join(dict(self._jumps)))] * bool(self._jumps)
         several = (
             [f"{' and '.join(names[at] for at in sorted(excluded))} contradict the others"] if len(excluded) > 1 else []
         )
@@ -269,7 +265,12 @@ class _Flight:
         longest = max(held, key=lambda payload: held[payload])
         runs = self._without_pauses(runs, longest)
         chosen = [*self._some(runs, longest), *self._some(runs, 0)]
-        return [Segment(self._ticks.part(run.ticks), run.payload > 0) for run in sorted(chosen, key=_begin)]
+        found = list[Segment]()
+        for run in sorted(chosen, key=_begin):
+            first, last = run.ticks.start, run.ticks.stop
+            edges = sorted({first, *(at for at in self._jumped_at if first < at < last), last})
+            found += [Segment(self._ticks.part(slice(*ends)), run.payload > 0) for ends in pairwise(edges)]
+        return found
 
     def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
         """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
@@ -317,8 +318,11 @@ class _Flight:
     def _again(self) -> _Onboard:
         """What the recursive estimator makes of the ticks."""
         exiddm, before = self._online.exiddm, None
-        edges = [0, *(np.flatnonzero(np.diff(self._attached)) + 1), len(self._attached)]
-        for first, last in pairwise(edges):
+        announced = (np.flatnonzero(np.diff(self._attached)) + 1).tolist()
+        for first, last in pairwise(sorted({0, *announced, *self._jumped_at, len(self._attached)})):
+            for at, jump in zip(self._jumped_at, self._jumps, strict=True):
+                if at == first:
+                    exiddm.jumped(*jump)
             held = bool(self._attached[first]) if last > first else before
             if before is not None and held != before:
                 exiddm.announce(bool(held), float(self._ticks.time_s[first]))

@@ -19,17 +19,19 @@ from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
-from onboard.ground.identify.kinds.exiddm_log import TickRecorder, fitted_of
+from onboard.ground.identify.kinds.exiddm_log import fitted_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, RunAnswer
 from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
+from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.standing import Level
-from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
+from onboard.identification.whole_flight.segments import Segment
 from onboard.identification.whole_flight.witnesses import Tested, tested
 from onboard.recording.reader import LogReader
 

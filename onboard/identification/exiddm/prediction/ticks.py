@@ -7,6 +7,7 @@ import numpy as np
 
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
@@ -104,6 +105,16 @@ class Ticks(NamedTuple):
         return FlightSignals(
             *(period_s, *joints, rate, force, spread[:3], spread[3:6], samples, self.sample_sigma, self.cyclic)
         )
+
+
+def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
+    """Reasons for which each line of each tick, (n, lines), is not used."""
+    found = np.repeat(np.asarray(excluded, np.int64)[:, None], signals.measured.shape[1], axis=1)
+    if signals.refused is not None:
+        found |= signals.refused
+    joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
+    found[~(np.isfinite(signals.measured + signals.sigma) & joints[:, None])] |= GateReason.GAP
+    return found
 
 
 def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:

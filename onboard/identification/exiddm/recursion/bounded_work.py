@@ -9,6 +9,7 @@ first; ticks that waited for it are processed there, too.
 
 from abc import ABC, abstractmethod
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.joint_gaps import JointGaps
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import WindowSolve
+from onboard.regressor.signals import EncoderJump
 
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
 _FLEXIBLE = 7  # cost of a tick with flexible joints over that without, measured with five
@@ -28,6 +30,16 @@ STEP_WORK = 50  # cost of a filter step without flexible joints, in predicted ti
 def last_work(joints: int) -> int:
     """Ticks that may be predicted when a flight ends, by the joints of the vehicle, none of them flexible."""
     return int(LAST_WORK_s / (_TICK_s + _JOINT_s * joints))
+
+
+class _Announcement(NamedTuple):
+    held: bool
+    time_s: float
+
+
+class _Jumped(NamedTuple):
+    joint: str
+    jump: EncoderJump
 
 
 class BoundedWork(ABC):
@@ -44,7 +56,8 @@ class BoundedWork(ABC):
         self._gaps = JointGaps(period_s, none)
         self._period_s, self._pending = period_s, none  # taken, and not yet of a step or a window
         self._cost, self._work = (_FLEXIBLE, _FLEXIBLE_WORK) if flexible else (1, WORK)
-        self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
+        # not yet processed: ticks, announcements, encoders that are others from there on
+        self._inbox: deque[Ticks | _Announcement | _Jumped] = deque()
         self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
         self._asked: tuple[Ticks, WindowProblem] | None = None  # to be solved next
         self._solve: WindowSolve | None = None  # under way
@@ -62,6 +75,10 @@ class BoundedWork(ABC):
     @abstractmethod
     def _announced(self, held: bool, time_s: float) -> None:
         """Take in an announcement."""
+
+    @abstractmethod
+    def _jumped(self, joint: str, jump: EncoderJump) -> None:
+        """Take in that an encoder is another one from now on."""
 
     @abstractmethod
     def _wanted(self) -> int:
@@ -133,7 +150,12 @@ class BoundedWork(ABC):
 
         It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.recursion.claims`).
         """
-        self._inbox.append((held, time_s))
+        self._inbox.append(_Announcement(held, time_s))
+        self._do(0, solves=False)
+
+    def jumped(self, joint: str, jump: EncoderJump) -> None:
+        """Take in that the encoder of a joint is another one after the ticks taken in so far."""
+        self._inbox.append(_Jumped(joint, jump))
         self._do(0, solves=False)
 
     def work(self) -> None:
@@ -144,7 +166,7 @@ class BoundedWork(ABC):
     @property
     def lets_go(self) -> bool:
         """A release is announced that is not taken in yet, and no capture after it."""
-        told = [held for held, _ in (one for one in self._inbox if not isinstance(one, Ticks))]
+        told = [one.held for one in self._inbox if isinstance(one, _Announcement)]
         return bool(told) and not told[-1]
 
     def finish(self, most: float = np.inf) -> bool:
@@ -157,7 +179,7 @@ class BoundedWork(ABC):
             oldest = None if self.solving else self._inbox[0]
             if oldest is not None and not isinstance(oldest, Ticks):
                 self._inbox.popleft()
-                self._announced(*oldest)
+                self._announced(*oldest) if isinstance(oldest, _Announcement) else self._jumped(*oldest)
             elif self._due <= least_due or (self.solving and not solves):
                 return
             elif oldest is None:

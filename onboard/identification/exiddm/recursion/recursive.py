@@ -31,6 +31,8 @@ from onboard.identification.exiddm.recursion.stepped import SteppedTicks
 from onboard.identification.exiddm.recursion.trials import Exclusion, WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved, WindowSolve
 from onboard.identification.exiddm.recursion.windowed import SOLVED_AT_s, Windowed, WINDOWS_s
+from onboard.identification.exiddm.steps import JumpedJoint
+from onboard.regressor.signals import EncoderJump
 
 DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
@@ -305,6 +307,16 @@ class RecursiveExiddm(Windowed):
 
     def _interrupted(self) -> None:
         self._claim.unseen = True
+        self._begin_anew()
+
+    def _jumped(self, joint: str, jump: EncoderJump) -> None:
+        self._begin_anew()
+        of, first = self.rivals.jumped(JumpedJoint(self.predictor, joint, jump)), self._prior[0] is self.initial[0]
+        self.initial = of(self.initial)
+        self._prior = self.initial if first else of(self._prior)
+
+    def _begin_anew(self) -> None:
+        """Begin a window with what is known now."""
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
         else:

@@ -1,0 +1,60 @@
+"""Segments of a flight, in windows where they are too long to be predicted; encoders that are others in some."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.exiddm.steps import JumpedJoint
+
+KINK_s = 5.0
+SHORTEST_TICKS = 20  # of a segment
+
+
+class Segment(NamedTuple):
+    """Ticks in succession, joints known, with one payload held or nothing."""
+
+    ticks: Ticks
+    held: bool
+
+
+def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
+    """The same ticks in segments of ``KINK_s`` or less, each with a rate of its own at its start.
+
+    A base that tumbles while its arm moves is chaotic: what a guess of the payload or the first rate is off by grows
+    until the prediction has no more to do with the readings, and no step of a fit leads nearer.
+
+    Args:
+        segments: in the order of their times.
+        period_s: between ticks.
+    """
+    size = max(SHORTEST_TICKS, round(KINK_s / period_s))
+    found = list[Segment]()
+    for one in segments:
+        n = len(one.ticks.time_s)
+        edges = np.linspace(0, n, max(1, -(-n // size)) + 1).round().astype(int).tolist()
+        found += [Segment(one.ticks.part(slice(*ends)), one.held) for ends in pairwise(edges)]
+    return found
+
+
+def others_in(
+    segments: Sequence[Segment], jumped: Sequence[tuple[float, JumpedJoint]], size: int
+) -> tuple[list[str], FloatArray]:
+    """What may be other errors after encoders have jumped, of unit normal prior.
+
+    Args:
+        segments: none has ticks of before and after a jump.
+        jumped: time, s, and joint of each.
+        size: p, of the state.
+
+    Returns:
+        m names, and what each does to the state in each segment, (segments, p, m).
+    """
+    of_each = [(time_s, k, other) for k, (time_s, one) in enumerate(jumped) for other in (*one.others, *one.cyclic)]
+    along, ends_s = np.zeros((len(segments), size, len(of_each))), [one.ticks.time_s[-1] for one in segments]
+    for column, (time_s, _, other) in enumerate(of_each):
+        along[np.flatnonzero(np.array(ends_s) > time_s)[:, None], other.at, column] = other.along
+    return [f"{other.name}_jump_{k}" for _, k, other in of_each], along
