@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
     init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar", "pivot"))
     init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
-    imu = "of --urdf, whose axes are the IMU's (default: the base's only frame that is called so, or a new frame)"
+    imu = "of --urdf, whose axes are the IMU's (default: the base's frames that are called so, or a new frame)"
     init.add_argument("--imu-frame", metavar="LINK", help=imu)
     init.add_argument("--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: a new link)")
     init.add_argument(
@@ -85,7 +85,7 @@ def _init(arguments: argparse.Namespace) -> int:
         notes = wanted.drawn.notes if wanted.drawn else ()
         if wanted.drawn is not None:
             notes += _of_payload(wanted.drawn, wanted.payload_link)
-            notes += _of_imu(wanted.drawn, wanted.imu_frame) if wanted.imu != "none" else ()
+            notes += _of_imu(wanted.drawn, wanted.imu_frame, wanted.further_imus) if wanted.imu != "none" else ()
             notes += (pucks.note(wanted.drawn),) if wanted.pucks else ()
     return _written(files, notes)
 
@@ -122,7 +122,7 @@ def _bed(arguments: argparse.Namespace) -> int:
     for link in (arguments.imu_frame, arguments.payload_link):
         if link and link not in drawn.frames:
             raise ValueError(f"the URDF has no link {link!r}")
-    imu = arguments.imu_frame or (drawn.imus[0] if len(drawn.imus) == 1 else "imu_base")
+    imu = arguments.imu_frame or (drawn.imus[0] if drawn.imus else "imu_base")
     name = arguments.name or arguments.directory.resolve().name
     files = bed.write(bed.NewBed(name, drawn, imu, arguments.payload_link or ""), arguments.directory)
     proof = () if arguments.payload_link else (_NO_PROOF,)
@@ -161,13 +161,15 @@ def _of_payload(drawn: "DrawnUrdf", link: str) -> tuple[str, ...]:
     return (f"what is held is estimated in a new link {link!r} at the origin of {drawn.last}{others}",)
 
 
-def _of_imu(drawn: "DrawnUrdf", link: str) -> tuple[str, ...]:
-    """Where the IMU is taken to be."""
-    if link in drawn.frames:
-        return (f"the IMU has the axes and the place of link {link}",)
-    imus = " or ".join(map(shlex.quote, drawn.imus))
-    others = f"; --imu-frame {imus} for a frame of the URDF" if imus else ": put its place in"
-    return (f"the IMU is put in a new link {link!r} at the origin of {drawn.root}{others}",)
+def _of_imu(drawn: "DrawnUrdf", link: str, further: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Where the IMU is taken to be, and each further one."""
+    if link not in drawn.frames:
+        return (f"the IMU is put in a new link {link!r} at the origin of {drawn.root}: put its place in",)
+    if further:
+        each = ", ".join((link, *further))
+        return (f"each of {each} is the place and the axes of an IMU; --imu-frame names the one where there is one",)
+    others = " or ".join(shlex.quote(one) for one in drawn.imus if one != link)
+    return (f"the IMU has the axes and the place of link {link}" + (f"; --imu-frame {others}" if others else ""),)
 
 
 def _ask(arguments: argparse.Namespace) -> None:
@@ -204,6 +206,7 @@ def _answering(known: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, str, s
 
 
 def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
+    from onboard.dynamics.model.bases import BASES as KINDS
     from onboard.ground.before.init import drawing
     from onboard.ground.before.init.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, NewVehicle
 
@@ -229,9 +232,11 @@ def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
             raise ValueError(f"the URDF has no link {link!r}" if drawn else f"{link!r}: give the --urdf that has it")
     name = arguments.name or arguments.directory.resolve().name
     urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
-    own = drawn.imus[0] if drawn is not None and len(drawn.imus) == 1 else "imu_base"
-    frames = arguments.imu_frame or own, arguments.payload_link or "payload"
+    own = drawn.imus if drawn is not None and drawn.imus else ("imu_base",)
+    frames = arguments.imu_frame or own[0], arguments.payload_link or "payload"
+    several = imu == "recorded" and KINDS[arguments.base].follows and not arguments.imu_frame
     gains = tuple(float(part) for part in arguments.gains.split(",")) if arguments.gains else ()
     pulse = not arguments.no_pulse
     chosen = tuple(names), imu, encoder, cell, pulse, urls, drawn, *frames, gains
-    return NewVehicle(name, arguments.base, *chosen, drives=arguments.drives)
+    further = own[1:] if several else ()
+    return NewVehicle(name, arguments.base, *chosen, drives=arguments.drives, further_imus=further)

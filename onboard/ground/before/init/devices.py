@@ -78,15 +78,15 @@ def _table(device: str, kind: str, number: int, common: str) -> NewDevice:
     return NewDevice(f'\n[device.{device}]\nkind = "{kind}"\nbus = "{bus}"\n{common}{keys}', bus, url)
 
 
-def imu(kind: str, frame: str) -> NewDevice:
-    """The IMU that measures the base."""
+def imu(kind: str, frame: str, number: int = 1) -> NewDevice:
+    """The IMU that measures the base, or, recorded, a further one on it, counted from 2."""
     if kind != RECORDED:
         return _table(
             "imu_base", kind, 1, f'frame = "{frame}"           # link of the URDF whose axes are the chip\'s\n'
         )
     return NewDevice(
         f"""
-[device.imu_base]
+[device.{"imu_base" if number == 1 else f"imu_{number}"}]
 kind = "recorded_imu"
 frame = "{frame}"           # link of the URDF whose axes are the sensor's
 period_ms = 5                  # yours

@@ -45,6 +45,7 @@ class NewVehicle(NamedTuple):
     payload_link: str = "payload"
     gains: tuple[float, ...] = ()  # N m/A of recorded currents, by joint
     drives: bool = False  # what measures the joints moves them, too
+    further_imus: tuple[str, ...] = ()  # frames of recorded ones besides the first, on the base
 
     @property
     def root(self) -> str:
@@ -175,7 +176,8 @@ def _require(wanted: NewVehicle) -> None:
 
 
 def _devices(wanted: NewVehicle) -> list[NewDevice]:
-    chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
+    frames = (wanted.imu_frame, *wanted.further_imus) if wanted.imu != "none" else ()
+    chosen = [devices.imu(wanted.imu, frame, number) for number, frame in enumerate(frames, 1)]
     for n, name in enumerate(wanted.joints, 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None

@@ -312,7 +312,7 @@ def test_wheels_on_a_free_base_are_no_arm(
 def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frames, used, said in (
         ((("Imu_link", "bus"), ("arm_imu", "arm"), ("maximum", "bus")), "Imu_link", "the place of link Imu_link"),
-        ((("imu_1", "bus"), ("imu_2", "bus")), "imu_base", "origin of bus; --imu-frame imu_1 or imu_2"),
+        ((("imu_1", "bus"), ("imu_2", "bus")), "imu_1", "each of imu_1, imu_2 is the place and the axes of an IMU"),
         ((("arm_imu", "arm"),), "imu_base", "at the origin of bus: put its place in"),
     ):
         urdf, lab = tmp_path / "a.urdf", tmp_path / used / frames[0][0]
@@ -320,7 +320,21 @@ def test_an_imu_is_where_the_urdf_has_one(tmp_path: Path, capsys: pytest.Capture
         asked = ["--base", "free", "--encoder", "recorded", "--urdf", str(urdf)]
         assert cli.main(["init", str(lab), *asked]) == cli.OK
         assert said in capsys.readouterr().out
-        assert f'frame = "{used}"' in (lab / "vehicle.toml").read_text()
+        imus = roles_of(config.load(lab / "vehicle.toml")).imus
+        on_the_bus = [name for name, where in frames if where == "bus" and name.lower().startswith("imu")]
+        assert [imu.frame for imu in imus] == (on_the_bus or [used])
+
+
+def test_of_two_imus_in_the_urdf_a_device_is_at_the_first(tmp_path, capsys):
+    """A second one of the same kind would need an address of its own; a base that is carried has one IMU."""
+    urdf = tmp_path / "a.urdf"
+    frames = "".join(_FRAME.format(name, "bus") for name in ("imu_1", "imu_2"))
+    urdf.write_text(f'<robot name="a">{_ONE_JOINT}{frames}</robot>')
+    for base, kinds in (("free", ()), ("prescribed", ("--encoder", "recorded"))):
+        lab = tmp_path / base
+        assert cli.main(["init", str(lab), "--base", base, "--urdf", str(urdf), *kinds]) == cli.OK
+        assert "place of link imu_1; --imu-frame imu_2" in capsys.readouterr().out
+        assert [imu.frame for imu in roles_of(config.load(lab / "vehicle.toml")).imus] == ["imu_1"]
 
 
 def test_pucks_are_where_the_urdf_has_them_or_in_the_middle_and_around_it(tmp_path, capsys):
