@@ -31,10 +31,10 @@ _UNITS = {
 # single letters after a mark are parts of names, but for these words before them
 _AFTER = {
     "s": r"(?i)(time|t|timestamp|stamp|elapsed|clock)$",
-    "g": r"(?i)acc\w*_[xyz]$",
+    "g": r"(?i)(acc[a-z_]*_?[xyz]|(^|[_\W])a_?[xyz])$",
     "n": r"(?i)(force|f)_?[xyz]?$",
-    "m": r"(?i)(pos|position|p)_?[xyz]$",
-    "a": r"(?i)(current|cur|curr)_?\d*$",
+    "m": r"(?i)((pos|position|p)_?[xyz]|(^|[_\W])[xyz])$",
+    "a": r"(?i)(current|cur|curr|(^|[_\W])i)_?\d*$",
     "°": r".*",
 }
 _TIME = {

@@ -71,6 +71,7 @@ def test_a_line_of_units(tmp_path):
     [
         (("gyro_x_deg_s", "gyro_y_deg_s", "gyro_z_deg_s", "acc_x_g", "acc_y_g", "acc_z_g"), DEG, 1 / 9.80665),
         (("GyroX (deg/s)", "GyroY (deg/s)", "GyroZ (deg/s)", "AccX (m/s^2)", "AccY (m/s^2)", "AccZ (m/s^2)"), DEG, 1.0),
+        (("gx_dps", "gy_dps", "gz_dps", "ax_g", "ay_g", "az_g"), DEG, 1 / 9.80665),
         (("wx", "wy", "wz", "ax", "ay", "az"), 1.0, 1.0),
         (("gx", "gy", "gz", "ax", "ay", "az"), 1.0, 1.0),
         (("angular_velocity.x", "angular_velocity.y", "angular_velocity.z", "a.x", "a.y", "a.z"), DEG, 1 / 9.80665),
