@@ -125,12 +125,12 @@ class _Flight:
             return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
         if mistaken := self._misread():
             return likelihood_log.no_answer(kept, seen, mistaken, misread=True)
-        failure = ""
+        failure, held_s = "", 0.0
         best: Tested | None = None
         for known in self._starts(log):
             segments = self._segments(known.changes)
             if not any(one.held for one in segments):
-                failure = ""
+                failure, held_s = "", max(held_s, self._held_s(known.changes))
                 continue
             try:
                 found, agrees = self._fitted_whole_or_in_windows(known, segments, phase_at)
@@ -142,7 +142,9 @@ class _Flight:
             if agrees:
                 break
         if best is None:
-            idle = {} if failure else {"while nothing was held": seen}
+            needed = f"{likelihood_log.SHORTEST_S:g} s are needed"
+            why = f"as a payload was held for {held_s:.2g} s, {needed}" if held_s else "while nothing was held"
+            idle = {} if failure else {why: seen}
             return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
         try:
             fit = freely(best.flight, best.found, best.kinds)
@@ -256,10 +258,7 @@ class _Flight:
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
         runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
-        lengths: dict[int, int] = {}
-        for run in runs:
-            lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
-        held = {payload: ticks for payload, ticks in lengths.items() if payload > 0}
+        held = _held_ticks(runs)
         if not held or max(held.values()) * self._period_s < likelihood_log.SHORTEST_S:
             return []
         longest = max(held, key=lambda payload: held[payload])
@@ -271,6 +270,11 @@ class _Flight:
             edges = sorted({first, *(at for at in self._jumped_at if first < at < last), last})
             found += [Segment(self._ticks.part(slice(*ends)), run.payload > 0) for ends in pairwise(edges)]
         return found
+
+    def _held_s(self, changes: Sequence[Change]) -> float:
+        """For how long the payload was held that was held the longest; zero where none was."""
+        held = _held_ticks(likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s))
+        return self._period_s * max(held.values(), default=0)
 
     def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
         """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
@@ -366,6 +370,15 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likeli
         findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
         leans=leans_on(flight, found),
     )
+
+
+def _held_ticks(runs: Sequence[likelihood_log.TickRun]) -> dict[int, int]:
+    """By the number of each payload, for how many ticks it was held."""
+    lengths: dict[int, int] = {}
+    for run in runs:
+        if run.payload > 0:
+            lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
+    return lengths
 
 
 def _begin(run: likelihood_log.TickRun) -> int:
