@@ -1,11 +1,7 @@
 """The node twin against ``docs/node_frame.md`` (its example byte for byte), the ``cobs`` package, and the C encoder."""
 
 import binascii
-import ctypes
-import shutil
 import struct
-import subprocess
-from pathlib import Path
 
 import hypothesis.strategies as st
 import pytest
@@ -17,8 +13,8 @@ from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
+from tests.node_encoder import CEncoder, built
 
-C_SOURCE = Path(__file__).resolve().parents[3] / "deploy" / "node" / "heft_node.c"
 HEAD = struct.Struct("<BBHIIIIB")
 DESCRIPTOR = struct.Struct("<BBHIQI")
 
@@ -245,30 +241,7 @@ def test_channels_that_cannot_be_described_are_refused(channels, message):
 # The C encoder
 
 
-class CChannel(ctypes.Structure):
-    _fields_ = (
-        ("name", ctypes.c_char_p),
-        ("unit", ctypes.c_char_p),
-        ("type", ctypes.c_uint8),
-        ("flags", ctypes.c_uint8),
-        ("scale_mantissa", ctypes.c_int32),
-        ("scale_exponent", ctypes.c_int8),
-    )
-
-
-@pytest.fixture(scope="module")
-def c_encoder(tmp_path_factory):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler")
-    library = tmp_path_factory.mktemp("node") / "heft_node.so"
-    subprocess.run([compiler, "-std=c99", "-shared", "-fPIC", "-o", library, C_SOURCE], check=True)
-    encoder = ctypes.CDLL(str(library))
-    encoder.heft_node_descriptor.restype = encoder.heft_node_data.restype = ctypes.c_size_t
-    return encoder
-
-
-def test_the_twin_and_the_c_encoder_send_the_same_bytes(c_encoder):
+def test_the_twin_and_the_c_encoder_send_the_same_bytes(tmp_path):
     channels = (
         force(lambda t: 40.0 * t - 3.0),
         force(lambda t: 900.0 * t, name="angle", unit="rad", value_type=ValueType.U16, exponent=-3, wraps=True),
@@ -279,27 +252,19 @@ def test_the_twin_and_the_c_encoder_send_the_same_bytes(c_encoder):
     twin.sync_edge(START_NS + 333_333_333, 300_000)
     stream = line.run(2500)
 
-    fields = [(c.name.encode(), c.unit.encode(), c.value_type, c.wraps, c.mantissa, c.exponent) for c in channels]
-    listed = (CChannel * 3)(*(CChannel(*field) for field in fields))
-    state = ctypes.create_string_buffer(256)
-    c_encoder.heft_node_init(state, 9, listed, 3, 1_000_000, 1)
-    out = ctypes.create_string_buffer(256)
+    fields = [(c.name, c.unit, c.value_type, c.wraps, c.mantissa, c.exponent) for c in channels]
+    encoder = CEncoder(built(tmp_path), fields, node=9, boot=1)
     expected = b""
     pulsed = False
     for payload in payloads(stream):
         if payload[0] == 0x11:
-            tick = DESCRIPTOR.unpack(payload[:20])[4]
-            length = c_encoder.heft_node_descriptor(state, ctypes.c_uint64(tick), out, ctypes.c_size_t(256))
-        else:
-            head = HEAD.unpack(payload[:21])
-            if head[5] and not pulsed:
-                c_encoder.heft_node_pulse(state, ctypes.c_uint64(333_333))
-                pulsed = True
-            values = (ctypes.c_int64 * 3)(*struct.unpack("<iHq", payload[21:]))
-            length = c_encoder.heft_node_data(
-                state, ctypes.c_uint64(head[4]), head[7], values, out, ctypes.c_size_t(256)
-            )
-        expected += out.raw[:length]
+            expected += encoder.descriptor(DESCRIPTOR.unpack(payload[:20])[4])
+            continue
+        head = HEAD.unpack(payload[:21])
+        if head[5] and not pulsed:
+            encoder.edge(333_333)
+            pulsed = True
+        expected += encoder.data(head[4], *struct.unpack("<iHq", payload[21:]), status=head[7])
     assert pulsed
     assert stream.startswith(expected)
     assert len(expected) > 250 * 40
