@@ -3,6 +3,25 @@
 from adafruit_blinka import Lockable
 from smbus2 import SMBus, i2c_msg
 
+from tests.hil_sim.devices.twin_bench import START_NS
+
+
+class SlowBusClock:
+    """A clock on which a transfer takes its time; ``sleep`` and ``monotonic`` may stand for the library's."""
+
+    def __init__(self, transfer_ns: int, start_ns: int = START_NS) -> None:
+        self.transfer_ns, self.now_ns = transfer_ns, start_ns
+
+    def __call__(self) -> int:
+        self.now_ns += self.transfer_ns
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+    def monotonic(self) -> float:
+        return self.now_ns * 1e-9
+
 
 class SmbusI2c(Lockable):
     """Transfers as the ``busio.I2C`` documentation describes them, each one I2C_RDWR of smbus2.

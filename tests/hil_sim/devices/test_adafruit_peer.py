@@ -8,12 +8,10 @@ import math
 import numpy as np
 import pytest
 from adafruit_mpu6050 import MPU6050, Bandwidth, ClockSource, GyroRange, Range, Rate
-from smbus2 import SMBus
 
-from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.faults import Fault, FaultPlan
-from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
+from tests.hil_sim.devices.circuitpython_i2c import SlowBusClock
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock
 
 ACCEL_G = (0.5, -1.0, 0.25)
@@ -41,34 +39,19 @@ class Numbered(Steady):
         return words
 
 
-class Slow:
-    """A clock on which a transfer takes 2 ms: a slow program on a busy bus. The library's sleeps do not move it."""
-
-    def __init__(self):
-        self.now_ns = START_NS
-
-    def __call__(self):
-        self.now_ns += 2 * MS
-        return self.now_ns
-
-
 @pytest.fixture
-def adafruit_on():
-    """Opens the library on a twin with a given input; the library, its clock, the busio object."""
-    ends = []
+def adafruit_on(on_bus):
+    """Opens the library on a twin with a given input; the library, its clock, the busio object.
+
+    A transfer takes 2 ms: a slow program on a busy bus. The library's sleeps do not move the clock.
+    """
 
     def make(analog, address=0x68, faults=()):
-        clock = Slow()
-        chip = Mpu6050Twin(analog, RateClock(), START_NS, faults=FaultPlan(faults, START_NS).of("imu"))
-        installed = install_i2c("/dev/i2c-1", [chip], clock)
-        bus = SMBus(1)
-        ends.extend([bus.close, installed.uninstall])
-        i2c = SmbusI2c(bus)
+        clock = SlowBusClock(2 * MS)
+        i2c = on_bus(Mpu6050Twin(analog, RateClock(), START_NS, faults=FaultPlan(faults, START_NS).of("imu")), clock)
         return MPU6050(i2c, address), clock, i2c
 
-    yield make
-    for end in ends:
-        end()
+    return make
 
 
 def peek(i2c, register):

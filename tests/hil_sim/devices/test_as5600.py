@@ -6,12 +6,10 @@ from math import radians, tau
 import adafruit_as5600
 import numpy as np
 import pytest
-from smbus2 import SMBus
 
-from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.devices.i2c.as5600 import As5600Twin
 from hil_sim.faults import Fault, FaultError, FaultPlan
-from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
+from tests.hil_sim.devices.circuitpython_i2c import SlowBusClock
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog
 
 
@@ -90,20 +88,14 @@ def test_its_other_faults():
 
 
 @pytest.fixture
-def adafruit_on():
+def adafruit_on(on_bus):
     """Opens the library on a twin; the library and its twin."""
-    ends = []
 
     def make(function=lambda t: 1.0, faults=()):
-        twin, clock = chip(function, faults), iter(range(START_NS + 20 * MS, START_NS + 10_000 * MS, MS // 2))
-        installed = install_i2c("/dev/i2c-1", [twin], lambda: next(clock))
-        bus = SMBus(1)
-        ends.extend([bus.close, installed.uninstall])
-        return adafruit_as5600.AS5600(SmbusI2c(bus)), twin
+        twin = chip(function, faults)
+        return adafruit_as5600.AS5600(on_bus(twin, SlowBusClock(MS // 2, START_NS + 20 * MS))), twin
 
-    yield make
-    for end in ends:
-        end()
+    return make
 
 
 def test_the_library_reads_angle_and_magnet(adafruit_on):

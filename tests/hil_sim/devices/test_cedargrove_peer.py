@@ -8,54 +8,28 @@ import types
 import cedargrove_nau7802
 import pytest
 from cedargrove_nau7802 import NAU7802
-from smbus2 import SMBus
 
-from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.devices.i2c.nau7802 import Nau7802Twin
 from hil_sim.faults import Fault, FaultPlan
-from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
+from tests.hil_sim.devices.circuitpython_i2c import SlowBusClock
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
 COUNTS_N = 2.0 * 128 * (1 << 23) * 2e-3 / 50.0
 
 
-class Slow:
-    """A clock on which a transfer takes 0.2 ms, and the library's sleeps their time."""
-
-    def __init__(self):
-        self.now_ns = START_NS
-
-    def __call__(self):
-        self.now_ns += MS // 5
-        return self.now_ns
-
-    def sleep(self, seconds):
-        self.now_ns += round(seconds * 1e9)
-
-    def monotonic(self):
-        return self.now_ns * 1e-9
-
-
 @pytest.fixture
-def library_on(monkeypatch):
+def library_on(monkeypatch, on_bus):
     """Opens the library on a twin with a given force; the library and its clock."""
-    ends = []
 
     def make(force, faults=(), **options):
-        clock = Slow()
-        monkeypatch.setattr(
-            cedargrove_nau7802, "time", types.SimpleNamespace(sleep=clock.sleep, monotonic=clock.monotonic)
-        )
+        clock = SlowBusClock(MS // 5)
+        names = types.SimpleNamespace(sleep=clock.sleep, monotonic=clock.monotonic)
+        monkeypatch.setattr(cedargrove_nau7802, "time", names)
         plan = FaultPlan([Fault(*one) for one in faults], START_NS)
         twin = Nau7802Twin(Analog(lambda t: force), RateClock(), START_NS, faults=plan.of("cell"))
-        installed = install_i2c("/dev/i2c-1", [twin], clock)
-        bus = SMBus(1)
-        ends.extend([bus.close, installed.uninstall])
-        return NAU7802(SmbusI2c(bus), **options), clock
+        return NAU7802(on_bus(twin, clock), **options), clock
 
-    yield make
-    for end in ends:
-        end()
+    return make
 
 
 def sample(library, clock, discard=0):

@@ -7,12 +7,10 @@ import adafruit_icm20x
 import numpy as np
 import pytest
 from adafruit_icm20x import ICM20948, AccelRange, GyroRange
-from smbus2 import SMBus
 
-from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.devices.inertial.icm20948 import Icm20948Twin
 from hil_sim.faults import Fault, FaultPlan
-from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
+from tests.hil_sim.devices.circuitpython_i2c import SlowBusClock
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock, StairImu
 
 AD = 0x69
@@ -172,30 +170,13 @@ class Steady:
         return np.tile(np.rint(row).astype(np.int16), (len(times_s), 1))
 
 
-class Slow:
-    """A clock on which a transfer takes 0.2 ms, and the library's sleeps their time."""
-
-    def __init__(self):
-        self.now_ns = START_NS
-
-    def __call__(self):
-        self.now_ns += MS // 5
-        return self.now_ns
-
-    def sleep(self, seconds):
-        self.now_ns += round(seconds * 1e9)
-
-
 @pytest.fixture
-def library(monkeypatch):
+def library(monkeypatch, on_bus):
     """Adafruit's library on a chip, and the clock of both."""
-    clock = Slow()
+    clock = SlowBusClock(MS // 5)
     monkeypatch.setattr(adafruit_icm20x, "sleep", clock.sleep)
-    installed = install_i2c("/dev/i2c-1", [Icm20948Twin(Steady(), RateClock(), START_NS)], clock)
-    bus = SMBus(1)
-    yield types.SimpleNamespace(sensor=ICM20948(SmbusI2c(bus)), clock=clock)
-    bus.close()
-    installed.uninstall()
+    sensor = ICM20948(on_bus(Icm20948Twin(Steady(), RateClock(), START_NS), clock))
+    return types.SimpleNamespace(sensor=sensor, clock=clock)
 
 
 def test_the_library_finds_resets_and_reads_it_in_every_range(library):
