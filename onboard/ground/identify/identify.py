@@ -28,6 +28,7 @@ from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
 from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
+from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
 from onboard.ground.identify.kinds.planar_log import identify_planar
@@ -243,7 +244,7 @@ def _one(
         who.rows_used,
         refused,
         log.damage,
-        verdict(evidence),
+        with_mistake(vehicle, log, verdict(evidence)),
         thrown,
         held,
         observability=observed_directions(who.taken.rls.observability(), who.base.names),

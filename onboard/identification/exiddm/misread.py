@@ -18,6 +18,8 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY
+from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu, zero_wrench_of
@@ -25,6 +27,7 @@ from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu, zero
 _LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
 _TICKS = 300  # that a way to read is judged by
 _FEWEST = 5  # widths in a recording
+_WIDE_s = 0.8  # kernel through which a slow motion is seen
 _ROUNDS = 3
 _MOST_SAID = 3
 _NOISE_SEED = 1
@@ -182,6 +185,18 @@ def _sizes(y: FloatArray, of_zero: FloatArray) -> FloatArray:
         rows, aim = of_zero[:, own].reshape(-1, 3), y[:, own].ravel()
         found.append(float(((aim - rows @ np.linalg.lstsq(rows, aim)[0]) ** 2).sum()))
     return np.array(found)
+
+
+def mistaken(predictor: ImuPredictor, ticks: Ticks, period_s: float, smoothing_s: float) -> str:
+    """What :func:`misread` says of a predictor's vehicle and first IMU; empty: nothing.
+
+    Noise hides a slow motion, and a wide kernel a fast one: two widths are tried.
+    """
+    for width_s in (_WIDE_s, max(ROUGH_WIDTH_s, smoothing_s)):
+        found = misread(predictor.vehicle, predictor.imu_frames[0], ticks, period_s, width_s)
+        if found is not None:
+            return found.text
+    return ""
 
 
 def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, width_s: float) -> Misread | None:

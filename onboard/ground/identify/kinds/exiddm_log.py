@@ -39,8 +39,7 @@ from onboard.identification.exiddm.before_capture import (
     Zeros,
     before_capture,
 )
-from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
-from onboard.identification.exiddm.misread import misread
+from onboard.identification.exiddm.misread import mistaken
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
@@ -59,7 +58,6 @@ _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
-_WIDE_s = 0.8  # kernel through which a slow motion is seen
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
@@ -164,14 +162,8 @@ class _Flight:
         """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""
         if not self._recorded or not self._held or not self._attached.all():
             return ""
-        predictor = self._online.exiddm.predictor
         ticks = self._ticks.part(slice(round(likelihood_log.LONGEST_S / self._period_s)))
-        known = predictor.vehicle, predictor.imu_frames[0], ticks, self._period_s
-        # noise hides a slow motion, and a wide kernel a fast one
-        for width_s in (_WIDE_s, max(ROUGH_WIDTH_s, self._smoothing_s)):
-            if (found := misread(*known, width_s)) is not None:
-                return found.text
-        return ""
+        return mistaken(self._online.exiddm.predictor, ticks, self._period_s, self._smoothing_s)
 
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
@@ -258,7 +250,7 @@ class _Flight:
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
         runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
-        held = _held_ticks(runs)
+        held = likelihood_log.held_ticks(runs)
         if not held or max(held.values()) * self._period_s < likelihood_log.SHORTEST_S:
             return []
         longest = max(held, key=lambda payload: held[payload])
@@ -273,7 +265,7 @@ class _Flight:
 
     def _held_s(self, changes: Sequence[Change]) -> float:
         """For how long the payload was held that was held the longest; zero where none was."""
-        held = _held_ticks(likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s))
+        held = likelihood_log.held_ticks(likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s))
         return self._period_s * max(held.values(), default=0)
 
     def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
@@ -370,15 +362,6 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likeli
         findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
         leans=leans_on(flight, found),
     )
-
-
-def _held_ticks(runs: Sequence[likelihood_log.TickRun]) -> dict[int, int]:
-    """By the number of each payload, for how many ticks it was held."""
-    lengths: dict[int, int] = {}
-    for run in runs:
-        if run.payload > 0:
-            lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
-    return lengths
 
 
 def _begin(run: likelihood_log.TickRun) -> int:

@@ -239,6 +239,15 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
     return [TickRun(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
 
 
+def held_ticks(runs: Sequence[TickRun]) -> dict[int, int]:
+    """By the number of each payload, for how many ticks it was held."""
+    lengths: dict[int, int] = {}
+    for run in runs:
+        if run.payload > 0:
+            lengths[run.payload] = lengths.get(run.payload, 0) + run.ticks.stop - run.ticks.start
+    return lengths
+
+
 def body_answers(
     names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
 ) -> tuple[IdentifiedQuantity, ...]:

@@ -1,0 +1,158 @@
+"""What columns of a recorded arm may be taken for, where its answer is refused: signs, places, order, units.
+
+Each way to read the angles and torques competes with the file as stated by what the rows leave that are linear in the
+parameters, which cost as much as the vehicle file says that they are known (ridge regression about the drawing).
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.devices.recorded import RecordedDevice
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.gates import ReasonArray
+from onboard.estimation.policy import MISFIT_REFUSED
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
+from onboard.identification.standing import Level
+from onboard.identification.table.run import TableRun
+from onboard.identification.verdict import Verdict
+from onboard.recording.reader import LogReader
+from onboard.regressor.rows import RowModel, standing
+from onboard.regressor.signals import Signals
+
+_LIKELIER = 1.0 / MISFIT_REFUSED  # what a mistake leaves, at the most
+_TICKS, _FEWEST = 150, 40  # that a way to read is judged by
+_TURNS_deg = tuple(float(turn) for turn in range(-165, 181, 15) if turn)  # of a zero, to its nearest
+
+
+class ArmReading(NamedTuple):
+    """A way to read angles and torques."""
+
+    said: str  # what is otherwise than stated
+    order: tuple[int, ...]  # of each joint, whose angles are its own
+    factor: FloatArray  # (joints,) of these
+    shift_rad: FloatArray  # (joints,) added
+    torque_order: tuple[int, ...]  # of each torque
+    torque_factor: FloatArray  # (joints,) of these
+    mistakes: int = 1
+
+
+class _MotionRecorder(TableRun):
+    """Keeps the signals of rows."""
+
+    def __init__(self, rows: Sequence[str]) -> None:
+        super().__init__("payload")
+        self.row_names = tuple(rows)
+        self.parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]] = []
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Keeps ticks that no gate refuses."""
+        q, dq, ddq, measured = signals.q, signals.dq, signals.ddq, signals.measured
+        known = [np.isfinite(one).all(axis=1) for one in (q, dq, ddq, measured)]
+        whole = np.logical_and.reduce([excluded == 0, *known])
+        self.parts.append((q[whole], dq[whole], ddq[whole], measured[whole], attached[whole]))
+        return np.repeat(np.asarray(excluded, np.int64)[:, None], signals.measured.shape[1], axis=1)
+
+
+def with_mistake(vehicle: config.Vehicle, log: LogReader, judged: Verdict) -> Verdict:
+    """A verdict; where it is *do not use*, with what :func:`misread_arm` says as its first reason."""
+    said = misread_arm(vehicle, log) if judged.level is Level.DO_NOT_USE else ""
+    return judged._replace(reasons=(said, *judged.reasons)) if said else judged
+
+
+def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
+    """As what the columns of an arm on a fixed base are to be read that leaves much less; empty: none, or another base.
+
+    Args:
+        vehicle: whose file is that of the recording.
+        log: a recording of angles and torques of all joints.
+    """
+    devices = vehicle.file.device.values()
+    if vehicle.file.vehicle.base_kind.moves or not all(isinstance(one, RecordedDevice) for one in devices):
+        return ""
+    identifier, model = build_identifier(vehicle)
+    rows, joints = identifier.model, [joint.name for joint in model.joints]
+    if [row.friction_joint for row in rows.rows] != joints:
+        return ""
+    recorder = _MotionRecorder([row.name for row in rows.rows])
+    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
+        pass
+    parts = [np.concatenate(part) for part in zip(*recorder.parts, strict=True)]
+    some = slice(None, None, max(1, len(parts[0]) // _TICKS))
+    recording = _ArmRecording(rows, identifier.taken.prior_root, *(part[some] for part in parts))
+    n = len(joints)
+    same = tuple(range(n))
+    stated = ArmReading("", same, np.ones(n), np.zeros(n), same, np.ones(n), 0)
+    if recording.ticks < _FEWEST:
+        return ""
+    least = recording.left(stated)
+    ways = sorted((recording.left(way) / _LIKELIER**way.mistakes, way.said) for way in _others(stated, joints))
+    best, said = ways[0]
+    if best >= least:
+        return ""
+    return f"much less would be left over if {said}: correct the mapping, or the URDF"
+
+
+class _ArmRecording:
+    """Some ticks of a recording."""
+
+    def __init__(self, rows: RowModel, prior_root: FloatArray, *signals: FloatArray) -> None:
+        self._rows, self._root = rows, prior_root[:, prior_root.any(axis=0)]
+        self._q, self._dq, self._ddq, self._measured, self._held = signals
+        self.ticks = len(self._q)
+
+    def left(self, way: ArmReading) -> float:
+        """Squares that are left over, of each torque as a share that is refused, and of what is stated, in sigmas."""
+        at, n = list(way.order), self.ticks
+        motion = (
+            way.factor * self._q[:, at] + way.shift_rad,
+            way.factor * self._dq[:, at],
+            way.factor * self._ddq[:, at],
+        )
+        measured = way.torque_factor * self._measured[:, list(way.torque_order)]
+        held = np.asarray(self._held, np.bool_)
+        Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held)
+        size = measured.std(axis=0)
+        weight = 1.0 / (MOST_UNEXPLAINED * np.where(size > 0.0, size, np.inf))
+        J = (Y @ self._root * weight[:, None]).reshape(n * len(size), -1)
+        aim = ((measured - Y @ self._rows.chi) * weight).ravel()
+        information = J.T @ J + np.eye(J.shape[1])
+        z = np.linalg.solve(information, J.T @ aim)
+        return float(((aim - J @ z) ** 2).sum() + z @ z)
+
+
+def _others(stated: ArmReading, names: Sequence[str]) -> Iterator[ArmReading]:
+    """With a mistake."""
+    n = len(names)
+    for k, name in enumerate(names):
+        turned = np.where(np.arange(n) == k, -1.0, 1.0)
+        yield stated._replace(said=f"the angle of {name} counts the other way", factor=turned)
+        yield stated._replace(said=f"the torque of {name} counts the other way", torque_factor=turned)
+        both = f"angle and torque of {name} count the other way"
+        yield stated._replace(said=both, factor=turned, torque_factor=turned)
+        for turn_deg in _TURNS_deg:
+            shift = np.deg2rad(turn_deg) * (np.arange(n) == k)
+            yield stated._replace(
+                said=f"{name} is about {turn_deg:+.0f} deg from what is read", shift_rad=shift, mistakes=2
+            )
+    for i, j in combinations(range(n), 2):
+        order = [*range(n)]
+        order[i], order[j] = j, i
+        pair, swapped = f"{names[i]} and {names[j]}", tuple(order)
+        yield stated._replace(said=f"the angles of {pair} are exchanged", order=swapped)
+        yield stated._replace(said=f"the torques of {pair} are exchanged", torque_order=swapped)
+        yield stated._replace(said=f"{pair} are exchanged", order=swapped, torque_order=swapped)
+    yield stated._replace(said="all torques count the other way", torque_factor=-np.ones(n))
+    for factor, said in (
+        (1e-3, "thousandths of what they are read as"),
+        (1e3, "a thousand times what they are read as"),
+    ):
+        yield stated._replace(said=f"all torques are {said}", torque_factor=np.full(n, factor))
+    for factor, said in ((np.pi / 180.0, "deg"), (180.0 / np.pi, "rad, and not in deg")):
+        yield stated._replace(said=f"all angles are in {said}", factor=np.full(n, factor))
