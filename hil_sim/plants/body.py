@@ -29,6 +29,15 @@ class Solid:
         factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
         return Solid(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
 
+    def without(self, mass_kg: float, at_m: Sequence[float]) -> "Solid":
+        """What is left when a mass that lies in a point comes off; negative: it is added there."""
+        left_kg, at = self.mass_kg - mass_kg, np.asarray(at_m, np.float64)
+        centre = (self.mass_kg * self.centre_of_mass_m - mass_kg * at) / left_kg
+        about = (
+            self.inertia_kg_m2 + self.mass_kg * _spread(self.centre_of_mass_m - centre) - mass_kg * _spread(at - centre)
+        )
+        return Solid(left_kg, centre, about)
+
     def turned(self, R: FloatArray) -> "Solid":
         """The body with its inertia turned about its centre of mass by ``R`` (3, 3)."""
         return Solid(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
@@ -51,6 +60,11 @@ class Solid:
         """Whether a body of these parameters can exist: no principal moment exceeds the sum of the others."""
         least, middle, most = self.principal_kg_m2
         return bool(self.mass_kg >= 0.0 and least >= 0.0 and most <= least + middle + 1e-12)
+
+
+def _spread(r_m: FloatArray) -> FloatArray:
+    """Inertia of 1 kg in a point, (3, 3), about one so far from it."""
+    return np.asarray((r_m @ r_m) * np.eye(3) - np.outer(r_m, r_m), np.float64)
 
 
 def built(

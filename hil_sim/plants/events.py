@@ -18,9 +18,9 @@ class Event(NamedTuple):
     """What happens between two rows.
 
     Attributes:
-        name: ``capture``; ``grip``, which closes after a contact; ``ejection``.
+        name: ``capture``; ``grip``, which closes after a contact; ``lost_part``; ``ejection``.
         row: of the integration, that is first after it.
-        moves: what comes or goes; nothing of a grip.
+        moves: what comes or goes, or is left when a part has come off; nothing of a grip.
         contact: frequency, Hz, and damping ratio of a capture that holds the payload by a spring first.
         lasts_s: of the push of an ejection; 0: at once.
     """
@@ -37,6 +37,9 @@ class Event(NamedTuple):
             return flight.happen(self.name == "capture", self.moves, self.lasts_s)
         if self.moves is None:
             return flight.close()
+        if self.name == "lost_part":
+            flight.alter(self.moves.payload)
+            return None
         if self.name == "ejection":
             held = self.moves.payload if flight.caught is None else flight.caught
             return flight.exchange(None, self.moves._replace(payload=held))
@@ -52,14 +55,14 @@ def events(
     """Of a mission, in their order.
 
     Args:
-        scenario: its ``[capture]`` and ``[ejection]``.
+        scenario: its ``[capture]``, ``[lost_part]`` and ``[ejection]``.
         payload: what is caught and let go.
         step_s: of the integration.
         steps: of the mission.
         rng: draws the time of the capture, the payload's motion against the gripper, and the spring.
 
     Raises:
-        ScenarioError: a mission that ends before the grip has closed.
+        ScenarioError: a mission that ends before the grip has closed; a part that is more than the payload.
     """
     capture, ejection, found, first = scenario.capture, scenario.ejection, list[Event](), 0
     if capture is not None and payload is not None:
@@ -77,6 +80,15 @@ def events(
             if first > steps - 2:
                 raise ScenarioError("the mission ends before the grip closes: give capture a higher contact_Hz")
             found.append(Event("grip", first, None))
+    lost = scenario.lost_part
+    if lost is not None and payload is not None:
+        left = payload.without(lost.mass_kg, lost.centre_m)
+        if not left.is_possible:
+            raise ScenarioError(
+                "lost_part: no body is left of the payload; give a smaller mass_kg, or another centre_m"
+            )
+        first = min(max(round(lost.at_s / step_s), first + 2), steps - 4)
+        found.append(Event("lost_part", first, Released(left, np.zeros(3), np.zeros(3))))
     comes_to_it = ejection is None or ejection.phase in (None, *(step.phase for step in scenario.sequence))
     if ejection is not None and payload is not None and comes_to_it:
         told = scenario.start_of(ejection.phase) if ejection.phase is not None else ejection.at_s

@@ -165,6 +165,14 @@ class VehicleFlight:
             self._refresh()
         return Jolt(found.felt(seen, parts, body, own, sign), (found.whole() - momentum)[self._nb :])
 
+    def alter(self, payload: Solid) -> None:
+        """The payload is another body from here on, and moves as before: a part has come off, or has been added."""
+        assert self._link is not None
+        self.show()
+        self.caught = payload
+        self.vehicle.hold(self._link, payload)
+        self._refresh()
+
     def touch(self, comes: Released, frequency_Hz: float, damping_ratio: float) -> None:
         """Take hold of a payload by a spring; ``close`` welds it to its link.
 

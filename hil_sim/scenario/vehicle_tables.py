@@ -124,6 +124,17 @@ class EjectionTable(Table):
         return self
 
 
+class LostPartTable(Table):
+    """``[lost_part]``: a part of the payload comes off, as if it had lain in a point, and takes its momentum along.
+
+    ``centre_m``: where it was, in the payload link. A negative ``mass_kg``: it is added, and moves with the payload.
+    """
+
+    at_s: NonNegative
+    mass_kg: float
+    centre_m: Vector = (0.0, 0.0, 0.0)
+
+
 class SequenceStep(Table):
     """``[[sequence]]``: the arm keeps its posture (``hold``), or every joint swings about it (``swing``).
 
@@ -336,6 +347,7 @@ class Scenario(Table):
     release: LetGo = Field(default_factory=LetGo.model_construct)
     payload: PayloadTable | None = None
     capture: CaptureWindow | None = None
+    lost_part: LostPartTable | None = None
     ejection: EjectionTable | None = None
     motion: MotionTable = Field(default_factory=MotionTable.model_construct)
     base_motion: BaseSway = Field(default_factory=BaseSway.model_construct)
@@ -408,6 +420,8 @@ class Scenario(Table):
     def _parts_fit(self) -> None:
         """Servos and stops, and what carries the base."""
         base, physics = self.vehicle.base, self.physics
+        if self.lost_part is not None and (self.payload is None or base != "free" or self.parabolas):
+            raise ValueError('lost_part needs a [payload] and a base = "free" that is not let go by hand')
         if self.bearing is not None and base != "pivot":
             raise ValueError('bearing: of a base = "pivot"; take it out')
         if self.servo and base not in ("prescribed", "fixed"):

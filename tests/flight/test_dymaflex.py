@@ -182,3 +182,14 @@ def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Pa
     assert again.low < mass["truth"] < again.high
     assert again.high - again.low < 0.2 * mass["truth"]
     assert any("joint_2: its angle jumps" in reason for reason in found.verdict.reasons)
+
+
+def test_a_payload_that_loses_a_part_is_followed_and_told(tmp_path: Path) -> None:
+    lost = {"at_s": 9.5, "mass_kg": 0.6, "centre_m": [0.05, 0.0, 0.1]}
+    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **SHORT, lost_part=lost)
+    mass = flown.mass("m_payload")
+    assert mass["truth"] == pytest.approx(4.4)
+    assert mass["covered"]
+    assert 0.0 < mass["high"] - mass["low"] < 0.2 * mass["truth"]
+    assert mass["standing"].startswith("weak: the payload changed without a release")
+    assert len(flown.events("altered")) == 1

@@ -196,6 +196,7 @@ def test_motion_from_a_csv(tmp_path):
         ("[capture]\nearliest_s = 500.0\nlatest_s = 600.0", "capture must lie"),
         ("[capture]\nphase = 7", "no \\[\\[sequence\\]\\] has phase 7; there are 0, 1, 2, 9"),
         ("[capture]\nphase = 1\nlatest_s = 6.0", "phase and latest_s: give either"),
+        ("[lost_part]\nat_s = 5.0\nmass_kg = 1000.0", "no body is left of the payload"),
         ("[gravity]\nx = 1", "gravity"),
         ("not toml", "not TOML"),
     ],

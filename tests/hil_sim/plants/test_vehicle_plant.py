@@ -103,6 +103,37 @@ def test_a_push_on_what_leaves_is_felt_by_the_vehicle(motion):
     assert 0.8 * 2.0 < jolt.sensors[ours.vehicle.sensor("force", "link_5")][2] < 2.0
 
 
+@pytest.mark.parametrize("lost_kg", [0.8, -0.3])
+def test_a_part_that_comes_off_takes_its_momentum_along_and_one_that_is_added_brings_it(motion, lost_kg):
+    ours, at_m = flight(motion, held=BOX), np.array([0.05, -0.04, 0.1])
+    before_s = ours.advance(100)
+    ours.show()
+    before, link, twist = momentum(ours), ours.data.body("l.payload"), np.zeros(6)
+    mujoco.mj_objectVelocity(ours.model, ours.data, mujoco.mjtObj.mjOBJ_XBODY, link.id, twist, 0)
+    moves = twist[3:] + np.cross(twist[:3], link.xmat.reshape(3, 3) @ at_m)
+    ours.alter(BOX.without(lost_kg, at_m))
+    np.testing.assert_allclose(before - momentum(ours), lost_kg * moves, atol=1e-9)
+    find = ours.vehicle.sensor("gyro", "imu_base")
+    np.testing.assert_allclose(ours.advance(1).sensors[0, find], before_s.sensors[-1, find], atol=2e-3)
+    assert ours.caught.mass_kg == 5.0 - lost_kg
+
+
+def test_a_body_without_a_part_has_its_moments_about_any_point_less_those_of_the_part():
+    left, at = BOX.without(0.8, (0.05, -0.04, 0.1)), np.array([0.05, -0.04, 0.1])
+
+    def about_origin(mass_kg, centre_m, inertia):
+        return inertia + mass_kg * ((centre_m @ centre_m) * np.eye(3) - np.outer(centre_m, centre_m))
+
+    whole = about_origin(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2)
+    rest = about_origin(left.mass_kg, left.centre_of_mass_m, left.inertia_kg_m2)
+    np.testing.assert_allclose(whole - rest, about_origin(0.8, at, np.zeros((3, 3))), atol=1e-12)
+    np.testing.assert_allclose(
+        BOX.mass_kg * BOX.centre_of_mass_m, left.mass_kg * left.centre_of_mass_m + 0.8 * at, atol=1e-12
+    )
+    again = left.without(-0.8, at)
+    np.testing.assert_allclose(again.inertia_kg_m2, BOX.inertia_kg_m2, atol=1e-12)
+
+
 def momentum(flown):
     """Linear, of the vehicle, (3,), world axes."""
     mujoco.mj_forward(flown.model, flown.data)
