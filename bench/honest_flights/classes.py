@@ -143,7 +143,7 @@ def _cross_talk(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tab
 
 
 def _slipped(rng: np.random.Generator, size: float) -> tuple[Tables, list[Tables]]:
-    joint, at_s, by_deg = str(rng.choice(JOINTS)), float(rng.uniform(5.0, 40.0)), size * float(rng.choice([-1.0, 1.0]))
+    joint, at_s, by_deg = str(rng.choice(JOINTS)), float(rng.uniform(3.0, 25.0)), size * float(rng.choice([-1.0, 1.0]))
     return {}, [fault("slipped", joint, at_s, by_deg)]
 
 

@@ -27,11 +27,10 @@ from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.residuals import by_axis
+from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.change import Change, CONTACT_s
-from onboard.identification.corrections import doubtful
 from onboard.identification.exiddm.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
@@ -44,11 +43,9 @@ from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.steps import JumpedJoint
-from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.parts import halves
 from onboard.identification.whole_flight.segments import Segment, in_windows
-from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
+from onboard.identification.whole_flight.stated import freely
 from onboard.identification.whole_flight.witnesses import Tested, tested, without_each
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import EncoderJump
@@ -331,37 +328,6 @@ class _Flight:
         known = state[RATE.stop] > 0.0
         left_out = frozenset(exiddm.fusion.contradicting)
         return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
-
-
-def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likelihood_log.CheckedFit:
-    """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
-
-    Args:
-        made: the fit.
-        period_s: between ticks.
-        row_names: of the lines.
-    """
-    flight, found = made.flight, made.found
-    held_out, unchecked = None, Evidence._field_defaults["unchecked"]
-    try:
-        held_out = halves(flight, found)
-    except EstimationError as error:
-        unchecked = likelihood_log.half_too_short(error)
-    return likelihood_log.CheckedFit(
-        found.payload,
-        found.chi,
-        found.chi_covariance,
-        bound_of(flight, found),
-        sum(block.rows for block in found.blocks),
-        found.misfit,
-        max(1.0, found.misfit, *found.by_instrument.values()),
-        made.corrections,
-        held_out,
-        unchecked,
-        by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
-        findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
-        leans=leans_on(flight, found),
-    )
 
 
 def _begin(run: likelihood_log.TickRun) -> int:

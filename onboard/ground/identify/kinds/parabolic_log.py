@@ -19,10 +19,10 @@ from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_exiddm
-from onboard.ground.identify.kinds.exiddm_log import fitted_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, RunAnswer
 from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
+from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.exiddm.online import ExiddmIdentifier
