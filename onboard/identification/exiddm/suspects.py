@@ -34,6 +34,7 @@ from onboard.identification.exiddm.steps import ALTERED, Adds, JumpedJoint, Step
 
 Number = TypeVar("Number", bound=np.generic)
 ALL_MASSES = "all masses"
+ENCODER_ERRORS = "zero", "scale", "delay"
 _OF_IMU = [
     [f"{sensor}_{kind}" for sensor in ("gyro", "accelerometer")] for kind in ("scale", "misalignment", "cross_axis")
 ]
@@ -64,6 +65,8 @@ class Rivals:
     def __init__(self, predictor: ImuPredictor) -> None:
         self._bank, self.freed = Bank(suspects_of(predictor), predictor.sigma), tuple[int, ...]()
         self.steps, self._sigma = Steps(predictor), predictor.sigma
+        encoders = {f"{kind}_{joint.name}" for kind in ENCODER_ERRORS for joint in predictor.vehicle.joints}
+        self._encoders = {k for k, one in enumerate(self._bank.suspects) if one.name in encoders}
         self._of: tuple[FloatArray, FloatArray, Changed] | None = None
         self._nats = self._nats_before = 0.0  # evidence of what is free, by the last window and by what is not in it
         self._beyond = 0.0  # of that, what the linear model does not have
@@ -204,8 +207,11 @@ class Rivals:
     @property
     def freed_at(self) -> IndexArray:
         """Places in the state of what has been freed."""
-        each = [self._bank.suspects[k].at for k in self.freed]
-        return np.unique(np.concatenate([self._bank.at[:0], *each]))
+        return self.places(self.freed)
+
+    def places(self, numbers: Iterable[int]) -> IndexArray:
+        """In the state, of some suspects."""
+        return np.unique(np.concatenate([self._bank.at[:0], *(self._bank.suspects[k].at for k in numbers)]))
 
     def weighed(self, state: FloatArray, covariance: FloatArray) -> Weighed:
         """All hypotheses, by the filter's state, (p,), and its covariance, (p, p)."""
@@ -223,10 +229,16 @@ class Rivals:
         """What is likeliest wrong, if it is farther off than any error of the bank; else empty."""
         return self.weighed(state, covariance).too_far
 
-    def freeing(self, state: FloatArray, covariance: FloatArray) -> Callable[[Known], Known] | None:
-        """What frees all that counts in what is known, where the likeliest is wrong and not yet free; else None."""
+    def freeing(
+        self, state: FloatArray, covariance: FloatArray, *, held: bool = True
+    ) -> Callable[[Known], Known] | None:
+        """What frees all that counts in what is known, where the likeliest is wrong and not yet free; else None.
+
+        Where nothing is ``held`` only an encoder: an arm that seems to be heavier than drawn may hold something.
+        """
         weighed = self.weighed(state, covariance)
-        if not weighed.contradicts or set(weighed.likeliest.numbers) <= set(self.freed):
+        numbers = set(weighed.likeliest.numbers)
+        if not weighed.contradicts or numbers <= set(self.freed) or not (held or numbers <= self._encoders):
             return None
         before = self.freed
         self._also(_counting(weighed))
@@ -289,8 +301,8 @@ def _joined(of_each: Mapping[str, NDArray[Number]], names: Iterable[str]) -> NDA
 
 
 def _joints(predictor: ImuPredictor) -> Iterator[Suspect]:
-    ways = {"place_{}": 3 * (LIKELY_PLACE_m,), "zero_{}": (LIKELY_SIZE,), "scale_{}": (LIKELY_SIZE,)}
-    ways["delay_{}"] = (LIKELY_DELAY_s,)
+    of_encoder = zip(ENCODER_ERRORS, (LIKELY_SIZE, LIKELY_SIZE, LIKELY_DELAY_s), strict=True)
+    ways = {"place_{}": 3 * (LIKELY_PLACE_m,)} | {f"{kind}_{{}}": (size,) for kind, size in of_encoder}
     for joint in predictor.vehicle.joints:
         for what, sizes in ways.items():
             name = what.format(joint.name)

@@ -198,6 +198,37 @@ def test_what_counts_is_freed_once_and_taken_back_where_it_is_weighed(predictor:
     np.testing.assert_allclose(rivals.weighed(*free((mean, covariance))).stated[1][at, at], P[at, at], atol=1e-9)
 
 
+@pytest.mark.parametrize(("name", "free"), [("scale_joint_2", True), ("place_joint_4", False)])
+def test_of_an_empty_arm_only_an_encoder_is_freed(predictor: ImuPredictor, name: str, *, free: bool) -> None:
+    """One that seems to be heavier than drawn may hold something."""
+    rivals = Rivals(predictor)
+    one = next(one for one in suspects_of(predictor) if one.name == name)
+    x, P = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    along = one.along[:, 0] / np.linalg.norm(one.along[:, 0] / predictor.sigma[one.at]) ** 2
+    x[one.at] = 8.0 * along * np.linalg.norm(one.along[:, 0] / predictor.sigma[one.at])
+    P[np.ix_(one.at, one.at)] *= 0.5
+    assert name in rivals.weighed(x, P).names[0]
+    assert (rivals.freeing(x, P, held=False) is not None) == free
+    assert free or rivals.freeing(x, P) is not None
+
+
+def test_cyclic_errors_are_noise_where_the_scale_of_their_encoder_may_be_wrong(predictor: ImuPredictor) -> None:
+    """With amplitudes that are normal, a cosine and a sine each, as they are stated."""
+    rng, n = np.random.default_rng(5), 400
+    cyclic = [name for name in predictor.names if name.startswith("cyclic_")]
+    ticks = predictor.no_ticks._replace(
+        joint_sigma=np.full((n, 2, 5), 1e-4), cyclic=rng.normal(size=(n, 3, len(cyclic)))
+    )
+    at = np.array([predictor.names.index("scale_joint_2"), predictor.names.index("place_x_joint_1")])
+    noise = predictor.rippled(ticks, at)
+    np.testing.assert_array_equal(np.delete(noise, 1, axis=2), 1e-4)
+    own = [k for k, name in enumerate(cyclic) if name.endswith("_joint_2")]
+    sigma = predictor.sigma[[predictor.names.index(cyclic[k]) for k in own]]
+    drawn = np.einsum("nok,sk->nos", ticks.cyclic[:, 1:, own], sigma * rng.normal(size=(4000, len(own)))).std(axis=2)
+    np.testing.assert_allclose(noise[:, :, 1], np.hypot(1e-4, drawn), rtol=0.06)
+    np.testing.assert_array_equal(predictor.rippled(ticks, at[1:]), ticks.joint_sigma)
+
+
 def test_what_has_stepped_is_a_wrong_constant_of_a_window_after_the_step(predictor: ImuPredictor) -> None:
     """By 2 %, estimated to 0.1 %; the filter, which does not follow it, still has what is stated."""
     rivals, scale = Rivals(predictor), predictor.names.index("scale_load_cell")

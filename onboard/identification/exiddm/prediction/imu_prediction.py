@@ -259,6 +259,23 @@ class ImuPredictor:
         """
         return self.joint_noises(q, state, joint_sigma)[0]
 
+    def rippled(self, ticks: Ticks, wrong: IndexArray) -> FloatArray:
+        """The joints' noise at some ticks, (n, 2, joints), where some constants may be far off, by their places.
+
+        Cyclic errors are functions of the angle. With a wrong scale they turn at another rate than these, which do not
+        fit them, and all of them is noise.
+        """
+        noise, off = ticks.joint_sigma, {self.names[at] for at in wrong}
+        every = [name for name in self._layout.every if name.startswith("cyclic_")]
+        for k, joint in enumerate(self.vehicle.joints):
+            own = [name for name in every if name.endswith(f"_{joint.name}") and name in self.names]
+            if own and f"scale_{joint.name}" in off:
+                functions = ticks.cyclic[:, 1:, [every.index(name) for name in own]]
+                sigma = self.sigma[[self.names.index(name) for name in own]]
+                noise = noise.copy()
+                noise[:, :, k] = np.hypot(noise[:, :, k], np.linalg.norm(sigma * functions, axis=2))
+        return noise
+
     def joint_noises(self, q: FloatArray, state: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
         """As :meth:`joint_noise`, for each of some sigmas."""
         return self._noise.of(q, self.chi(state), *joint_sigma)

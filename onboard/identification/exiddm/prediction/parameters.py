@@ -100,6 +100,7 @@ class UnknownLayout:
         names: of the p unknowns that are estimated.
         sigma: (p,) of these before the flight; NaN where nothing is known.
         size: of all unknowns.
+        every: their names.
         kept: (p,) places of what is estimated among all unknowns.
     """
 
@@ -108,7 +109,7 @@ class UnknownLayout:
         self._places = {name: slice(a, b) for name, a, b in zip(blocks, ends[:-1], ends[1:], strict=True)}
         names = [name for block in blocks.values() for name in block.names]
         sigma = np.concatenate([block.sigma for block in blocks.values()])
-        self.size = len(names)
+        self.size, self.every = len(names), tuple(names)
         self.kept: IndexArray = np.flatnonzero(sigma != 0.0)
         self.names = tuple(names[k] for k in self.kept)
         self.sigma = sigma[self.kept]

@@ -20,12 +20,13 @@ The work of a call is bounded (:mod:`onboard.identification.exiddm.recursion.bou
 
 import numpy as np
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.identification.change import Change
 from onboard.identification.exiddm.fusion import Accusation
 from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.innovation import TickBatch
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.claims import after_a_change, kind_of
 from onboard.identification.exiddm.recursion.stepped import SteppedTicks
 from onboard.identification.exiddm.recursion.trials import Exclusion, WindowProblem
@@ -208,7 +209,7 @@ class RecursiveExiddm(Windowed):
         step = self.rivals.step(self.corrected(self.state), self.covariance) if self.held else None
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
-            noise, of_samples = self.predictor.joint_noises(ticks.q, self.state, ticks.joint_sigma, ticks.sample_sigma)
+            noise, of_samples = self._joint_noises(ticks)
         self.covariance = self._linearised.known(self.covariance)
         batch = TickBatch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
         state, covariance, suspect, used = self.state, self.covariance, False, 0
@@ -258,14 +259,20 @@ class RecursiveExiddm(Windowed):
         if not suspect:
             self._compare()
 
+    def _joint_noises(self, ticks: Ticks) -> list[FloatArray]:
+        """Of all there is, and of samples alone."""
+        assert self.state is not None
+        of_joints = self.predictor.rippled(ticks, self.rivals.freed_at), ticks.sample_sigma
+        return self.predictor.joint_noises(ticks.q, self.state, *of_joints)
+
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
         if self.held and (back := self.rivals.altered(self.corrected(self.state), self.covariance)) is not None:
             self._begin_altered(back)
             return
-        # an empty arm that seems to be heavier than drawn may hold something: a change decides
-        if self.held and (free := self.rivals.freeing(self.corrected(self.state), self.covariance)) is not None:
+        known = self.corrected(self.state), self.covariance
+        if (free := self.rivals.freeing(*known, held=bool(self.held))) is not None:
             self._free(free)
             return
         accused = self.fusion.standing(self.innovations.contradicting(self.corrected(self.state), self.covariance))

@@ -84,7 +84,10 @@ class Windowed(Holding):
         self._open(at_first(held, known is not None), self.initial)
 
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
-        seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
+        without = [*self.fusion.left_out, *trial.without]
+        off = self.rivals.places(() if trial.stated else (*self.rivals.freed, *trial.free))
+        measured, noise = self.fusion.without(without, ticks.measured), self.predictor.rippled(ticks, off)
+        seen = ticks._replace(measured=measured, joint_sigma=noise)
         imu = next(k for k in self.fusion.imus if k not in trial.without)
         prior, start = self.innovations.freed(self.initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
