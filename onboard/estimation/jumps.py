@@ -36,8 +36,7 @@ _AT = np.delete(np.arange(_WINDOW) - _SIDE, _SIDE).astype(np.float64)
 _LINE = np.column_stack([np.ones(2 * _SIDE), _AT])
 _OFF_LINE = np.eye(2 * _SIDE) - _LINE @ np.linalg.pinv(_LINE)
 _MEAN_BESIDE = np.where(np.arange(_WINDOW) == _SIDE, 0.0, 1.0 / (2 * _SIDE))
-STEP = math.sqrt(2.0 + 1.0 / _SIDE)  # sigma of a step less a mean of its neighbours', over that of a reading
-_FAR = sigmas(READING) * STEP
+_FAR = sigmas(READING) * math.sqrt(2.0 + 1.0 / _SIDE)  # of a step less a mean of its neighbours'
 
 
 class Jump(NamedTuple):

@@ -68,7 +68,6 @@ class EncoderJump(NamedTuple):
     size: float  # rad or m, as the others
     angle: float  # as it was read then
     rate: float  # rad/s
-    sigma: float  # of the size
 
 
 class Signals(NamedTuple):

@@ -68,7 +68,7 @@ def test_every_command_shown_exists_with_its_options(page: Path) -> None:
 def test_recipes_are_plans_or_scenarios_that_differ_from_the_vehicles_own(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8"), re.DOTALL)
     usual = scenario_of("dymaflex", {})
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     for block in blocks:
         scenarios = [tomllib.loads(block)]
         if "campaign" in scenarios[0]:

@@ -115,11 +115,12 @@ def _rocksat() -> list[Cell]:
             Cell(node, "intermittent", 0.1, 0.6, ("emcy_8140", "gap no_pdo")),
             Cell(node, "stuck", 0.0, 0.6, ("estimation stuck", "rows refused: stuck"), shares=False),
             Cell(node, "wrong", 0.3, shares=False),
-            Cell(node, "delayed", 0.1, 0.6, ("rows refused: residual",), shares=False),
+            Cell(node, "delayed", 0.1, 0.6, _LATE[node], shares=False),
             Cell(node, "garbage", 0.0, 0.6, ("bad_heartbeat", "rows refused: saturated")),
             Cell(node, "slow", 0.02, 0.6, ("pdo_extra", "gap no_pdo")),
         ]
     cells.append(Cell(load_cell, "saturated", 1.0, 0.6, ("rows refused: saturated",)))
+    cells.append(Cell(joint, "slipped", 10.0, 0.6, ("estimation angle_jumped",), shares=False))
     late = EJECTION_S
     cells += [
         Cell(arm, "off", 0.0, 1.2, ("heartbeat_lost",), 0.2, late, shares=False),
@@ -158,6 +159,7 @@ def _rocksat() -> list[Cell]:
     return cells
 
 
+_LATE = {"joint_1": ("estimation angle_jumped",), "load_cell": ("rows refused: residual",)}
 _TOLD = {  # of the devices on serial lines, by kind of fault
     "imu_base": {
         "off": ("silent", "gap packets_lost"),
@@ -230,6 +232,8 @@ def _serial() -> list[Cell]:
         ]
         if device != joint:
             cells.append(Cell(device, "saturated", 1.0, shares=False))
+        else:
+            cells.append(Cell(device, "slipped", 10.0, shares=False))
         if device != load_cell:
             cells += [Cell(device, "clock_jump", value) for value in (0.1, -0.1)]
         if device in (joint, arm):
@@ -260,7 +264,8 @@ def _mixed() -> list[Cell]:
         Cell(joint, "intermittent", 0.1, 0.6, ("emcy_8140", "gap no_pdo"), 0.4),
         Cell(joint, "stuck", 0.0, 0.6, ("estimation stuck", "rows refused: stuck"), shares=False),
         Cell(joint, "wrong", 0.3, shares=False),
-        Cell(joint, "delayed", 0.1, 0.6, ("rows refused: residual",), shares=False),
+        Cell(joint, "delayed", 0.1, 0.6, _LATE[joint], shares=False),
+        Cell(joint, "slipped", 10.0, 0.6, ("estimation angle_jumped",), shares=False),
         Cell(joint, "garbage", 0.0, 0.6, ("bad_heartbeat", "guarding_lost", "rows refused: saturated"), 0.4),
         Cell(joint, "slow", 0.02, 0.6, ("pdo_extra", "gap no_pdo")),
         Cell(joint, "saturated", 1.0, shares=False),

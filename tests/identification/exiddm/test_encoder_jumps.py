@@ -30,10 +30,10 @@ def predictor() -> ImuPredictor:
 @pytest.mark.parametrize(
     ("jump", "others"),
     [
-        (EncoderJump(0, 0.02, 0.4, 0.9, 1e-5), {"scale": (0.05, -0.02), "delay": (0.02 / 0.9, -0.02)}),
-        (EncoderJump(0, 0.02, 0.06, -0.9, 1e-5), {"delay": (-0.02 / 0.9, -0.02)}),  # by a third: no scale is so wrong
-        (EncoderJump(0, 0.02, 0.4, 0.6, 1e-5), {"scale": (0.05, -0.02)}),  # 33 ms
-        (EncoderJump(0, 0.02, 0.0, 0.0, 1e-5), {}),
+        (EncoderJump(0, 0.02, 0.4, 0.9), {"scale": (0.05, -0.02), "delay": (0.02 / 0.9, -0.02)}),
+        (EncoderJump(0, 0.02, 0.06, -0.9), {"delay": (-0.02 / 0.9, -0.02)}),  # by a third: no scale is so wrong
+        (EncoderJump(0, 0.02, 0.4, 0.6), {"scale": (0.05, -0.02)}),  # 33 ms
+        (EncoderJump(0, 0.02, 0.0, 0.0), {}),
     ],
 )
 def test_another_scale_or_delay_has_the_size_that_makes_the_jump_unless_it_is_too_far(
@@ -57,7 +57,7 @@ def test_after_a_jump_nothing_is_known_of_the_encoder_but_what_is_stated_and_wha
     sigma = np.nan_to_num(predictor.sigma, nan=1.0)
     root = np.diag(sigma) @ rng.normal(size=(len(sigma), len(sigma))) / np.sqrt(len(sigma))
     known = 0.1 * sigma * rng.normal(size=len(sigma)), 0.5 * (root @ root.T + np.diag(sigma**2))
-    joint = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.02, 0.4, 0.0, 1e-5))
+    joint = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.02, 0.4, 0.0))
     state, covariance = rivals.jumped(joint)(known)
     zero, scale = (predictor.names.index(f"{kind}_joint_2") for kind in ("zero", "scale"))
     others = np.setdiff1d(np.arange(len(sigma)), joint.errors)
@@ -82,7 +82,7 @@ def jumped(ticks: Ticks, at_s: float, scale: float, zero: float) -> tuple[Ticks,
     q[after, 1] += scale * (q[after, 1] - angle)
     for one in (dq, ddq):
         one[after, 1] *= 1.0 + scale
-    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate, 1e-5)
+    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate)
 
 
 def flown(recursive: RecursiveExiddm, ticks: Ticks, jump: EncoderJump) -> RecursiveExiddm:

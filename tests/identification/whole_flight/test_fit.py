@@ -162,7 +162,7 @@ def test_what_was_flown_free_narrows_the_interval(ticks, predictor, fitted):
 def test_slopes_are_differences(ticks, predictor):
     """Also those of what an encoder that has jumped may have done to its joint."""
     parts = [Segment(one.ticks.part(slice(0, 600)), one.held) for one in segments(ticks)]
-    other = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2, 1e-5))
+    other = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2))
     flight = WholeFlight(predictor, WIDE, parts, (), [(CAPTURE_s, other)])
     assert flight.names[-2:] == ("scale_joint_2_jump_0", "delay_joint_2_jump_0")
     x = started(flight, predictor, standard_of(TRUTH))
@@ -186,7 +186,7 @@ def jumped(ticks, at_s, scale, zero):
     q[after, 1] += scale * (q[after, 1] - angle)
     for one in (dq, ddq):
         one[after, 1] *= 1.0 + scale
-    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate, 1e-5)
+    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate)
 
 
 @pytest.mark.parametrize(("scale", "zero"), [(0.05, 0.0), (0.0, 0.02)])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows, Severity
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.jumps import STEP, AngleJumps, Jump
+from onboard.estimation.jumps import AngleJumps, Jump
 from onboard.estimation.stuck import NONE
 from onboard.flight.estimate.readings.stuck import StuckEvent, breaks
 from onboard.regressor.signals import EncoderJump
@@ -55,8 +55,7 @@ class JumpWatch:
 
     def __init__(self, signal: SmoothedChannel, *, follows: bool = False) -> None:
         self._signal, self._follows = signal, follows
-        self._sigma = self._off = 0.0
-        self.new = list[EncoderJump]()
+        self._off, self.new = 0.0, list[EncoderJump]()
         self._jumps: AngleJumps | None = None  # its counts are not known before the first rows
         self._sequence: int | None = None  # of the last row
         self._since: Jump | None = None  # its encoder is another one
@@ -75,8 +74,7 @@ class JumpWatch:
             count = self._signal.quantum_counts * abs(
                 float(rows["scale"][0]) * self._signal.si.get(rows["unit"][0], 0.0)
             )
-            self._sigma = max(self._signal.noise[0], _ROUNDING * count)
-            self._jumps = AngleJumps(self._sigma)
+            self._jumps = AngleJumps(max(self._signal.noise[0], _ROUNDING * count))
         starts, found = breaks(rows, self._sequence), list[Jump]()
         self._sequence = int(rows["sequence"][-1])
         times = np.full(len(rows), np.nan) if times_ns is None else times_ns.astype(np.float64)
@@ -126,11 +124,8 @@ class JumpWatch:
         at, period_s = one.at, self._signal.period_s
         whence = undone or one._replace(expected=one.expected - self._off)
         by = one.size if undone is None else -undone.size
-        self.new.append(
-            EncoderJump(
-                round(first_ns + 1e9 * period_s * at), by, whence.expected, whence.travel / period_s, STEP * self._sigma
-            )
-        )
+        at_ns = round(first_ns + 1e9 * period_s * at)
+        self.new.append(EncoderJump(at_ns, by, whence.expected, whence.travel / period_s))
         self.jumped, self._since, self._off = True, None if undone else whence, self._off + by
         seen.off[max(at, 0) :] += by
         return seen if at >= 0 else seen._replace(before=slice(at, 0), before_off=by)

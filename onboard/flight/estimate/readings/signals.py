@@ -286,7 +286,7 @@ class SignalSmoother:
         columns, periods, rms, ends = self._errors(group)
         if not columns.size:
             return
-        # those of an encoder that has jumped begin elsewhere, or turn at another rate
+        # those of an encoder that has jumped begin elsewhere, or turn at another rate, under all hypotheses
         lost = [name in self._jumps and self._jumps[name].jumped for name in group]
         fitted = self._cyclic_fitted & ~np.repeat(lost, np.diff([0, *ends]))
         left = rms * np.where(fitted, CYCLIC_LEFT, 1.0)
