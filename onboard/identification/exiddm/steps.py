@@ -133,7 +133,7 @@ class JumpedJoint:
     def __init__(self, predictor: ImuPredictor, joint: str, jump: EncoderJump) -> None:
         names, ends = predictor.names, f"_{joint}"
         own = {name.removesuffix(ends): k for k, name in enumerate(names) if name.endswith(ends)}
-        cyclic = [k for kind, k in own.items() if kind.startswith("cyclic_")]
+        cyclic = [k for kind, k in own.items() if kind.startswith("cyclic_") and kind.endswith(("_cos", "_sin"))]
         kinds = [own[kind] for kind in ("zero", "scale", "delay") if kind in own]
         self.errors: IndexArray = np.array([*kinds, *cyclic], np.intp)
         self.others = list[OtherError]()

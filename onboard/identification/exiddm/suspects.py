@@ -102,11 +102,15 @@ class Rivals:
         return (state + step.shift, covariance + step.root @ step.root.T), self._as_constants(step.at)(initial)
 
     def jumped(self, joint: JumpedJoint) -> Callable[[Known], Known]:
-        """An encoder is another one; what that makes of what is known: of its errors nothing but what is stated."""
+        """An encoder is another one; what that makes of what is known: of its errors nothing but what is stated.
+
+        And what former jumps may have made of them.
+        """
         bank, before, every, own = self._bank, self.freed, list(self._bank.suspects), list[int]()
         for other in joint.others:
-            k = next(k for k, one in enumerate(every) if one.along.shape[1] == 1 and other.at[0] == one.at[0])
-            every[k] = Suspect(other.name, other.at, other.along[:, None], 1.0)
+            k = next(k for k, one in enumerate(every) if (one.name, one.at[0]) == (other.name, other.at[0]))
+            former = every[k].along if every[k].odds == 1.0 else np.zeros((len(other.at), 0))
+            every[k] = Suspect(other.name, other.at, np.column_stack([former, other.along]), 1.0)
             own.append(k)
         self._bank, self._of, at = Bank(every, self._sigma), None, joint.errors
         self.freed = now = tuple(sorted({*before, *own}))

@@ -74,6 +74,18 @@ def test_after_a_jump_nothing_is_known_of_the_encoder_but_what_is_stated_and_wha
     assert as_stated[scale, scale] == pytest.approx(predictor.sigma[scale] ** 2)
 
 
+def test_after_a_second_jump_the_first_may_have_changed_the_scale_too(predictor: ImuPredictor) -> None:
+    rivals = Rivals(predictor)
+    known = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma, nan=1.0) ** 2)
+    for size in (0.02, 0.001, 0.3):  # the last is of no scale that is likely
+        known = rivals.jumped(JumpedJoint(predictor, "joint_2", EncoderJump(0, size, 0.4, 0.0)))(known)
+    zero, scale = (predictor.names.index(f"{kind}_joint_2") for kind in ("zero", "scale"))
+    sizes = np.array([0.02, 0.001])
+    assert known[1][scale, scale] == pytest.approx(predictor.sigma[scale] ** 2 + ((sizes / 0.4) ** 2).sum())
+    assert known[1][zero, scale] == pytest.approx(-(sizes**2 / 0.4).sum())
+    assert rivals.weighed(*known).every[0].weight > 0.0
+
+
 def jumped(ticks: Ticks, at_s: float, scale: float, zero: float) -> tuple[Ticks, EncoderJump]:
     """The second joint's encoder is another one from some time on, and its angle goes on smoothly."""
     after, k = ticks.time_s >= at_s, int(np.searchsorted(ticks.time_s, at_s))

@@ -268,7 +268,8 @@ class ImuPredictor:
         noise, off = ticks.joint_sigma, {self.names[at] for at in wrong}
         every = [name for name in self._layout.every if name.startswith("cyclic_")]
         for k, joint in enumerate(self.vehicle.joints):
-            own = [name for name in every if name.endswith(f"_{joint.name}") and name in self.names]
+            ends = tuple(f"_{wave}_{joint.name}" for wave in ("cos", "sin"))
+            own = [name for name in every if name.endswith(ends) and name in self.names]
             if own and f"scale_{joint.name}" in off:
                 functions = ticks.cyclic[:, 1:, [every.index(name) for name in own]]
                 sigma = self.sigma[[self.names.index(name) for name in own]]
