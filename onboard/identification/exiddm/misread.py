@@ -24,7 +24,7 @@ from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu, zero_wrench_of
 
-_LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
+LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
 _TICKS = 300  # that a way to read is judged by
 _FEWEST = 5  # widths in a recording
 _WIDE_s = 0.8  # kernel through which a slow motion is seen
@@ -44,7 +44,7 @@ _UNITS = (  # of gyro and accelerometer, and what they are to be multiplied by
     (1.0, 1e-3 * _G_m_s2, "the accelerometer is in mg"),
     (1.0, 1.0 / _G_m_s2, "the accelerometer is in m/s^2, and not in g"),
 )
-_TURNS_deg = tuple(float(turn) for turn in range(-165, 181, 15) if turn)  # of a zero, to its nearest
+TURNS_deg = tuple(float(turn) for turn in range(-165, 181, 15) if turn)  # of a zero, to its nearest
 
 
 class FlightReading(NamedTuple):
@@ -228,7 +228,7 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
         return None
     if _score(best._replace(left=max(best.left - of_best, 2.0 * MOST_UNEXPLAINED**2))) >= least - by_noise:
         return None
-    near = [one.way for one in ways if _score(one) * _LIKELIER < _score(ways[0])]
+    near = [one.way for one in ways if _score(one) * LIKELIER < _score(ways[0])]
     # of zeros beside each other, and of a pair in either order, a single one
     each = {re.sub(r"[-+]\d+", "", " ".join(sorted(way.said))): way for way in reversed(near)}
     shares = (min(1.0, float(np.sqrt(0.5 * left))) for left in (least, best.left))
@@ -247,7 +247,7 @@ def _noise(flight: FlightSignals) -> FlightSignals:
 
 def _score(one: _Weighed) -> float:
     """The smaller, the likelier."""
-    return one.left / _LIKELIER**one.way.mistakes
+    return one.left / LIKELIER**one.way.mistakes
 
 
 def _of_imu(now: FlightReading) -> Iterator[FlightReading]:
@@ -276,7 +276,7 @@ def _of_joints(now: FlightReading, names: Sequence[str]) -> Iterator[FlightReadi
 def _of_zeros(now: FlightReading, names: Sequence[str]) -> Iterator[FlightReading]:
     """With the zero of one joint elsewhere: one of so many places, which counts as a mistake more."""
     for k, name in enumerate(names):
-        for turn_deg in _TURNS_deg:
+        for turn_deg in TURNS_deg:
             shift = now.shift_rad + np.deg2rad(turn_deg) * (np.arange(len(names)) == k)
             said = f"{name} is about {turn_deg:+.0f} deg from what is read"
             yield now.also(said, mistakes=2, shift_rad=shift)

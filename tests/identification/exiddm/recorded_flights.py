@@ -12,6 +12,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import URDF
 
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
@@ -45,6 +46,17 @@ def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMET
     given = signals.period_s, signals.samples, covariance, imu_prior, geometry
     predictor = ImuPredictor(vehicle, "imu_base", *given, **more)
     return RecursiveExiddm(predictor, WIDE, held)
+
+
+def jumped(ticks, at_s, scale, zero):
+    """The encoder of the second joint is another one from some time on, and its angle goes on smoothly."""
+    after, k = ticks.time_s >= at_s, int(np.searchsorted(ticks.time_s, at_s))
+    angle, rate = float(ticks.q[k, 1]), float(ticks.dq[k, 1])
+    q, dq, ddq = (one.copy() for one in ticks[1:4])
+    q[after, 1] += scale * (q[after, 1] - angle)
+    for one in (dq, ddq):
+        one[after, 1] *= 1.0 + scale
+    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate)
 
 
 def same_bits(a, b):

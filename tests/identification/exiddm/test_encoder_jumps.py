@@ -16,7 +16,7 @@ from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.exiddm.suspects import Rivals
 from onboard.regressor.signals import EncoderJump, Signals
-from tests.identification.exiddm.recorded_flights import CAPTURE_s, RELEASE_s, online, ticks_of
+from tests.identification.exiddm.recorded_flights import CAPTURE_s, RELEASE_s, jumped, online, ticks_of
 
 STATED = GeometryPrior(0.0, {f"joint_{k}": JointPrior(0.0, 1e-3, 2e-4, 2e-4) for k in range(1, 6)})
 HELD_KG = 5.0
@@ -86,17 +86,6 @@ def test_after_a_second_jump_the_first_may_have_changed_the_scale_too(predictor:
     assert rivals.weighed(*known).every[0].weight > 0.0
 
 
-def jumped(ticks: Ticks, at_s: float, scale: float, zero: float) -> tuple[Ticks, EncoderJump]:
-    """The second joint's encoder is another one from some time on, and its angle goes on smoothly."""
-    after, k = ticks.time_s >= at_s, int(np.searchsorted(ticks.time_s, at_s))
-    angle, rate = float(ticks.q[k, 1]), float(ticks.dq[k, 1])
-    q, dq, ddq = (one.copy() for one in ticks[1:4])
-    q[after, 1] += scale * (q[after, 1] - angle)
-    for one in (dq, ddq):
-        one[after, 1] *= 1.0 + scale
-    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate)
-
-
 def flown(recursive: RecursiveExiddm, ticks: Ticks, jump: EncoderJump) -> RecursiveExiddm:
     k = int(np.searchsorted(ticks.time_s, 1e-9 * jump.vehicle_ns))
     recursive.update(ticks.part(slice(0, k)))
@@ -138,12 +127,11 @@ def test_a_payload_is_caught_after_a_jump(mission: Any) -> None:
     assert sigmas_off(recursive)[0] < 3.0
 
 
-def test_an_identifier_takes_a_jump_in_between_its_ticks(held: Any) -> None:
+def test_an_identifier_takes_a_jump_in_between_its_ticks(held: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     ticks, jump = jumped(ticks_of(held), 2.503, 0.05, 0.0)
     some, told = ticks.part(slice(0, 320)), list[tuple[int, str]]()
     identifier = ExiddmIdentifier(online(held, geometry=STATED))
-    taken = identifier.exiddm.jumped
-    seen = [0]
+    take, taken, seen = identifier.exiddm.take, identifier.exiddm.jumped, [0]
 
     def note(joint: str, of: EncoderJump) -> None:
         told.append((seen[0], joint))
@@ -153,8 +141,8 @@ def test_an_identifier_takes_a_jump_in_between_its_ticks(held: Any) -> None:
         seen[0] += len(part.time_s)
         take(part)
 
-    identifier.exiddm.jumped, take = note, identifier.exiddm.take  # type: ignore[method-assign]
-    identifier.exiddm.take = count  # type: ignore[method-assign]
+    monkeypatch.setattr(identifier.exiddm, "jumped", note)
+    monkeypatch.setattr(identifier.exiddm, "take", count)
     unused: Any = None
     for first, last in ((0, 240), (240, 250), (250, 320)):
         part = some.part(slice(first, last))

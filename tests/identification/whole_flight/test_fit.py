@@ -28,7 +28,7 @@ from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_o
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import BIASED, WIDE, jumped, recorded, ticks_of
 
 PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
 CAPTURE_s, END_s = 6.0, 14.0
@@ -176,17 +176,6 @@ def test_slopes_are_differences(ticks, predictor):
         step[:10] *= 1e-2
         up, down = (total_of(flight.blocks(x + sign * step), p).squares for sign in (1.0, -1.0))
         assert up - down == pytest.approx(4.0 * gradient @ step, rel=2e-3)
-
-
-def jumped(ticks, at_s, scale, zero):
-    """The encoder of the second joint is another one from some time on, and its angle goes on smoothly."""
-    after, k = ticks.time_s >= at_s, int(np.searchsorted(ticks.time_s, at_s))
-    angle, rate = float(ticks.q[k, 1]), float(ticks.dq[k, 1])
-    q, dq, ddq = (one.copy() for one in ticks[1:4])
-    q[after, 1] += scale * (q[after, 1] - angle)
-    for one in (dq, ddq):
-        one[after, 1] *= 1.0 + scale
-    return ticks._replace(q=q, dq=dq, ddq=ddq), EncoderJump(round(1e9 * at_s), scale * angle + zero, angle, rate)
 
 
 @pytest.mark.parametrize(("scale", "zero"), [(0.05, 0.0), (0.0, 0.02)])

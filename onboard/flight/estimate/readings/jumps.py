@@ -21,7 +21,7 @@ from onboard.regressor.signals import EncoderJump
 
 _EVERY = 1 << 31  # samples: more than are kept
 _ROUNDING = 1.0 / math.sqrt(12.0)  # counts, rms
-_FOLLOWED = "the angle goes on without it, its scale or delay may have changed"
+_FOLLOWED = "the angle goes on without it"
 
 
 def jumped_text(names: str, *, follows: bool = True) -> str:

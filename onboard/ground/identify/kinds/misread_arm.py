@@ -14,10 +14,10 @@ from onboard import config
 from onboard.devices.recorded import RecordedDevice
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.identification.exiddm.misread import LIKELIER, TURNS_deg
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.standing import Level
 from onboard.identification.table.run import TableRun
@@ -26,9 +26,7 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.rows import RowModel, standing
 from onboard.regressor.signals import Signals
 
-_LIKELIER = 1.0 / MISFIT_REFUSED  # what a mistake leaves, at the most
 _TICKS, _FEWEST = 150, 40  # that a way to read is judged by
-_TURNS_deg = tuple(float(turn) for turn in range(-165, 181, 15) if turn)  # of a zero, to its nearest
 
 
 class ArmReading(NamedTuple):
@@ -92,7 +90,7 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     if recording.ticks < _FEWEST:
         return ""
     least = recording.left(stated)
-    ways = sorted((recording.left(way) / _LIKELIER**way.mistakes, way.said) for way in _others(stated, joints))
+    ways = sorted((recording.left(way) / LIKELIER**way.mistakes, way.said) for way in _others(stated, joints))
     best, said = ways[0]
     if best >= least:
         return ""
@@ -136,7 +134,7 @@ def _others(stated: ArmReading, names: Sequence[str]) -> Iterator[ArmReading]:
         yield stated._replace(said=f"the torque of {name} counts the other way", torque_factor=turned)
         both = f"angle and torque of {name} count the other way"
         yield stated._replace(said=both, factor=turned, torque_factor=turned)
-        for turn_deg in _TURNS_deg:
+        for turn_deg in TURNS_deg:
             shift = np.deg2rad(turn_deg) * (np.arange(n) == k)
             yield stated._replace(
                 said=f"{name} is about {turn_deg:+.0f} deg from what is read", shift_rad=shift, mistakes=2
