@@ -16,6 +16,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.native import library
+from onboard.native.errors import ArrayError
 
 Polygon = FloatArray  # (k, 2); without corners: nothing is possible
 NOTHING: Polygon = np.zeros((0, 2))
@@ -58,8 +59,11 @@ def moved(
     """
     count = len(polygon)
     given = library.given(polygon, count, 2)
-    how = np.array([*shear, *chain(*segments, _NONE[2 * len(segments) : 4], *lines, _NONE[3 * len(lines) : 6])])
-    numbers = len(segments), len(lines), library.address(how)
+    try:
+        how = np.array([*shear, *chain(*segments, _NONE[2 * len(segments) : 4], *lines, _NONE[3 * len(lines) : 6])])
+    except TypeError as wrong:  # numbers in place of pairs or triples
+        raise ArrayError(f"segments are pairs and lines are triples: {wrong}") from None
+    numbers = len(segments), len(lines), library.address(library.given(how, 12))
     out = np.empty(1 + 20 * (count + 2))
     library.call("heft_polygon", count, _MOST_CORNERS, library.address(given), *numbers, out=out)
     return out[1 : 1 + 2 * int(out[0])].reshape(-1, 2)

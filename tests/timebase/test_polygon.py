@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from onboard.native.errors import ArrayError
 from onboard.timebase import polygon as geometry
 
 coordinates = st.floats(-10.0, 10.0, allow_nan=False).map(lambda x: round(x, 3))
@@ -79,3 +80,9 @@ def test_a_sliver_that_rounding_ate_still_has_a_place() -> None:
     found = geometry.moments(sliver)
     assert found.x == pytest.approx(1e9)
     assert found.xx >= 0.0
+
+
+@pytest.mark.parametrize("lines", [[1.0, 0.0], [(1.0, 0.0), (0.0, 1.0)], [(1.0, 0.0, 1.0)] * 3])
+def test_lines_that_are_not_two_triples_at_most_are_refused(lines):
+    with pytest.raises(ArrayError):
+        geometry.moved(geometry.box(0.0, 4.0, 0.0, 2.0), lines=lines)
