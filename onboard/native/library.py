@@ -49,6 +49,8 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_pieces": (_ARRAY, _INT, _INT, _INT, _ARRAY, _INT),
     "heft_kernels": (_INT, _INT, *[_ARRAY] * 3),
     "heft_predict_table": (_ARRAY,),
+    "heft_alone": (*[_ARRAY] * 3, _INT, *[_ARRAY] * 2),
+    "heft_pairs": (_INT, _INT, *[_ARRAY] * 4, _FLOAT, _ARRAY),
     "heft_scaled": (_INT, *[_ARRAY] * 3),
     "heft_scaled_derive": (_INT, *[_ARRAY] * 4, _INT),
 }

@@ -108,3 +108,10 @@ class AirBearingRun(_Structure):
 
     NUMBERS = 3
     _fields_ = _fields("ticks free pucks", "inverse known growth over columns puck others")
+
+
+class BankStruct(_Structure):
+    """``heft_bank``."""
+
+    NUMBERS = 4
+    _fields_ = _fields("states suspects columns places", "count width at slopes inner")

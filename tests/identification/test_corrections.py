@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.channels import QUANTITY
-from onboard.identification.corrections import DOUBTFUL, contradicted, together, too_large
+from onboard.identification.corrections import DOUBTFUL, Together, contradicted, together, too_large
 
 
 def posterior_of(told: float, rng: np.random.Generator, k: int = 80) -> np.ndarray:
@@ -73,3 +73,22 @@ def test_nothing_is_said_of_none_of_those_whose_prior_is_wider_for_now_and_of_th
         assert found.chance == found.widening == 1.0
         assert not found.refused()
         assert not found.doubted()
+
+
+@pytest.mark.parametrize("told", [1.0, 0.3])
+def test_no_more_squares_than_expected_are_as_probable_as_with_all_degrees_of_freedom(told, rng, monkeypatch) -> None:
+    posterior, quick = posterior_of(told, rng), 0
+    values, vectors = np.linalg.eigh(np.eye(len(posterior)) - posterior)
+    weights = values / (values + 0.05)
+    mean, square = weights.sum(), (weights**2).sum()
+    for size in np.linspace(0.3, 1.6, 40):
+        moved = vectors @ (size * np.sqrt(np.maximum(values, 0.0)) * rng.choice([-1.0, 1.0], len(posterior)))
+        squares = float((vectors.T @ moved) ** 2 @ (1.0 / (values + 0.05)))
+        one, whole = together(moved, posterior), Together(squares * mean / square, mean**2 / square)
+        assert bool(one.refused()) == bool(whole.refused())
+        assert bool(one.doubted()) == bool(whole.doubted())
+        assert one.widening == pytest.approx(whole.widening)
+        if one.freedom < 0.999 * whole.freedom:
+            assert whole.chance > 0.3
+            quick += 1
+    assert 0 < quick < 40

@@ -24,13 +24,14 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation.errors import RowError
 from onboard.estimation.smoothing import SmoothingWindow
+from onboard.identification.evidence.bank import Bank, Changed
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.timebase import polygon
-from tests.native.vehicles import PERIOD_s, on_table, random_case
+from tests.native.vehicles import PERIOD_s, on_table, random_case, random_suspects
 
 REFUSALS = ArrayError, RowError, SignalError, ValueError, IndexError, MemoryError
 
@@ -63,6 +64,11 @@ def outcomes(seed):
     more = plus.plus(rng.normal(size=7), np.array([0, 3]))
     table = predict_planar(*on_table(case, seed))
     window = SmoothingWindow(np.cumsum(rng.uniform(0.5, 1.5, 60)), rng.uniform(0.0, 60.0, 9), 20.0)
+    suspects, sigma, known = random_suspects(seed)
+    bank, m = Bank(suspects, sigma), sum(one.along.shape[1] for one in suspects)
+    alone, seen = bank._alone(known), rng.normal(size=(30, m))
+    steps = Changed(np.zeros((1, m)), rng.normal(size=m), seen.T @ seen, np.zeros((1, 0)))
+    weighed = alone.out, bank._alone(known, 0, alone.of(0)).out, *steps.evidence(suspects)
     slid = table.velocity, table.base.specific_force, table.base.along
     parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
     return [
@@ -77,6 +83,7 @@ def outcomes(seed):
         wide,
         *polygon.moments(wide),
         *more,
+        *weighed,
         *window._correction[:2],
     ]
 
@@ -162,6 +169,10 @@ def fuzz_once(seed):
     )
     plus = TickPrediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
     attempt(plus.plus, spoiled(np.ones(7)), np.array([0, 3]))
+    suspects, sigma, known = random_suspects(seed)
+    bank, m = Bank(suspects, sigma), sum(one.along.shape[1] for one in suspects)
+    attempt(bank.weigh, tuple(map(spoiled, known)))
+    attempt(Changed(np.zeros((1, m)), spoiled(np.ones(m)), spoiled(np.eye(m)), np.zeros((1, 0))).evidence, suspects)
     run, start, chi, drag, tilt, unknown = on_table(case, seed)
     wrong = drag._replace(viscous=spoiled(drag.viscous), place=spoiled(drag.place))
     attempt(predict_planar, run, spoiled(start), chi, wrong, spoiled(tilt), unknown)

@@ -10,17 +10,19 @@ from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, r
 from onboard.dynamics.kinematics import Bodies, chain_motion
 from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
+from onboard.identification.evidence.bank import Bank, Changed, Suspect
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
+from tests.native.oracle import evidence as of_evidence
 from tests.native.oracle import imu as of_imu
 from tests.native.oracle import smoothing as of_smoothing
 from tests.native.oracle import table as of_table
 from tests.native.oracle.bodies import Bodies as OracleBodies
 from tests.native.oracle.chain import chain_motion as oracle_chain
-from tests.native.vehicles import PERIOD_s, on_table, random_case
+from tests.native.vehicles import PERIOD_s, on_table, random_case, random_suspects
 
 CASES = range(24)
 TOLERANCE = 1e-13  # of the largest of an array
@@ -172,6 +174,51 @@ def test_errors_of_bodies_in_the_drawing(bodies):
     ours = by.copy()
     scaled.derive(ours, state)
     same(ours, of_errors.derived(at, drawn, by, state))
+
+
+@pytest.mark.parametrize("seed", CASES)
+def test_evidence_of_each_suspect_alone_and_beside_another(seed):
+    suspects, sigma, (x, P) = random_suspects(seed)
+    bank, (M, slope, own) = Bank(suspects, sigma), of_evidence.alone(suspects, sigma, x, P)
+    for first in range(-1, len(suspects)):
+        found = bank._alone((x, P))
+        if first >= 0:
+            found = bank._alone((x, P), first, found.of(first))
+        for k, columns in enumerate(own):
+            given = M[columns, columns], slope[columns]
+            if first >= 0 and k != first:
+                given = of_evidence.beside(M, slope, own[first], columns)
+            if k != first:
+                nats, sizes, inverse = of_evidence.by_eigenvalues(*given)
+                root, g = found.of(k)
+                same(root @ root.T, inverse, SOLVED)
+                same(root @ g, sizes, 1e-9)
+                assert found.nats[k] == pytest.approx(nats, rel=1e-9, abs=1e-9)
+                assert found.sizes[k] == pytest.approx(np.sqrt((sizes**2).mean()))
+
+
+def test_what_is_no_covariance_has_no_evidence_without_bounds():
+    rng, size = np.random.default_rng(5), 30
+    suspect, P = Suspect("all", np.arange(size), np.eye(size), 0.1), rng.normal(size=(size, size))
+    M = 2.0 * np.eye(size) - (P + P.T)
+    assert np.linalg.eigvalsh(M).min() < -5.0
+    found = Bank([suspect], np.ones(size))._alone((np.ones(size), P + P.T))
+    assert 0.0 < np.abs(found.out).max() < np.linalg.norm(M)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_evidence_of_steps_and_of_each_two(seed):
+    rng, suspects = np.random.default_rng(seed), random_suspects(seed)[0]
+    widths = [one.along.shape[1] for one in suspects]
+    seen, d = rng.normal(size=(30, sum(widths))), 5.0 * rng.normal(size=sum(widths))
+    steps = Changed(np.zeros((1, len(d))), d, seen.T @ seen, np.zeros((1, 0)))
+    odds = np.log([one.odds for one in suspects])
+    for farthest in (np.inf, 0.4):
+        for ours, theirs in zip(
+            steps.evidence(suspects, farthest), of_evidence.pairs(widths, d, steps.J, odds, farthest), strict=True
+        ):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+        assert (np.array(widths) == 1).sum() >= 3
 
 
 @pytest.mark.parametrize("kernel", [smoothing.SPLINE, kinematics.filter_kernel()])

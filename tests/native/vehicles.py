@@ -11,6 +11,7 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
+from onboard.identification.evidence.bank import Suspect
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 PERIOD_s = 0.01
@@ -76,3 +77,16 @@ def on_table(case: Case, seed: int) -> OnTable:
     run = PlanarRun(case.vehicle, FlightSignals(PERIOD_s, *motion, *np.ones((2, n, 3)), *np.ones((2, 3)), 1))
     drag = PlanarDrag(rng.normal(size=(k, 2)), *rng.uniform(0.0, 1.0, (2, k)), 2e-3, tuple(rng.normal(size=3).tolist()))
     return OnTable(run, 0.3 * rng.normal(size=3), case.vehicle.chi, drag, 0.1 * rng.normal(size=2), case.free)
+
+
+def random_suspects(seed: int) -> tuple[list[Suspect], np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Suspects of one to twelve constants, the stated sigmas of these, and what some readings tell of them."""
+    rng, size = np.random.default_rng(seed), 14
+    sigma, suspects = rng.uniform(0.1, 2.0, size), list[Suspect]()
+    for k in range(6):
+        at = np.sort(rng.permutation(size)[: rng.integers(1, 13)])
+        along = rng.normal(size=(len(at), 1 if k < 3 else int(rng.integers(1, len(at) + 1))))
+        suspects.append(Suspect(f"suspect {k}", at, along, float(rng.uniform(1e-3, 0.1))))
+    H = rng.normal(size=(10, size))
+    covariance = np.linalg.inv(np.diag(sigma**-2) + H.T @ H)
+    return suspects, sigma, (covariance @ (H.T @ rng.normal(size=10)), covariance)

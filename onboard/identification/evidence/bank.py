@@ -16,6 +16,8 @@ kept; mean and covariance are computed of the few hypotheses that are asked for.
 such terms is taken back to "as stated" by the same rule with ``-(1 + D' U + U' P U)`` in place of M.
 """
 
+import ctypes
+import math
 from collections.abc import Callable, Collection, Sequence
 from itertools import accumulate, pairwise
 from operator import attrgetter
@@ -27,6 +29,7 @@ from scipy.linalg import block_diag
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
 from onboard.identification.evidence.mixture import Known, Mixture
+from onboard.native import library, structures
 
 Judged = tuple[tuple[str, ...], tuple[str, ...]]  # reasons to refuse an answer, and to doubt it
 
@@ -73,33 +76,19 @@ class Changed(NamedTuple):
         """Of each two over that of none, and the logarithm of its weight, (n, n); on the diagonal of each alone.
 
         Args:
-            suspects: n, of which the steps are, with one column each or all others as many. Of two of which one has
-                several it is none: they are not looked for.
+            suspects: n, of which the steps are, with one column each or several. Of two of which one has several it is
+                none: they are not looked for.
             farthest: size from which on one of several has none, in its sigmas.
         """
-        columns = np.array([one.along.shape[1] for one in suspects], np.intp)
-        first, several = columns.cumsum() - columns, columns > 1
-        ones = (~several).nonzero()[0]
-        at = first[ones]
-        d, J = self.d[at], self.J[at[:, None], at]
-        M = 1.0 + np.maximum(J.diagonal(), 0.0)
-        alone, slope = 0.5 * d**2 / M - 0.5 * np.log(M), J / M[:, None]
-        left = np.maximum(M - J * slope, 1.0)  # of the second, given the first
-        nats = np.full((len(suspects), len(suspects)), -np.inf)
-        nats[ones[:, None], ones] = alone[:, None] + 0.5 * (d - d[:, None] * slope) ** 2 / left - 0.5 * np.log(left)
-        nats[ones, ones] = alone
-        if several.any():
-            own = first[several][:, None] + np.arange(columns.max())
-            values, V = np.linalg.eigh(np.eye(own.shape[1]) + self.J[own[:, :, None], own[:, None]])
-            values = np.maximum(values, 1.0)
-            along = (self.d[own][:, None] @ V)[:, 0]
-            sizes = np.abs(V @ (along / values)[..., None]).max(axis=(1, 2))
-            told = 0.5 * (along**2 / values - np.log(values)).sum(axis=1)
-            nats[several, several] = np.where(sizes < farthest, told, -np.inf)
-        odds = np.log([one.odds for one in suspects])
-        each, both = nats + odds, nats + odds + odds[:, None]
-        np.fill_diagonal(both, each.diagonal())
-        return nats, both
+        n, width = len(suspects), np.array([one.along.shape[1] for one in suspects], np.int64)
+        most = int(width.max(initial=0))
+        odds, work = np.log([one.odds for one in suspects]), np.empty(2 * most * (most + 1) + 1)
+        d = library.given(self.d, int(width.sum()))
+        J = library.given(self.J, len(d), len(d))
+        pointers = (library.address(part) for part in (width, d, J, odds))
+        out = np.empty((2, n, n))
+        library.call("heft_pairs", n, len(d), *pointers, farthest, library.address(work), out=out)
+        return out[0], out[1]
 
     def sizes(self, which: Sequence[int]) -> Known:
         """Of some steps, if these are there and no others: mean, (r,), and a root of the covariance, (r, r)."""
@@ -120,23 +109,23 @@ class Changed(NamedTuple):
         ``every``: also those that together weigh less than :data:`.LEAST_WEIGHT` beside the likeliest; ``farthest`` is
         that of :meth:`evidence`.
         """
-        (nats, logs), columns = self.evidence(suspects, farthest), columns_of(suspects)
-        alone = logs.diagonal()
-        least = logs.max(initial=0.0) + np.log(LEAST_WEIGHT)
-        ones = np.flatnonzero(every | (alone > least - np.log(max(len(alone), 1)))).tolist()
-        found = [self._hypothesis(suspects[k], columns[k], float(nats[k, k])) for k in ones]
-        second = logs > np.maximum(alone, alone[:, None]) + np.log(LIKELIER)
-        for k, other in np.argwhere(second & (logs > least)).tolist():
+        nats, logs = self.evidence(suspects, farthest)
+        ends, alone = list(accumulate((one.along.shape[1] for one in suspects), initial=0)), logs.diagonal()
+        least = float(logs.max(initial=0.0)) + math.log(LEAST_WEIGHT)
+        ones = (every | (alone > least - math.log(max(len(alone), 1)))).nonzero()[0].tolist()
+        found = [self._hypothesis(suspects[k], range(ends[k], ends[k + 1]), float(nats[k, k])) for k in ones]
+        second = np.maximum(alone, alone[:, None]) + math.log(LIKELIER)
+        for k, other in zip(*(part.tolist() for part in (logs > np.maximum(second, least)).nonzero()), strict=True):
             if k < other:
-                both, which = _both(suspects[k], suspects[other]), (*columns[k], *columns[other])
-                found.append(self._hypothesis(both, which, float(nats[k, other])))
+                which = (*range(ends[k], ends[k + 1]), *range(ends[other], ends[other + 1]))
+                found.append(self._hypothesis(_both(suspects[k], suspects[other]), which, float(nats[k, other])))
         return found
 
-    def _hypothesis(self, suspect: Suspect, which: tuple[int, ...], nats: float) -> Hypothesis:
+    def _hypothesis(self, suspect: Suspect, which: Sequence[int], nats: float) -> Hypothesis:
         (mean, root), at = self.sizes(which), [*which]
         size, g, D = float(np.abs(mean).max()), root.T @ self.d[at], self.D[:, at]
         moves = D * root if len(at) == 1 else D @ root
-        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, moves, which)
+        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, moves, (*which,))
 
 
 def columns_of(suspects: Sequence[Suspect]) -> list[tuple[int, ...]]:
@@ -244,7 +233,7 @@ class Bank:
     """
 
     def __init__(self, suspects: Sequence[Suspect], sigma: FloatArray) -> None:
-        self.suspects = tuple(suspects)
+        self.suspects, self._size = tuple(suspects), len(sigma)
         self._alike = np.array([one.alike for one in suspects], np.bool_)
         self._log_odds = np.log([one.odds for one in suspects])
         ends = np.cumsum([0, *(one.along.shape[1] for one in suspects)]).tolist()
@@ -257,21 +246,11 @@ class Bank:
         self.spanned: IndexArray = np.unique(np.concatenate([np.zeros(0, np.intp), *whole]))
         self._of_all = every[self.at] / sigma[self.at, None] ** 2
         self._inner = np.eye(every.shape[1]) + every[self.at].T @ self._of_all
-        self._inside = self.at[:, None] * len(sigma) + self.at  # their covariance in that of the state
         self._slopes = [one.along / sigma[one.at, None] ** 2 for one in suspects]
-        shapes = [one.along.shape for one in suspects]
-        self._alone = [
-            _Alike.of(
-                [k for k, one in enumerate(shapes) if one == shape], suspects, self._slopes, self._columns, len(sigma)
-            )
-            for shape in dict.fromkeys(shapes)
-        ]
-        columns = [alike.slopes.shape[2] for alike in self._alone]
-        same = [[k for k, one in enumerate(columns) if one == r] for r in dict.fromkeys(columns)]
-        self._of_columns = [([one for k in groups for one in self._alone[k].which], groups) for groups in same]
-        fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner, self._inside]
+        self._compiled, self._places = self._struct()
+        fixed = [self.at, self.spanned, self._alike, self._log_odds, self._of_all, self._inner]
         fixed += [part for one in suspects for part in (one.at, one.along)]
-        for part in (*fixed, *self._slopes, *(part for alike in self._alone for part in alike[1:])):
+        for part in (*fixed, *self._slopes):
             part.setflags(write=False)  # a checkpoint refers to it by name
 
     def freed(self, known: Known, which: Sequence[int]) -> Known:
@@ -325,57 +304,59 @@ class Bank:
             steps: further hypotheses.
             beyond: nats of each suspect that its evidence in this linear model does not have.
         """
-        x, P = stated
-        M = [alike.inner - alike.slopes_T @ (P.take(alike.inside) @ alike.slopes) for alike in self._alone]
-        slope = [(x[alike.at][:, None] @ alike.slopes)[:, 0] for alike in self._alone]
-        found, pairs = self._each(M, slope), list[Hypothesis]()
-        logs = np.append(0.0, self._log_weights(found) + beyond)
-        likeliest = int(np.argmax(logs)) - 1
-        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found[likeliest].size < FARTHEST_SIZE:
+        found, pairs = self._alone(stated), list[Hypothesis]()
+        logs, n = np.append(0.0, self._log_weights(found) + beyond), len(self.suspects)
+        likeliest = int(logs.argmax()) - 1
+        if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found.sizes[likeliest] < FARTHEST_SIZE:
             counting = np.flatnonzero(logs[1:] > logs.max() + np.log(LEAST_WEIGHT))
             for first in counting.tolist():
-                if found[first].size < FARTHEST_SIZE:
-                    both, more = self._pairs(first, found[first], M, slope, P, {one.numbers for one in pairs})
+                if found.sizes[first] < FARTHEST_SIZE:
+                    both, more = self._pairs(first, found, stated, {one.numbers for one in pairs})
                     pairs += both
                     logs = np.append(logs, logs[1 + first] + np.array(more))
-        logs = np.append(logs, [one.nats + np.log(one.suspect.odds) for one in steps if one.suspect is not None])
+        of_steps = [one.nats + math.log(one.suspect.odds) for one in steps if one.suspect is not None]
+        logs = np.concatenate([logs, of_steps])
         weights = np.exp(logs - logs.max())
-        none, *each = (weights / weights.sum()).tolist()
-        every = [Hypothesis(None, (), none, 0.0, 0.0, *_NONE)]
-        for k, (one, weight, slopes) in enumerate(zip(found, each, self._slopes, strict=False)):
-            every.append(Hypothesis(self.suspects[k], (k,), weight, one.nats, one.size, slopes, one.whiten, one.g))
-        added = zip([*pairs, *steps], each[len(found) :], strict=True)
+        weights /= weights.sum()
+        every = [Hypothesis(None, (), float(weights[0]), 0.0, 0.0, *_NONE)]
+        numbers = zip(*(part.tolist() for part in (weights[1 : 1 + n], found.nats, found.sizes)), strict=True)
+        for k, (one, slopes, (weight, nats, size)) in enumerate(zip(self.suspects, self._slopes, numbers, strict=True)):
+            every.append(Hypothesis(one, (k,), weight, nats, size, slopes, *found.of(k)))
+        added = zip([*pairs, *steps], weights[1 + n :].tolist(), strict=True)
         every += [one._replace(weight=weight) for one, weight in added]
         return Weighed(stated, tuple(every))
 
-    def _each(self, M: Sequence[FloatArray], slope: Sequence[FloatArray]) -> list["_Alone"]:
-        """Each suspect by itself, by the matrices, (n, r, r), and the gradients, (n, r), of those that are alike."""
-        found = dict[int, _Alone]()
-        for which, groups in self._of_columns:
-            matrix, gradient = (np.concatenate([part[k] for k in groups]) for part in (M, slope))
-            told, V = np.linalg.eigh(matrix) if matrix.shape[1] > 1 else (matrix[:, 0], _ONE)
-            scale = np.sqrt(np.maximum(told, 1.0))  # (n, r); below one by rounding
-            whiten = V / scale[:, None]
-            g = (gradient[:, None] @ whiten)[:, 0]
-            nats = 0.5 * (g * g).sum(axis=1) - np.log(scale).sum(axis=1)
-            sizes = np.sqrt(((g / scale) ** 2).mean(axis=1))
-            found.update(zip(which, map(_Alone, nats.tolist(), sizes.tolist(), whiten, g), strict=True))
-        return [found[k] for k in range(len(found))]
+    def _struct(self) -> tuple[structures.BankStruct, list[tuple[slice, slice]]]:
+        """The suspects for the compiled core, and where it puts the root and the gradient of each."""
+        count, width = (np.array([one.along.shape[k] for one in self.suspects], np.int64) for k in (0, 1))
+        at = np.concatenate([np.zeros(0, np.int64), *(one.at for one in self.suspects)])
+        slopes = np.concatenate([np.zeros(0), *(slope.ravel() for slope in self._slopes)])
+        numbers = self._size, len(self.suspects), len(self._inner), len(at)
+        made = structures.BankStruct(*numbers, count, width, library.indices(at, self._size), slopes, self._inner)
+        for part in (count, width, at, slopes):
+            part.setflags(write=False)
+        ends = accumulate((part for r in width.tolist() for part in (r * r, r)), initial=2 * len(self.suspects))
+        parts = [slice(*pair) for pair in pairwise(ends)]
+        return made, list(zip(parts[::2], parts[1::2], strict=True))
 
-    def _log_weights(self, found: Sequence["_Alone"]) -> FloatArray:
+    def _alone(self, stated: Known, first: int = -1, given: tuple[FloatArray, ...] = ()) -> "_Alone":
+        """Each suspect by itself, or beside the first, of which root and gradient are given."""
+        p, n = self._size, len(self.suspects)
+        known = library.given(stated[0], p), library.given(stated[1], p, p)
+        end, r = self._places[-1][1].stop if n else 0, len(given[1]) if given else 0
+        out = np.empty(end + r * len(self._inner))
+        pointers = [library.address(part) for part in (*known, *(given or (None, None)))]
+        library.call("heft_alone", ctypes.byref(self._compiled), *pointers[:2], first, *pointers[2:], out=out)
+        return _Alone(out[:n], out[n : 2 * n], out, self._places, out[end:].reshape(-1, r or 1))
+
+    def _log_weights(self, found: "_Alone") -> FloatArray:
         """Logarithms of the weights of suspects over that of none of them."""
-        nats = np.array([one.nats for one in found])
+        nats = found.nats.copy()
         nats[self._alike] = nats[self._alike].max(initial=-np.inf)  # they differ only by the linearisation
         return np.asarray(nats + self._log_odds, np.float64)
 
     def _pairs(
-        self,
-        first: int,
-        alone: "_Alone",
-        M: Sequence[FloatArray],
-        slope: Sequence[FloatArray],
-        P: FloatArray,
-        known: Collection[tuple[int, ...]],
+        self, first: int, alone: "_Alone", stated: Known, known: Collection[tuple[int, ...]]
     ) -> tuple[list[Hypothesis], list[float]]:
         """Pairs of the first suspect with each other whose odds, given the first, are above one half; log weights.
 
@@ -383,23 +364,19 @@ class Bank:
         those of the first (the Schur complement in M), so that the evidence of both is the sum of the two. A fault
         without evidence is not added to another: a cell's scale beside a wrong base mass would widen every answer.
         """
-        one, own, U = self.suspects[first], self._columns[first], self._of_all
-        onto = (self._inner[:, own] - U.T @ (P.take(self._inside) @ U[:, own])) @ alone.whiten  # (R, r) of all columns
-        of_each = [onto[alike.columns] for alike in self._alone]
-        left = [matrix - part @ part.swapaxes(1, 2) for matrix, part in zip(M, of_each, strict=True)]
-        given = self._each(left, [each - part @ alone.g for each, part in zip(slope, of_each, strict=True)])
-        pairs, logs = list[Hypothesis](), list[float]()
-        for k, (two, log) in enumerate(zip(given, self._log_weights(given).tolist(), strict=True)):
-            if k == first or (k, first) in known or log < np.log(LIKELIER) or two.size >= FARTHEST_SIZE:
+        (root, g), nats, size = alone.of(first), float(alone.nats[first]), float(alone.sizes[first])
+        one, given = self.suspects[first], self._alone(stated, first, (root, g))
+        pairs, logs, weights = list[Hypothesis](), list[float](), self._log_weights(given)
+        for k in ((weights >= np.log(LIKELIER)) & (given.sizes < FARTHEST_SIZE)).nonzero()[0].tolist():
+            if k == first or (k, first) in known:
                 continue
-            other, r = self.suspects[k], len(alone.g)
-            whiten = block_diag(alone.whiten, two.whiten)
-            whiten[:r, r:] = -alone.whiten @ onto[self._columns[k]].T @ two.whiten
-            parts = block_diag(self._slopes[first], self._slopes[k]), whiten, np.concatenate([alone.g, two.g])
-            pairs.append(
-                Hypothesis(_both(one, other), (first, k), 1.0, alone.nats + two.nats, max(alone.size, two.size), *parts)
-            )
-            logs.append(log)
+            other, r, (own, more) = self.suspects[k], len(g), given.of(k)
+            whiten = block_diag(root, own)
+            whiten[:r, r:] = -root @ given.onto[self._columns[k]].T @ own
+            sizes = nats + float(given.nats[k]), max(size, float(given.sizes[k]))
+            parts = block_diag(self._slopes[first], self._slopes[k]), whiten, np.concatenate([g, more])
+            pairs.append(Hypothesis(_both(one, other), (first, k), 1.0, *sizes, *parts))
+            logs.append(float(weights[k]))
         return pairs, logs
 
 
@@ -410,38 +387,19 @@ def _both(one: Suspect, other: Suspect) -> Suspect:
 
 
 class _Alone(NamedTuple):
-    """A suspect by itself, not weighed: see :class:`Hypothesis`."""
+    """Suspects, each by itself or beside another one, not weighed: see :class:`Hypothesis`."""
 
-    nats: float
-    size: float
-    whiten: FloatArray  # (r, r)
-    g: FloatArray  # (r,)
+    nats: FloatArray  # (n,)
+    sizes: FloatArray  # (n,)
+    out: FloatArray  # what the compiled core has put
+    places: Sequence[tuple[slice, slice]]  # there of ``whiten`` and ``g``
+    onto: FloatArray  # (R, r) columns of all along those of the other one
 
-
-class _Alike(NamedTuple):
-    """n suspects of as many constants and columns each, for which all is done at once."""
-
-    which: list[int]  # their numbers
-    columns: IndexArray  # (n, r) among all suspects'
-    at: IndexArray  # (n, k) places of the constants in the state
-    inside: IndexArray  # (n, k, k) places of their covariances in that of the state
-    slopes: FloatArray  # (n, k, r) U
-    slopes_T: FloatArray  # noqa: N815 - (n, r, k) U'
-    inner: FloatArray  # (n, r, r) 1 + D' U
-
-    @staticmethod
-    def of(
-        which: list[int], suspects: Sequence[Suspect], slopes: Sequence[FloatArray], columns: Sequence[slice], size: int
-    ) -> "_Alike":
-        """Some of all suspects, in a state of this size."""
-        at, along = (np.array(part) for part in zip(*((suspects[k].at, suspects[k].along) for k in which), strict=True))
-        U = np.array([slopes[k] for k in which])
-        own = np.array([np.arange(columns[k].start, columns[k].stop) for k in which])
-        U_T = np.ascontiguousarray(U.swapaxes(1, 2))
-        inner = np.eye(U.shape[2]) + along.swapaxes(1, 2) @ U
-        return _Alike(which, own, at, at[:, :, None] * size + at[:, None], U, U_T, inner)
+    def of(self, which: int) -> tuple[FloatArray, FloatArray]:
+        """``whiten`` and ``g`` of one."""
+        root, g = (self.out[part] for part in self.places[which])
+        return root.reshape(len(g), len(g)), g
 
 
 _NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
-_ONE = np.ones((1, 1, 1))  # eigenvectors of a number
 _WEIGHT = attrgetter("weight")

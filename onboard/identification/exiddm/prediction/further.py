@@ -251,10 +251,11 @@ def fade(processes: Sequence[tuple[int, float]], after_s: float, state: FloatArr
     if not processes:
         return
     at, memory_s = zip(*processes, strict=True)
-    where, left = list(at), np.exp(-after_s / np.array(memory_s))
-    state[where] *= left
-    covariance[where] *= left[:, None]
-    covariance[:, where] *= left
+    left = np.ones(len(state))
+    left[list(at)] = np.exp(-after_s / np.array(memory_s))
+    state *= left
+    covariance *= left[:, None]  # all of it, which takes a fifth of the time of some rows and columns
+    covariance *= left
 
 
 class PlacedImu(NamedTuple):
