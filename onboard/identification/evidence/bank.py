@@ -12,7 +12,8 @@ with the determinant is Occam's)
     log B = g' M^-1 g / 2 - log |M| / 2,   M = 1 + H
 
 and mean and covariance with it are ``x + P U M^-1 g`` and ``P + P U M^-1 U' P``. Nothing is solved anew, no tick is
-kept; mean and covariance are computed of the few hypotheses that are asked for. What a filter makes of a prior that has
+kept; mean and covariance are computed of the few hypotheses that are asked for, evidence in
+``onboard/native/src/evidence.c``. What a filter makes of a prior that has
 such terms is taken back to "as stated" by the same rule with ``-(1 + D' U + U' P U)`` in place of M.
 """
 
