@@ -157,7 +157,7 @@ class Rivals:
         if one.suspect is None or already or not weighed.contradicts:
             return (), (), 1.0
         if not one.steps:
-            return _counting(weighed), (), one.suspect.odds
+            return counting(weighed), (), one.suspect.odds
         # of each that counts the likeliest: which it is cannot be told
         steps_of = {each.suspect.name: each.steps for each in reversed(weighed.likely) if each.suspect and each.steps}
         return (), tuple(dict.fromkeys(k for which in steps_of.values() for k in which)), one.suspect.odds
@@ -245,7 +245,7 @@ class Rivals:
         if not weighed.contradicts or numbers <= set(self.freed) or not (held or numbers <= self._encoders):
             return None
         before = self.freed
-        self._also(_counting(weighed))
+        self._also(counting(weighed))
         known, steps = (state, covariance), self.steps.changed
         if before:
             known, steps = self._stated(known, before), self._bank.steps_as_stated(known, before, steps)
@@ -259,7 +259,7 @@ class Rivals:
         return self._bank.as_stated(known, freed) if freed else known
 
 
-def _counting(weighed: Weighed) -> tuple[int, ...]:
+def counting(weighed: Weighed) -> tuple[int, ...]:
     """Numbers of all suspects that count."""
     return tuple(k for one in weighed.likely for k in one.numbers)
 

@@ -28,6 +28,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.estimation.policy import MOST_CONTRADICTED, READING
+from onboard.identification.evidence.bank import Suspect
 from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
@@ -86,9 +87,11 @@ class WholeFlight:
         jumped: encoders that are others from some time on, s; no segment has ticks of before and after.
 
     Attributes:
+        predictor: the one given.
         names: of the p parameters: those of the predictor without the rate, rates, kinks of biases.
         stated: standard deviations (p,) before the flight; NaN where nothing is known.
-        sigma: those that the fit takes: as stated, or wider by :meth:`widen`, (p,).
+        sigma: those that the fit takes: as stated, or wider by :meth:`free`, (p,).
+        prior_information: of that, about zero, (p, p).
         segments: those that are fitted.
         time_s: of all their ticks, (n,).
         further: the predictor's instruments besides the first IMU, be they left out or not.
@@ -108,7 +111,7 @@ class WholeFlight:
         without: Collection[int] = (),
         jumped: Sequence[tuple[float, JumpedJoint]] = (),
     ) -> None:
-        self._predictor = predictor
+        self.predictor = predictor
         self.further, self.key_of = predictor.further, predictor.key_of
         self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
@@ -129,6 +132,8 @@ class WholeFlight:
         rest = np.full(3 * len(self.segments), np.nan), kinks, np.ones(len(of_jumps))
         self.stated = np.concatenate([payload_sigma, predictor.sigma[PAYLOAD.stop :], *rest])
         self.sigma = self.stated.copy()
+        self.prior_information = np.diag(np.nan_to_num(1.0 / self.sigma**2))
+        self._freed = predictor.of_bodies[:0]  # places in the predictor's state of what may be wrong
         pairs, first = len(drifts), self.constants + 3 * len(self.segments)
         self._of_lines: list[IndexArray] = [
             np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(len(self._kinks_s)))], np.intp)
@@ -141,6 +146,7 @@ class WholeFlight:
             for one in self.segments
         ]
         self._sigma = [one.ticks.sigma for one in self.segments]
+        self._glitches = 0  # lines left out by all fits
         self._left: list[FloatArray] = []  # whitened residuals of each segment, (n, lines), at the last evaluation
         of_base = np.array([*range(3, PAYLOAD.stop), *predictor.of_bodies], np.intp)
         lines = [*sum(predictor.biases, ()), *(drift for _, drift in predictor.pushes)]  # a force is constant here
@@ -153,11 +159,6 @@ class WholeFlight:
             for at, memory_s in predictor.wandering
             if at in own
         }
-
-    @property
-    def prior_information(self) -> FloatArray:
-        """(p, p), about zero."""
-        return np.diag(np.nan_to_num(1.0 / self.sigma**2))
 
     def zeros(self, fit: Fit, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Of the first IMU at a time, gyro and accelerometer, (6,), and their covariance; zeros if constant."""
@@ -172,12 +173,20 @@ class WholeFlight:
         x[: self.constants] = constants
         for k, one in enumerate(self.segments):
             at = self.constants + 3 * k
-            x[at : at + 3] = first_rate(self._predictor, one.ticks, self.state(x, k), self._imu)
+            x[at : at + 3] = first_rate(self.predictor, one.ticks, self.state(x, k), self._imu)
         return x
 
-    def widen(self, parameters: IndexArray, factor: float) -> None:
-        """Take the prior sigmas of some parameters for so many times as large."""
-        self.sigma[np.unique(parameters)] *= factor
+    def free(self, suspects: Sequence[Suspect]) -> None:
+        """Take what is stated for the prior, but that each of these suspects, places as in ``names``, may be wrong."""
+        self.sigma = self.stated.copy()
+        self.prior_information = np.diag(np.nan_to_num(1.0 / self.sigma**2))
+        at = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in suspects)]))
+        C = np.diag(self.stated[at] ** 2)
+        for one in suspects:
+            own = np.searchsorted(at, one.at)
+            C[np.ix_(own, own)] += one.along @ one.along.T
+        self.sigma[at], self._freed = np.sqrt(np.diag(C)), at + RATE.stop
+        self.prior_information[np.ix_(at, at)] = np.linalg.inv(C)
 
     def fit(self, start: FloatArray, stages_s: Sequence[float] = ()) -> FlightFit:
         """Maximum likelihood, first of the parts of each segment up to so many seconds, then of all ticks.
@@ -198,22 +207,13 @@ class WholeFlight:
         self.weigh(x)
         found = self._settle(x, _ROUGH)
         glitches, as_before = self._leave_out(), self.weigh(found.fit.x)
+        self._glitches += glitches
         near = _NEAR if found.promised < _LINEAR * found.gained else _FINE
         if glitches or not as_before or found.promised > near:
             found = self._settle(found.fit.x, near)
-        return self._found(found, glitches)
+        return self._found(found)
 
-    def fit_again(self, found: FlightFit) -> FlightFit:
-        """Maximum likelihood after :meth:`widen`, from the fit before it.
-
-        Raises:
-            ConvergenceError, SingularError, RowError, SignalError: as :meth:`fit`.
-        """
-        self._left, back, none = [found.residuals], -found.correction.shift, np.zeros(len(self.names))
-        known = tuple(block.without(none).moved(back) for block in found.blocks)
-        return self._found(self._settle(found.fit.x + back, _FINE, known=known), found.glitches)
-
-    def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
+    def _found(self, minimum: _Minimum) -> FlightFit:
         found, blocks, added = minimum.fit, minimum.blocks, self._noise_added(minimum.fit.x)
         correction = correction_of(found.covariance, sum(added, np.zeros(len(self.names))))
         if added:  # in one step: anew at its end, it is not sure to be smaller along what is hardly known
@@ -223,21 +223,21 @@ class WholeFlight:
         freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
         told = found, self.names, chi, covariance, correction, blocks, misfit, misfit_by_instrument(blocks)
-        return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
+        return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), self._glitches)
 
     def _noise_added(self, x: FloatArray) -> list[FloatArray]:
         """What noise of the joints' samples adds to the gradient of each block, (p,) each, at x; empty for nothing."""
         found, rest = list[FloatArray](), len(self.names) - self.constants
-        widths = [own.stop - own.start for own in self._predictor.lines]
+        widths = [own.stop - own.start for own in self.predictor.lines]
         each = [(np.repeat(use, widths, axis=1), sigma) for use, sigma in zip(self._use, self._sigma, strict=True)]
         ticks_of = ((one.ticks, self.state(x, k)) for k, one in enumerate(self.segments))
-        noise = (self._predictor.joint_noise(ticks.q, ticks.sample_sigma, state) for ticks, state in ticks_of)
+        noise = (self.predictor.joint_noise(ticks.q, ticks.sample_sigma, state) for ticks, state in ticks_of)
         noisy = any(is_noisy(one[1:-1], sigma[1:-1], use[1:-1]) for one, (use, sigma) in zip(noise, each, strict=True))
         for k, (one, (use, sigma)) in enumerate(zip(self.segments, each, strict=True) if noisy else ()):
             for along in self._along(x, k, np.inf):
                 here, before = along.ticks, along.ticks.start - 1
                 known = one.ticks.part(slice(before, here.stop + 1)), sigma[here], use[here], along.state
-                lines, _ = added_by_line(self._predictor, *known, before // BATCH_TICKS, along.predicted)
+                lines, _ = added_by_line(self.predictor, *known, before // BATCH_TICKS, along.predicted)
                 lines[:, PAYLOAD] *= one.held
                 for own in self.instruments:
                     if use[here, own.lines].any():
@@ -279,20 +279,17 @@ class WholeFlight:
                         found.append((float(one.ticks.time_s[along.ticks].mean()), float(r @ r)))
         return found
 
-    def _settle(
-        self, x: FloatArray, tolerance: float, length_s: float = np.inf, known: tuple[NormalEquations, ...] = ()
-    ) -> _Minimum:
-        """The minimum; the normal equations at x are not computed where they are ``known``."""
-        best = np.inf, x, known, self._left
+    def _settle(self, x: FloatArray, tolerance: float, length_s: float = np.inf) -> _Minimum:
+        best = np.inf, x, tuple[NormalEquations, ...](), self._left
         bests: list[float] = []
 
         def evaluate(at: FloatArray) -> Normal:
             nonlocal best
             if len(bests) == _EVALUATIONS:
                 raise ConvergenceError(f"not converged after {_EVALUATIONS} predictions of the flight")
-            blocks = known if known and not bests else tuple(self.blocks(at, length_s))
+            blocks = tuple(self.blocks(at, length_s))
             total = total_of(blocks, len(self.names))
-            cost = total.squares + float(np.nansum((at / self.sigma) ** 2))
+            cost = total.squares + float(at @ self.prior_information @ at)
             if cost < best[0]:
                 best = cost, at, blocks, self._left
             bests.append(best[0])
@@ -309,14 +306,15 @@ class WholeFlight:
         """Add the effect of the joints' noise, with the payload of x, to the IMU's; whether it is about as before."""
         before, self._sigma = self._sigma, []
         for k, one in enumerate(self.segments):
-            noise = self._predictor.joint_noise(one.ticks.q, one.ticks.joint_sigma, self.state(x, k))
+            off = np.union1d(self._freed, self._other[k].any(axis=1).nonzero()[0])
+            noise = self.predictor.joint_noise(one.ticks.q, self.predictor.rippled(one.ticks, off), self.state(x, k))
             self._sigma.append(np.hypot(one.ticks.sigma, noise))
         return all((np.abs(new - old) <= _SAME * old).all() for new, old in zip(self._sigma, before, strict=True))
 
     def _leave_out(self) -> int:
         """Leave out ticks of an instrument that the last fit contradicts, if these are few; returns how many lines."""
         out = 0
-        for device, own in enumerate(self._predictor.lines):
+        for device, own in enumerate(self.predictor.lines):
             limit = float(chdtri(own.stop - own.start, READING))
             far = [np.nan_to_num(left[:, own] ** 2).sum(axis=1) > limit for left in self._left]
             count = sum(int(one.sum()) for one in far)
@@ -332,22 +330,22 @@ class WholeFlight:
         state = np.concatenate([x[at : at + 3], x[: self.constants]])
         if not self.segments[segment].held:
             state[PAYLOAD] = 0.0
-        for bias_at, drift_at in self._predictor.biases:
+        for bias_at, drift_at in self.predictor.biases:
             state[bias_at] = state[drift_at] = 0.0
         return np.asarray(state + self._other[segment] @ x[len(x) - self._other.shape[2] :], np.float64)
 
     def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[_Along]:
         """Block by block along a segment."""
-        ticks, p = self.segments[segment].ticks, len(self._predictor.names)
-        last = min(len(ticks.time_s), max(SHORTEST_TICKS, round(min(length_s, 1e6) / self._predictor.period_s)))
+        ticks, p = self.segments[segment].ticks, len(self.predictor.names)
+        last = min(len(ticks.time_s), max(SHORTEST_TICKS, round(min(length_s, 1e6) / self.predictor.period_s)))
         state, d_rate, first = self.state(x, segment), np.eye(3, p), 0
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2
             some = ticks.part(slice(first, end))
-            predicted = self._predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
+            predicted = self.predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
             here = slice(first + 1, end - 1)
             lines, values = self._lines(ticks.time_s[here]), predicted.values
-            for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
+            for at, (bias_at, _) in zip(self._of_lines, self.predictor.biases, strict=True):
                 values = values + (lines @ x[at])[:, None] * predicted.jacobian[:, :, bias_at]
             yield _Along(here, values, predicted, state, d_rate, lines)
             transition = predicted.transition[RATE].copy()
@@ -371,7 +369,7 @@ class WholeFlight:
         if device not in self._wander:
             return r, sigma, None
         delay_at, ticks = self._wander[device]
-        effect = (along.predicted.jacobian[:, own, delay_at][use] / sigma).ravel() * self._predictor.sigma[delay_at]
+        effect = (along.predicted.jacobian[:, own, delay_at][use] / sigma).ravel() * self.predictor.sigma[delay_at]
         split = apart(effect, np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start))
         return split(r[:, None])[:, 0], sigma, split
 
@@ -395,7 +393,7 @@ class WholeFlight:
         columns = [seen - RATE.stop, np.arange(first, first + 3), others]
         lines = along.lines[use]  # (t, 2 + kinks)
         begun = lines.any(axis=0)
-        for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
+        for at, (bias_at, _) in zip(self._of_lines, self.predictor.biases, strict=True):
             by_bias = slopes[..., bias_at] / sigma
             if by_bias.any():
                 parts.append((by_bias[..., None] * lines[:, None, begun]).reshape(r.size, -1))

@@ -12,8 +12,8 @@ from onboard.dynamics.model.payload import standard_covariance, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.estimation.policy import DOUBT
 from onboard.identification.corrections import doubtful, refused_from
+from onboard.identification.evidence.bank import Suspect
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
@@ -24,7 +24,7 @@ from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
 from onboard.identification.whole_flight.segments import KINK_s, Segment, in_windows
-from onboard.identification.whole_flight.stated import KINDS, bodies_of, bound_of, freely, kinds_of, leans_on
+from onboard.identification.whole_flight.stated import bodies_of, bound_of, leans_on
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
@@ -46,10 +46,17 @@ def ticks():
 
 @pytest.fixture(scope="module")
 def predictor():
+    return predictor_of()
+
+
+def predictor_of(cyclic=()):
+    """Of the twin; rms of the cyclic errors of each joint."""
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
     chi = {name: vehicle.chi[10 * k : 10 * k + 10] for k, name in enumerate(vehicle.links)}
     links = {name: standard_covariance(chi[name], 0.03, 2e-3, 0.01) for name in ("base", "link_2")}
-    geometry = GeometryPrior(0.003, {joint.name: JointPrior(5e-4, 1e-3, 2e-4, 2e-4) for joint in vehicle.joints})
+    geometry = GeometryPrior(
+        0.003, {joint.name: JointPrior(5e-4, 1e-3, 2e-4, 2e-4, cyclic) for joint in vehicle.joints}
+    )
     return ImuPredictor(
         vehicle, "imu_base", 0.01, 5, links, PRIOR, geometry, key_of=lambda name: name.partition("_inertial_")[0]
     )
@@ -92,18 +99,27 @@ def test_normal_equations_of_a_fit_are_those_at_its_estimate(fitted):
     assert np.abs(at_the_minimum * sigma).max() < 0.02
 
 
-def test_a_fit_again_is_that_of_all_ticks_anew(ticks, predictor, fitted):
-    _, whole = fitted
-    again, anew = (WholeFlight(predictor, WIDE, segments(ticks)) for _ in range(2))
-    scales = np.array([k for k, name in enumerate(whole.names) if name.startswith("accelerometer_scale")])
-    again.fit(whole.fit.x)
-    for flight in (again, anew):
-        flight.widen(scales, 10.0)
-    found, expected = again.fit_again(whole), anew.fit(whole.fit.x)
-    sigma = np.sqrt(np.diag(expected.fit.covariance))
-    assert np.abs((expected.fit.x - whole.fit.x) / sigma).max() > 0.3  # it is another one
-    assert np.abs((found.fit.x - expected.fit.x) / sigma).max() < 0.03
-    np.testing.assert_allclose(np.sqrt(np.diag(found.fit.covariance)), sigma, rtol=0.01)
+def wider_by(flight, begins, factor):
+    """Parameters whose names begin so, in sigmas so many times as large."""
+    at = np.array([k for k, name in enumerate(flight.names) if name.startswith(begins)])
+    return Suspect(begins, at, np.sqrt(factor**2 - 1.0) * np.diag(flight.stated[at]), 1.0)
+
+
+def test_what_may_be_wrong_is_added_to_the_prior_and_taken_out_again(predictor, ticks):
+    flight = WholeFlight(predictor, WIDE, segments(ticks))
+    stated = flight.prior_information.copy()
+    both = [wider_by(flight, "base_inertial", 2.0), wider_by(flight, "base_inertial_2", 3.0)]
+    flight.free(both)
+    C = np.diag(np.where([name.startswith("base_inertial") for name in flight.names], flight.stated**2, 0.0))
+    for one in both:
+        C[np.ix_(one.at, one.at)] += one.along @ one.along.T
+    np.testing.assert_allclose(
+        np.linalg.inv(flight.prior_information[np.ix_(both[0].at, both[0].at)]), C[np.ix_(both[0].at, both[0].at)]
+    )
+    np.testing.assert_allclose(flight.sigma[both[0].at], np.sqrt(np.diag(C))[both[0].at])
+    flight.free(())
+    np.testing.assert_array_equal(flight.prior_information, stated)
+    np.testing.assert_array_equal(flight.sigma, flight.stated)
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +143,6 @@ def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predi
     np.testing.assert_allclose(found.correction.shift, found.fit.covariance @ added)
     left = total_of(found.blocks, len(added)).gradient + flight.prior_information @ found.fit.x
     assert np.abs(left * sigma).max() < 0.02
-    again = flight.fit_again(found)
-    assert np.abs((again.fit.x - found.fit.x) / sigma).max() < 0.1  # begun with the noise, which is taken out again
 
 
 def test_noise_of_the_joints_may_be_known_of_a_part_of_the_flight(noisy, predictor, fitted):
@@ -199,6 +213,21 @@ def test_a_flight_is_fitted_as_a_whole_where_an_encoder_jumps(ticks, predictor, 
     if scale:
         unknowing = WholeFlight(predictor, WIDE, parts)
         assert unknowing.fit(started(unknowing, predictor, 1.1 * standard_of(TRUTH))).misfit > 1.5
+
+
+def test_cyclic_errors_are_noise_after_a_jump_that_may_have_changed_a_scale(ticks):
+    predictor = predictor_of((1e-3,))
+    functions = np.random.default_rng(2).normal(size=(len(ticks.time_s), 3, 10)) * [[1.0], [10.0], [100.0]]
+    joint = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2))
+    squares = []
+    for jumps in ((), ((CAPTURE_s, joint),)):
+        flight = WholeFlight(predictor, WIDE, segments(ticks._replace(cyclic=functions)), (), jumps)
+        x = started(flight, predictor, standard_of(TRUTH))
+        flight.weigh(x)
+        squares.append([total_of([b for b in flight.blocks(x) if b.held == held], len(x)).squares for held in (0, 1)])
+    (free, held), (free_too, after) = squares
+    assert free_too == free
+    assert after < 0.9 * held
 
 
 def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
@@ -329,15 +358,21 @@ def scaled(ticks, columns, factor):
     return segments(ticks._replace(measured=measured))
 
 
-def test_a_kind_as_stated_is_likely_and_not_freed(fitted):
-    flight, found = fitted
-    kinds = kinds_of(flight, found)
-    stated = {name for name in KINDS if "cross_axis" not in name} - {"mounting_rad"}
-    assert {one.name for one in kinds} == stated
-    assert sum(one.common for one in kinds) == len(stated) - 1  # a delay has no axes
-    assert all(one.freedom == (1 if one.common or one.name == "delay_s" else 3) for one in kinds)
-    assert kinds[0].chance > DOUBT
-    assert freely(flight, found, kinds) is found
+def fitted_freely(flight, whole):
+    """A fit in which what is likely wrong is free."""
+    return witnesses.fitted(flight, whole.fit.x, (), lambda time_s: 0)
+
+
+def test_of_a_flight_as_stated_nothing_is_free(ticks, predictor, fitted):
+    _, whole = fitted
+    flight = WholeFlight(predictor, WIDE, segments(ticks))
+    made = fitted_freely(flight, whole)
+    assert not made.names
+    assert made.passes
+    np.testing.assert_array_equal(flight.sigma, flight.stated)
+    sigma = np.sqrt(np.diag(whole.chi_covariance))
+    assert np.abs((made.found.chi - whole.chi) / sigma).max() < 0.3
+    assert (np.sqrt(np.diag(made.found.chi_covariance)) >= 0.99 * sigma).all()  # what may be wrong is in it
 
 
 def test_links_and_joints_are_tested_together_in_what_the_flight_tells_of_them(ticks, predictor, fitted):
@@ -359,25 +394,20 @@ def test_links_and_joints_are_tested_together_in_what_the_flight_tells_of_them(t
     assert [one for one in (*said.findings.doubts, *said.findings.against) if "links and joints are not" in one]
 
 
-@pytest.mark.parametrize(
-    ("columns", "factor", "kind"), [([3, 4, 5], 0.93, "accelerometer_scale"), ([0, 1, 2], 1.05, "gyro_scale")]
-)
-def test_a_scale_of_all_axes_is_found_and_fitted_freely(ticks, predictor, fitted, columns, factor, kind):
+@pytest.mark.parametrize(("columns", "factor"), [([3, 4, 5], 0.88), ([0, 1, 2], 1.05)])
+def test_a_scale_of_all_axes_is_named_and_free(ticks, predictor, fitted, columns, factor):
     _, whole = fitted
     flight = WholeFlight(predictor, WIDE, scaled(ticks, columns, factor))
     stated = flight.fit(whole.fit.x)
-    kinds = kinds_of(flight, stated)
-    assert (kinds[0].name, kinds[0].common) == (kind, True)
-    assert kinds[0].chance < 1e-4
-    assert f"{kind} of the IMU, common to its axes, is not as stated" in kinds[0].text
-    free = freely(flight, stated, kinds)
-    off, wrong = (np.abs(one.chi - standard_of(TRUTH))[0] for one in (free, stated))
-    assert off < 2.0 * np.sqrt(free.chi_covariance[0, 0])
+    free = fitted_freely(flight, whole)
+    assert free.names[0] == "imu"
+    off, wrong = (np.abs(one.chi - standard_of(TRUTH))[0] for one in (free.found, stated))
+    assert off < 2.0 * np.sqrt(free.found.chi_covariance[0, 0])
     assert off < 0.5 * wrong
 
 
 def test_the_bound_is_that_of_what_is_stated_and_the_truth_gives_the_same(ticks, predictor, fitted):
-    """Where a kind was fitted freely too, which widens the interval of the mass."""
+    """Where something was fitted freely too, which widens the interval of the mass."""
     flight, whole = fitted
     bound = bound_of(flight, whole)
     np.testing.assert_allclose(bound, np.sqrt(np.diag(whole.payload.covariance)), rtol=1e-6)
@@ -389,21 +419,11 @@ def test_the_bound_is_that_of_what_is_stated_and_the_truth_gives_the_same(ticks,
     np.testing.assert_allclose(bound, bound_of(true, there), rtol=0.02)
     flight = WholeFlight(predictor, WIDE, scaled(ticks, [3, 4, 5], 0.93))
     stated = flight.fit(whole.fit.x)
-    free = freely(flight, stated, kinds_of(flight, stated))
+    free = fitted_freely(flight, whole).found
     wider = np.sqrt(np.diag(free.payload.covariance)) / bound_of(flight, free)
     assert (wider >= 1.0).all()
     assert wider[0] > 1.1
     np.testing.assert_allclose(bound_of(flight, free), bound_of(flight, stated), rtol=0.05)
-
-
-def test_the_chi_squared_of_a_kind_is_what_the_fit_gains_without_its_sigmas(ticks, predictor, fitted):
-    _, whole = fitted
-    flight = WholeFlight(predictor, WIDE, scaled(ticks, [4], 1.02))
-    stated = flight.fit(whole.fit.x)
-    [kind] = [one for one in kinds_of(flight, stated) if one.name == "accelerometer_scale" and not one.common]
-    assert kind.freedom == 3
-    flight.widen(kind.parameters, 1e4)
-    assert stated.fit.residual_sum - flight.fit(stated.fit.x).fit.residual_sum == pytest.approx(kind.squares, rel=0.02)
 
 
 def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predictor, fitted):
@@ -415,7 +435,7 @@ def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predict
     [told] = re.findall(r"base \(([0-9.]+) %\)", said[0])
     rows = total_of(found.blocks, len(found.names)).information
     stated = inverse_of(rows + flight.prior_information)[0, 0]
-    flight.widen(np.array([k for k, name in enumerate(found.names) if name.startswith("base_inertial")]), 1.01)
+    flight.free([wider_by(flight, "base_inertial", 1.01)])
     wider = inverse_of(rows + flight.prior_information)[0, 0]
     effect = np.sqrt((wider - stated) / 0.02) / found.chi[0]
     assert float(told) / 100.0 == pytest.approx(effect, rel=0.05)

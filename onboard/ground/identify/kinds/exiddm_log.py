@@ -45,8 +45,7 @@ from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Segment, in_windows
-from onboard.identification.whole_flight.stated import freely
-from onboard.identification.whole_flight.witnesses import Tested, tested, without_each
+from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import EncoderJump
 
@@ -141,19 +140,12 @@ class _Flight:
             why = f"as a payload was held for {held_s:.2g} s, {needed}" if held_s else "while nothing was held"
             idle = {} if failure else {why: seen}
             return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
-        try:
-            fit = freely(best.flight, best.found, best.kinds)
-        except EstimationError as error:
-            return likelihood_log.no_answer(
-                kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}"
-            )
-        if fit.glitches:
-            refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
-        made = best._replace(found=fit)
+        if best.found.glitches:
+            refused = {**refused, "residual": refused.get("residual", 0) + best.found.glitches}
         said = likelihood_log.identified_of(
-            kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names)
+            kept._replace(refused=refused), fitted_of(best, self._period_s, self._online.row_names)
         )
-        return said.with_before(self._before(made))
+        return said.with_before(self._before(best))
 
     def _misread(self) -> str:
         """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""
@@ -212,7 +204,7 @@ class _Flight:
         start = flight.start(known.constants)
         made, failure = None, None
         try:
-            made = tested(flight, flight.fit(start, known.stages_s), phase_at)
+            made = fitted(flight, start, known.stages_s, phase_at)
             start = made.found.fit.x
         except (EstimationError, ModelError) as error:
             failure = error
@@ -227,7 +219,8 @@ class _Flight:
         if made is None:
             assert failure is not None
             raise failure
-        doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
+        doubts = [f"not as stated: {' or '.join(made.names)}"] if made.names else []
+        doubts += [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
         doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
         doubts += [jumped_text(", ".join(dict(self._jumps)))] * bool(self._jumps)
         several = (

@@ -32,7 +32,7 @@ from onboard.identification.standing import Level
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.segments import Segment
-from onboard.identification.whole_flight.witnesses import Tested, tested
+from onboard.identification.whole_flight.witnesses import Tested, fitted
 from onboard.recording.reader import LogReader
 
 _STAGES_s = (4.0,)  # part of each run that is fitted first
@@ -96,15 +96,15 @@ def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
     for one in sorted(flown, key=lambda one: -_liveliness(one.flight)):
         try:
             start = one.flight.start(constants)
-            found = one.flight.fit(start, () if known else _STAGES_s)
-            made = tested(one.flight, found, lambda _: 0)
+            made = fitted(one.flight, start, () if known else _STAGES_s, lambda _: 0)
         except (EstimationError, ModelError):
+            one.flight.free(())
             continue  # it may still count for something beside the others
-        one.start = found.fit.x
+        one.start = made.found.fit.x
         one.said = identified_of(kit.kept, fitted_of(made, kit.kept.period_s, kit.online.row_names))
         one.refused = "; ".join(_against(made))
         if not one.refused and not known:
-            constants, known = found.fit.x[: len(constants)].copy(), True
+            constants, known = made.found.fit.x[: len(constants)].copy(), True
 
 
 def _liveliness(flight: WholeFlight) -> float:
@@ -115,6 +115,7 @@ def _against(made: Tested) -> tuple[str, ...]:
     """Why a run is not to be pooled: a test fails. That it determines little is no reason."""
     misfit = made.found.misfit
     against = made.findings.against
+    against += (f"not as stated: {' or '.join(made.names)}",) * bool(made.names)
     return (*against, f"{misfit:.1f} times the noise is left over") if misfit > MISFIT_REFUSED else against
 
 
