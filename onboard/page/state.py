@@ -15,7 +15,7 @@ from drivers.records import EVENT, GAP, Batch, Rows
 from onboard import channels
 from onboard.flight.health.status import CAUTION, MEANINGS, NO_HEALTH, Status, words
 from onboard.page.signals import PageSignals
-from onboard.recording.format.texts import printable
+from onboard.recording.format.texts import listed, printable
 from onboard.timebase.clock import ClockState
 
 LEVELS = ("good", "weak", "do not use")  # onboard.identification.standing, which takes 30 MB to import
@@ -31,7 +31,6 @@ _COMPUTER = (
     *("computer_idle_percent", "memory_free_mb", "disk_free_mb", "temperature_deg_c", "estimator_lag_s"),
     *("recorder_backlog_percent", "not_recorded", "restarts"),
 )
-_SHOWN_REASON = 6  # names in a reason
 
 
 @dataclass
@@ -300,9 +299,8 @@ class PageState:
                 why = "not estimated" if answer is None else ": ".join(filter(None, (answer["level"], answer["why"])))
                 of_reason.setdefault(why, []).append(name)
         for why, those in of_reason.items():
-            shown = those if len(those) <= _SHOWN_REASON else [*those[:3], f"{len(those) - 3} more"]
             against = why.startswith(LEVELS[2])
-            yield "against" if against else "open", f"{', '.join(shown)}: {why}"
+            yield "against" if against else "open", f"{listed(those)}: {why}"
 
     def _devices(self, now_ns: int) -> list[dict[str, Any]]:
         return [

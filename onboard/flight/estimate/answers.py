@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Batch, Rows, Severity, event
+from drivers.records import EVENT, Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
@@ -19,6 +19,7 @@ from onboard.identification.exiddm.innovation import ReferenceErrors
 from onboard.identification.quantities import Estimate, Findings, outer_of
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
+from onboard.recording.format.texts import listed
 
 
 def innovation_rows(now_ns: int, told: Sequence[ReferenceErrors]) -> Rows:
@@ -96,11 +97,10 @@ class Answers:
         self._withdrawn = (self._withdrawn | set(gone)) - set(back)
         said = []
         if gone:
-            text = f"{', '.join(name.decode() for name in gone)}: {refused[gone[0]]['why'].decode()}"
-            said.append(event(now_ns, Severity.WARNING, "withdrawn", "estimation", text))
+            text = f"{_listed(gone)}: {refused[gone[0]]['why'].decode()}"
+            said.append(event(now_ns, Severity.WARNING, "withdrawn", "estimation", _shortened(text, _TEXT).decode()))
         if back:
-            text = ", ".join(name.decode() for name in back)
-            said.append(event(now_ns, Severity.INFO, "answers_again", "estimation", text))
+            said.append(event(now_ns, Severity.INFO, "answers_again", "estimation", _listed(back)))
         return said
 
 
@@ -118,13 +118,17 @@ def _of_all(findings: Findings) -> Standing:
 
 _NUMBERS = ["value", "sigma", "low", "high", "low_999", "high_999", "drawn"]
 _OF_QUANTITY = [*_NUMBERS, "supported", "unit", "name", "level", "why"]
-WHY = channels.QUANTITY["why"].itemsize
+WHY, _TEXT = channels.QUANTITY["why"].itemsize, EVENT["text"].itemsize
 
 
-def _shortened(why: str) -> bytes:
+def _listed(names: Sequence[bytes]) -> str:
+    return listed([name.decode() for name in names])
+
+
+def _shortened(why: str, most: int = WHY) -> bytes:
     """A reason as long as the field; of a longer one the first words, and that there are more."""
     said = why.encode()
-    return said if len(said) <= WHY else said[: WHY - 3].rpartition(b" ")[0] + b" ..."
+    return said if len(said) <= most else said[: most - 3].rpartition(b" ")[0] + b" ..."
 
 
 _HYPOTHESES = {

@@ -44,3 +44,15 @@ def test_an_answer_that_was_told_and_is_not_to_be_used_is_withdrawn_once() -> No
     assert said(answers, False, Level.DO_NOT_USE) == []
     assert said(answers, True, Level.WEAK) == ["answers_again"]
     assert said(answers, False, Level.DO_NOT_USE) == ["withdrawn"]
+
+
+def test_of_many_withdrawn_quantities_the_first_are_named_and_the_reason_ends_between_words() -> None:
+    answers, none = Answers(channels.estimate_dtype(0, 0), (), Useful()), np.zeros(0)
+    many = tuple(QuantityEstimate(f"mass_{n}", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, True, "") for n in range(10))
+    estimate = Estimate((), none, none, none, none, none.astype(bool), many, 10, {})
+    for findings in (Findings((), ()), Findings(("the load cell reads too much " * 8,), ())):
+        _, _, events = answers.rows(0, 0, estimate, findings, np.zeros((0, 0)))
+    [(_, rows)] = events
+    [text] = rows["text"].tolist()
+    assert text.startswith(b"mass_0, mass_1, mass_2, 7 more: the load cell reads")
+    assert text.endswith(b"the load ...")
