@@ -13,7 +13,6 @@ from onboard.recording.reader import LogReader
 from tests.flight.test_driven_flight import plugged
 
 ARMS = {
-    "free cia402": ["--base", "free", "--encoder", "cia402"],
     "fixed cia402": ["--base", "fixed", "--encoder", "cia402"],
     "free dynamixel": ["--base", "free", "--encoder", "dynamixel"],
 }

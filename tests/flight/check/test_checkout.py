@@ -56,7 +56,7 @@ def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
             return run_in_turn(opened.devices, world.clock, wait, seconds)
 
         bench = CheckHost(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
-        return checkout(flying, None, bench, operator, Lengths(None, 1.6, 60.0))
+        return checkout(flying, None, bench, operator, Lengths(4.0, 1.6, 60.0))
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import json
 import tomllib
 from collections.abc import Iterator
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,8 @@ def _tables(tree: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 @pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
 def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None:
-    refused, schema, valid = 0, None, set()
+    """Every one that is refused; of the others each pair of choices, with and without a pulse."""
+    refused, built, schema, valid = 0, set(), None, set()
     for choice in product(*map(enumerate, (IMUS, ENCODERS, LOAD_CELLS))):
         (imu, encoder, cell), number = (one for _, one in choice), sum(at for at, _ in choice)
         where = tmp_path / f"{imu}-{encoder}-{cell}"
@@ -55,6 +56,9 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
                 make(wanted, where)
             assert not where.exists()
             continue
+        if not (pairs := set(combinations(enumerate((imu, encoder, cell, pulse)), 2)) - built):
+            continue
+        built |= pairs
         make(wanted, where)
         vehicle = config.load(where / "vehicle.toml")
         build_online(vehicle)
@@ -69,6 +73,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
             valid |= new
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
     assert refused == {"free": 343, "planar": 343, "prescribed": 368, "fixed": 272}[base]
+    assert len(built) == {"free": 259, "planar": 259, "prescribed": 254, "fixed": 279}[base]
 
 
 def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
