@@ -211,6 +211,23 @@ class ServedPort(Port):
         self._listener.close()
 
 
+def open_socket(directory: Path, bus: str, table: bus_tables.BusTable, seed: int) -> Port:
+    """A bus for another process: a socket or terminal in ``directory``, or a port of this host."""
+    match table:
+        case bus_tables.I2cBusTable():
+            return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
+        case bus_tables.PairBusTable() | bus_tables.SpiBusTable():
+            return WIRES[table.kind](directory / f"{bus}.sock")
+        case bus_tables.CanBusTable():
+            return _CanPort(directory / bus, table.bit_rate, seed)
+        case bus_tables.PulseLineTable():
+            return EdgePort(directory / f"{bus}.sock", seed)
+        case bus_tables.SerialBusTable():
+            return PseudoTerminal(directory / bus, table, seed)
+        case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
+            return ServedPort(table)
+
+
 def open_sockets(tables: Mapping[str, bus_tables.BusTable], directory: Path, seed: int = 0) -> Ports:
     """Open every bus for another process.
 
@@ -221,23 +238,7 @@ def open_sockets(tables: Mapping[str, bus_tables.BusTable], directory: Path, see
     """
     directory.mkdir(parents=True, exist_ok=True)
 
-    def open_port(bus: str, table: bus_tables.BusTable, place: int, seed: int) -> Port:
-        del place
-        match table:
-            case bus_tables.I2cBusTable():
-                return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
-            case bus_tables.PairBusTable() | bus_tables.SpiBusTable():
-                return WIRES[table.kind](directory / f"{bus}.sock")
-            case bus_tables.CanBusTable():
-                return _CanPort(directory / bus, table.bit_rate, seed)
-            case bus_tables.PulseLineTable():
-                return EdgePort(directory / f"{bus}.sock", seed)
-            case bus_tables.SerialBusTable():
-                return PseudoTerminal(directory / bus, table, seed)
-            case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
-                return ServedPort(table)
-
-    return open_ports(tables, open_port, seed)
+    return open_ports(tables, lambda bus, table, _, of_bus: open_socket(directory, bus, table, of_bus), seed)
 
 
 def say(content: dict[str, Any]) -> None:

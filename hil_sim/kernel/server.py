@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Final
 
 from drivers.ports import CanFrame
-from hil_sim.buses.in_process import EdgePort
 from hil_sim.buses.media import CanBus, I2cBus
 from hil_sim.buses.ports import Port, Ports, open_ports
 from hil_sim.faults import NEVER
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.scenario import bus_tables
-from hil_sim.serve import WIRES, PseudoTerminal, ServedPort
+from hil_sim.serve import open_socket
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
 _REMOTE: Final = 0x4000_0000
@@ -188,16 +187,10 @@ def open_nodes(
         match table:
             case bus_tables.I2cBusTable():
                 return _I2cPort(_counted_on(i2c_node, place), table.bit_rate)
-            case bus_tables.PairBusTable() | bus_tables.SpiBusTable():
-                return WIRES[table.kind](directory / f"{bus}.sock")
             case bus_tables.CanBusTable():
                 return _CanPort(_counted_on(can_interface, place), table.bit_rate, seed)
-            case bus_tables.PulseLineTable():
-                return EdgePort(directory / f"{bus}.sock", seed)
-            case bus_tables.SerialBusTable():
-                return PseudoTerminal(directory / bus, table, seed)
-            case bus_tables.TcpBusTable() | bus_tables.UdpBusTable():
-                return ServedPort(table)
+            case _:
+                return open_socket(directory, bus, table, seed)
 
     return open_ports(tables, open_port, seed)
 

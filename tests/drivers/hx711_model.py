@@ -65,9 +65,10 @@ class Hx711Model:
         self.clock.advance(self.call_ns)
         if code := self.fail(number):
             raise OSError(code, os.strerror(code))
-        self._run()
+        self.run()
 
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Let the chip go on until now."""
         if self.high and self.clock() - self.rose_ns > 60 * US:
             return
         while self.next_ns <= self.clock():
@@ -84,7 +85,7 @@ class Hx711Model:
             self.next_ns += self.period_ns
 
     def _pulse(self) -> None:
-        self._run()
+        self.run()
         if self.word is None and not self.pulses:
             return
         self.pulses += 1

@@ -164,7 +164,7 @@ def reading_at(flight):
     """Number of the first call of the next reading, after a look; nothing is read meanwhile."""
     while flight.chip.word is None:
         flight.clock.advance(MS // 4)
-        flight.chip._run()
+        flight.chip.run()
     return flight.chip.calls + 1
 
 

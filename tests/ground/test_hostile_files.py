@@ -41,6 +41,16 @@ def cost(*arguments):
     return *json.loads(done.stdout), done.stderr
 
 
+def refused_at_once(why, *arguments):
+    """The command refuses its input with ``why`` in a message that a screen holds, soon and with little memory."""
+    code, seconds, megabytes, said = cost(*arguments)
+    assert code == cli.BAD_INPUT
+    assert why in said
+    assert len(said) < 11_000
+    assert seconds < MOST_S
+    assert megabytes < MOST_MB
+
+
 MOST_S, MOST_MB = (
     6.0,
     350.0,
@@ -69,12 +79,7 @@ BIG = {
 def test_a_large_vehicle_file_is_refused_at_once(tmp_path, name):
     text, why = BIG[name]
     (tmp_path / "vehicle.toml").write_text(text, encoding="utf-8")
-    code, seconds, megabytes, said = cost("preflight", tmp_path / "vehicle.toml")
-    assert code == cli.BAD_INPUT
-    assert why in said
-    assert len(said) < 11_000
-    assert seconds < MOST_S
-    assert megabytes < MOST_MB
+    refused_at_once(why, "preflight", tmp_path / "vehicle.toml")
 
 
 def test_a_large_vehicle_file_in_a_log_stops_nobody(tmp_path):
@@ -92,11 +97,7 @@ def test_a_tag_of_many_attributes_is_refused_at_once(tmp_path):
     (tmp_path / "vehicle.toml").write_text(ROCKSAT, encoding="utf-8")
     many = b"<robot " + b" ".join(b'a%d="1"' % n for n in range(100_000))
     (tmp_path / "rocksat.urdf").write_bytes(URDF.replace(b"<robot", many, 1))
-    code, seconds, megabytes, said = cost("preflight", tmp_path / "vehicle.toml")
-    assert code == cli.BAD_INPUT
-    assert "attributes; 64 is the most" in said
-    assert seconds < MOST_S
-    assert megabytes < MOST_MB
+    refused_at_once("attributes; 64 is the most", "preflight", tmp_path / "vehicle.toml")
 
 
 MAPPING = """[mapping]
@@ -133,12 +134,7 @@ def test_a_recording_that_swells_is_refused_at_once(tmp_path, kind, fill, why):
     source = tmp_path / "run"
     source.touch()
     fill(source)
-    code, seconds, megabytes, said = cost("import", tmp_path / "m.toml", source, "-o", tmp_path / "logs")
-    assert code == cli.BAD_INPUT
-    assert why in said
-    assert len(said) < 11_000
-    assert seconds < MOST_S
-    assert megabytes < MOST_MB
+    refused_at_once(why, "import", tmp_path / "m.toml", source, "-o", tmp_path / "logs")
 
 
 @pytest.mark.parametrize(

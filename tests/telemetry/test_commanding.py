@@ -51,7 +51,7 @@ class Flight:
         self.ground.settimeout(0.2)
         self.port = self.ground.getsockname()[1]
         self.packets: list[Packet] = []
-        self._origin: Any = None
+        self.origin: Any = None
         self._stream, self._over = Splitter(Telemetry().apids), threading.Event()
         given = ["--scenario", str(over), "--realtime", "--log", str(self.log)]
         link = f"udp://127.0.0.1:{self.port}"
@@ -63,13 +63,13 @@ class Flight:
     def _listen(self) -> None:
         while not self._over.is_set():
             try:
-                data, self._origin = self.ground.recvfrom(4096)
+                data, self.origin = self.ground.recvfrom(4096)
             except (TimeoutError, OSError):
                 continue
             self.packets += self._stream.feed(data)
 
     def tell(self, data: bytes) -> None:
-        self.ground.sendto(data, self._origin)
+        self.ground.sendto(data, self.origin)
 
     def wait(self, met: Any, seconds: float = 90.0) -> Any:
         deadline = time.monotonic() + seconds
@@ -129,7 +129,7 @@ def test_what_is_asked_is_done_told_and_logged(flight: Flight, capsys: pytest.Ca
     flight.tell(telecommand(Order.STOP, 264, session, 3, 9)[:-1] + b"\0")  # damaged
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:  # of another host: 127.0.0.2
         stranger.bind(("127.0.0.2", 0))
-        stranger.sendto(telecommand(Order.STOP, 264, session, 4, 9), flight._origin)
+        stranger.sendto(telecommand(Order.STOP, 264, session, 4, 9), flight.origin)
     flight.wait(lambda: len(flight.reports()) >= 4)
     assert sorted(flight.reports()) == [(1, 1, ""), (1, 2, "duplicate"), (1, 7, ""), (2, 2, "other session")]
     flight.wait(lambda: sum(one.at_ns > start_s * 1e9 for one in flight.of("answer")) > 20)  # a busy computer is late

@@ -93,7 +93,7 @@ def calibrate_bifilar(
 
 def _of_gyro(vehicle: config.Vehicle, role: ImuRole) -> tuple[AxisErrors, str]:
     """What the vehicle file states of its gyro's axes and scale, and where."""
-    if vehicle.file.estimation.method == "exiddm":
+    if vehicle.prediction is not config.Prediction.ROWS:
         prior = vehicle.file.estimation.imu_prior
         own, housing = prior.gyro_misalignment_rad, prior.mounting_rad
         key = "mounting_rad" if housing > own else "gyro_misalignment_rad"

@@ -229,7 +229,7 @@ def _changes(device: str, accel: TriadCalibration, gyro: TriadCalibration, rest:
 
 def _prior(vehicle: config.Vehicle, device: str, accel: TriadCalibration, gyro: TriadCalibration) -> list[KeyChange]:
     """The sigmas of [estimation.imu_prior], where the base is predicted with this IMU."""
-    if vehicle.file.estimation.method != "exiddm" or roles_of(vehicle).imu.channels[0] != device:
+    if vehicle.prediction is config.Prediction.ROWS or roles_of(vehicle).imu.channels[0] != device:
         return []
     table, changes = ("estimation", "imu_prior"), []
     for name, one in (("gyro", gyro), ("accelerometer", accel)):

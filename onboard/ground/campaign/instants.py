@@ -63,7 +63,7 @@ def of_flight(log: LogReader, vehicle: config.Vehicle, truth: Truth) -> dict[str
     if "quantity" not in log.channels:
         return found
     true = {name: value for name, value in own_mission.true_values(vehicle, truth).items() if math.isfinite(value)}
-    held = _held(truth) if vehicle.file.estimation.method == "exiddm" else None
+    held = None if vehicle.prediction is config.Prediction.ROWS else _held(truth)
     for _, rows in log.batches(["quantity"]):
         shown = rows[(rows["supported"] > 0) & np.isfinite(rows["value"])]
         for raw in np.unique(shown["name"]):

@@ -42,6 +42,30 @@ class Once:
 NONE = np.zeros(0, np.intp)
 
 
+def sheet(stated, of_each, imus, **further):
+    """What is asked of a predictor: the stated sigmas of its parameters, and those of each IMU."""
+    return SimpleNamespace(
+        stated=stated,
+        of_each=of_each,
+        wandering=[],
+        biases=[],
+        key_of=str,
+        names=tuple(f"unknown_{k}" for k in range(len(stated))),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
+        thrusters=(),
+        changing=np.arange(3),
+        further=(),
+        of_further=[],
+        imu_frames=imus,
+        **further,
+    )
+
+
+def unsuspicious():
+    """Residuals that show nothing."""
+    return SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
+
+
 def payload_of(online, weighed):
     """Mean and covariance of the payload."""
     mixture, widening = online._payload(weighed)
@@ -74,22 +98,8 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     state = np.zeros(15)
     state[13] = 2.0 * DOUBTFUL * np.sqrt(0.75) * stated[13]  # of what the data tell
     nothing = np.zeros(0, np.intp)
-    predictor = SimpleNamespace(
-        stated=stated,
-        sigma=stated,
-        of_each=[nothing, nothing, np.array([13])],
-        wandering=[],
-        biases=[],
-        key_of=str,
-        names=tuple(f"unknown_{k}" for k in range(15)),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
-        thrusters=(),
-        changing=np.arange(3),
-        further=(),
-        of_further=[],
-        imu_frames=("imu", "imu_2"),
-    )
-    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
+    predictor = sheet(stated, [nothing, nothing, np.array([13])], ("imu", "imu_2"), sigma=stated)
+    quiet = unsuspicious()
     online = ExiddmIdentifier(
         SimpleNamespace(
             predictor=predictor,
@@ -122,29 +132,16 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
 
     ``moved``: a correction, in sigmas of what the data tell of it.
     """
-    sheet = SimpleNamespace(
-        stated=np.full(PAYLOAD.stop + 1, np.nan),
-        of_each=[np.zeros(0, np.intp)],
-        wandering=[],
-        biases=[],
-        key_of=str,
-        names=tuple(f"unknown_{k}" for k in range(PAYLOAD.stop + 1)),
-        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload"), joints=()),
-        thrusters=(),
-        changing=np.arange(3),
-        further=(),
-        of_further=[],
-        imu_frames=("imu",),
-        sigma=np.full(PAYLOAD.stop + 1, np.nan),
-    )
-    sheet.stated[-1] = 1.0
+    unknown = np.full(PAYLOAD.stop + 1, np.nan)
+    predictor = sheet(unknown.copy(), [NONE], ("imu",), sigma=unknown)
+    predictor.stated[-1] = 1.0
     state, covariance = np.zeros(PAYLOAD.stop + 1), np.eye(PAYLOAD.stop + 1)
     state[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = mean, np.diag(sigma**2)
     state[-1], covariance[-1, -1] = moved * np.sqrt(0.1), 0.9
-    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
+    quiet = unsuspicious()
     return ExiddmIdentifier(
         SimpleNamespace(
-            predictor=sheet,
+            predictor=predictor,
             fusion=Fusion(("imu",), (slice(0, 6),)),
             covariance=covariance,
             state=state,

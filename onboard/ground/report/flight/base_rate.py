@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drivers.records import Rows
+from onboard import config
 from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
@@ -24,7 +25,7 @@ _DEGREES = float(np.degrees(1.0))
 def base_rate(flight: FlightData) -> BaseRate | None:
     """Prediction over the last interval with the last payload estimate; None if the log lacks the data."""
     vehicle, model, roles = flight.vehicle, flight.model, flight.roles
-    if vehicle is None or model is None or roles is None or vehicle.file.estimation.method != "exiddm":
+    if vehicle is None or model is None or roles is None or vehicle.prediction is config.Prediction.ROWS:
         return None
     payload = model.spec.payload_link
     mass = flight.quantities.get(f"m_{payload}")

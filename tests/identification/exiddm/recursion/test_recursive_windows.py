@@ -16,6 +16,19 @@ from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import PRIOR, online, recorded, same_bits, ticks_of
 
 
+@pytest.fixture
+def predicted(monkeypatch):
+    """Ticks of each prediction that is made."""
+    made, predict = [], ImuPredictor.predict
+
+    def counted(self, q, *rest):
+        made.append(len(q))
+        return predict(self, q, *rest)
+
+    monkeypatch.setattr(ImuPredictor, "predict", counted)
+    return made
+
+
 def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(held):
     ticks = ticks_of(held)
     recursive = online(held)
@@ -31,14 +44,7 @@ def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(he
 
 
 @pytest.mark.parametrize("swapped", [False, True])
-def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_between(held, swapped, monkeypatch):
-    predicted, predict = [], ImuPredictor.predict
-
-    def counted(self, q, *rest):
-        predicted.append(len(q))
-        return predict(self, q, *rest)
-
-    monkeypatch.setattr(ImuPredictor, "predict", counted)
+def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_between(held, swapped, predicted):
     ticks = ticks_of(held).part(slice(0, 210))
     if swapped:  # no hypothesis explains it, so every guess is tried to its end
         ticks = ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]])
@@ -61,14 +67,7 @@ def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_betw
     assert swapped or same_bits(whole, pieces)
 
 
-def test_what_ticks_give_without_a_window_is_there_before_the_window_is_solved(held, monkeypatch):
-    predicted, predict = [], ImuPredictor.predict
-
-    def counted(self, q, *rest):
-        predicted.append(len(q))
-        return predict(self, q, *rest)
-
-    monkeypatch.setattr(ImuPredictor, "predict", counted)
+def test_what_ticks_give_without_a_window_is_there_before_the_window_is_solved(held, predicted):
     ticks, whole, late = ticks_of(held), online(held), online(held)
     for first in range(0, 900, 10):
         some = ticks.part(slice(first, first + 10))
