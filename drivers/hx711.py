@@ -19,7 +19,7 @@ from drivers.conversions import ConvertedForce
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import Clocked, ClockedPort
 from drivers.records import Batch, SampleStatus, Severity
-from drivers.reporter import Reporter
+from drivers.reporter import Absence, Reporter
 
 MS = 1_000_000
 BITS = 24
@@ -34,7 +34,6 @@ LONGEST_READ = 0.5  # conversions
 RESTARTED = 1.5  # conversions since the last reading without another: one, and the bound of its rate
 SILENCE_PERIODS = 16  # twice the settling
 BROWN_OUT = "brown_out"
-BACKOFF_NS, LONGEST_BACKOFF_NS = 20 * MS, 1000 * MS
 
 
 @dataclass(frozen=True)
@@ -123,9 +122,7 @@ class Hx711:
         self._selects = True  # input and gain are chosen by the first reading after a reset
         self._looked_ns = self._sampled_ns = 0
         self._cause = ""  # the first one since a row
-        self._backoff_ns = BACKOFF_NS
-        self._away_since_ns: int | None = None
-        self._told = ""
+        self._absence = Absence(self._report)
 
     @property
     def period_ns(self) -> int:
@@ -140,7 +137,7 @@ class Hx711:
 
     def start(self, now_ns: int) -> list[Batch]:
         """See ``drivers.device.Device``."""
-        self._away_since_ns, self._told, self._backoff_ns = None, "", BACKOFF_NS
+        self._absence.forget()
         self._state, self._deadline_ns = _State.AWAY, now_ns
         return self.pump(now_ns)
 
@@ -251,22 +248,12 @@ class Hx711:
 
     def _answers(self, now_ns: int) -> None:
         """A reading came: say so, where it is the first one or was said to be away."""
-        if self._away_since_ns is not None:
-            away_ms = (now_ns - self._away_since_ns) // MS
-            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"answers again after {away_ms} ms")
-        elif self._count.number < 0:
+        if not self._absence.end(now_ns) and self._count.number < 0:
             rate, gain = self.config.sample_rate_hz, self.config.amplifier
             self._report.event(now_ns, Severity.INFO, "started", f"HX711 answers: {rate} samples/s, gain {gain}")
-        self._away_since_ns, self._told, self._backoff_ns = None, "", BACKOFF_NS
 
     def _stay_away(self, now_ns: int, code: str, text: str) -> None:
         """Report once, then reset it after a back-off that doubles up to one second."""
-        if code != self._told:
-            self._report.event(now_ns, Severity.ERROR, code, text)
-            self._told = code
-        if self._away_since_ns is None:
-            self._away_since_ns = now_ns
         self._cause = code if self._cause in ("", BROWN_OUT) else self._cause
         self._wait_ns = self._poll_ns
-        self._state, self._deadline_ns = _State.AWAY, now_ns + self._backoff_ns
-        self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
+        self._state, self._deadline_ns = _State.AWAY, self._absence.begin(now_ns, code, text, kind=code)

@@ -3,6 +3,7 @@
 from drivers.records import Batch, Rows, Severity, event, gap
 
 REPEAT_NS = 1_000_000_000
+BACKOFF_NS, LONGEST_BACKOFF_NS = 20_000_000, 1_000_000_000
 
 
 class Reporter:
@@ -73,3 +74,39 @@ class Reporter:
         """All batches since the last call."""
         batches, self._batches = self._batches, []
         return batches
+
+
+class Absence:
+    """A device that does not answer: why is reported once, and when it answers again; it is tried ever less often."""
+
+    def __init__(self, report: Reporter) -> None:
+        self._report = report
+        self.forget()
+
+    def forget(self) -> None:
+        """It is not away, and nothing was reported."""
+        self._since_ns: int | None = None
+        self._told, self._backoff_ns = "", BACKOFF_NS
+
+    def begin(self, now_ns: int, code: str, text: str, kind: str = "") -> int:
+        """It is away, or still so; CLOCK_MONOTONIC ns of the next attempt, after a back-off that doubles up to 1 s.
+
+        ``kind``: reasons of one kind are reported once; without it, reasons of one text.
+        """
+        if (kind or text) != self._told:
+            self._report.event(now_ns, Severity.ERROR, code, text)
+            self._told = kind or text
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        next_ns = now_ns + self._backoff_ns
+        self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
+        return next_ns
+
+    def end(self, now_ns: int) -> bool:
+        """It answers; whether it was away."""
+        since_ns = self._since_ns
+        self.forget()
+        if since_ns is not None:
+            text = f"answers again after {(now_ns - since_ns) // 1_000_000} ms"
+            self._report.event(now_ns, Severity.INFO, "bus_recovered", text)
+        return since_ns is not None

@@ -15,11 +15,9 @@ from drivers.errors import ConfigurationError, DriverError, WrongDeviceError
 from drivers.i2c.bus import RegisterBus, explain
 from drivers.ports import I2cPort
 from drivers.records import Batch, Severity
-from drivers.reporter import Reporter
+from drivers.reporter import Absence, Reporter
 
 MS = 1_000_000
-BACKOFF_NS = 20 * MS
-LONGEST_BACKOFF_NS = 1000 * MS
 CHECK_ROUND_NS = 1000 * MS  # in which every register is looked at once
 
 
@@ -59,9 +57,7 @@ class I2cSensor(ABC):
         self._steps: Iterator[int] | None = None
         self._configured = False  # since then its registers are as expected
         self._deadline_ns = 0
-        self._backoff_ns = BACKOFF_NS
-        self._away_since_ns: int | None = None
-        self._told = ""
+        self._absence = Absence(self._report)
         self._cause = ""  # the first one since samples were taken
         self._checked_ns = 0
         self._check = 0
@@ -117,7 +113,7 @@ class I2cSensor(ABC):
     def start(self, now_ns: int) -> list[Batch]:
         """See ``drivers.device.Device``."""
         self._configured, self._steps = False, None
-        self._backoff_ns, self._away_since_ns, self._told = BACKOFF_NS, None, ""
+        self._absence.forget()
         self._state, self._deadline_ns = _State.AWAY, now_ns
         self._advance(now_ns)
         return self._report.take()
@@ -171,10 +167,7 @@ class I2cSensor(ABC):
                 return
         self._steps, self._configured = None, True
         self._state, self._checked_ns = _State.RUNNING, now_ns
-        if self._away_since_ns is not None:
-            away_ms = (now_ns - self._away_since_ns) // MS
-            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"answers again after {away_ms} ms")
-        self._away_since_ns, self._told, self._backoff_ns = None, "", BACKOFF_NS
+        self._absence.end(now_ns)
         said = self._begin(now_ns, anew)
         if anew:
             self._report.event(now_ns, Severity.INFO, "started", said)
@@ -235,13 +228,6 @@ class I2cSensor(ABC):
 
     def _stay_away(self, now_ns: int, code: str, error: DriverError) -> None:
         """Report once, then retry after a back-off that doubles up to one second."""
-        text = str(error)
-        if text != self._told:
-            self._report.event(now_ns, Severity.ERROR, code, text)
-            self._told = text
-        if self._away_since_ns is None:
-            self._away_since_ns = now_ns
+        self._state, self._deadline_ns = _State.AWAY, self._absence.begin(now_ns, code, str(error))
         self._interrupt(code)
         self._steps, self._wait_ns = None, self._poll_ns
-        self._state, self._deadline_ns = _State.AWAY, now_ns + self._backoff_ns
-        self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)

@@ -15,15 +15,13 @@ from drivers.mpu6050.self_test import SelfTest, run_self_test
 from drivers.ports import I2cPort
 from drivers.records import Batch, Severity
 from drivers.repeats import Repeats
-from drivers.reporter import Reporter
+from drivers.reporter import Absence, Reporter
 
 RESET_NS = 100_000_000  # after DEVICE_RESET
 RESET_LIMIT_NS = 1_000_000_000
 WAKE_NS = 100_000_000  # gyro start-up 60 ms, PLL 10 ms, zero-rate settling 30 ms (PS 6.1)
 SILENCE_NS = 100_000_000
 CHECK_ROUND_NS = 1_000_000_000
-BACKOFF_NS = 20_000_000
-LONGEST_BACKOFF_NS = 1_000_000_000
 LAST_DRAINS = 8
 WATCHED = 11  # largest number of registers checked per round
 
@@ -65,9 +63,7 @@ class Mpu6050:
         self._chip = CHIPS[0x68]
         self._deadline_ns = 0
         self._reset_ns = 0
-        self._backoff_ns = BACKOFF_NS
-        self._away_since_ns: int | None = None
-        self._told = ""
+        self._absence = Absence(self._report)
         self._sampled_ns = 0
         self._checks = 0
 
@@ -202,7 +198,7 @@ class Mpu6050:
             if self._source.running and self._mismatch() is None:
                 self._state = _State.RUNNING
                 self._sampled_ns = now_ns
-                self._recovered(now_ns)
+                self._absence.end(now_ns)
                 self._take(now_ns)
             else:
                 self._begin(now_ns)
@@ -230,7 +226,7 @@ class Mpu6050:
         self._source.restart(now_ns)
         self._state = _State.RUNNING
         self._sampled_ns = now_ns
-        self._recovered(now_ns)
+        self._absence.end(now_ns)
         config = self.config
         ranges = f"{config.accel_range_g} g, {config.gyro_range_deg_s} deg/s, DLPF {config.filter_code}"
         text = f"{self._chip.name} runs: {config.sample_rate_hz} Hz, {ranges}"
@@ -306,19 +302,4 @@ class Mpu6050:
 
     def _stay_away(self, now_ns: int, code: str, error: DriverError) -> None:
         """Report once, then retry after a back-off that doubles up to one second."""
-        text = str(error)
-        if text != self._told:
-            self._report.event(now_ns, Severity.ERROR, code, text)
-            self._told = text
-        if self._away_since_ns is None:
-            self._away_since_ns = now_ns
-        self._state, self._deadline_ns = _State.AWAY, now_ns + self._backoff_ns
-        self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
-
-    def _recovered(self, now_ns: int) -> None:
-        if self._away_since_ns is not None:
-            away_ms = (now_ns - self._away_since_ns) // 1_000_000
-            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"answers again after {away_ms} ms")
-        self._away_since_ns = None
-        self._told = ""
-        self._backoff_ns = BACKOFF_NS
+        self._state, self._deadline_ns = _State.AWAY, self._absence.begin(now_ns, code, str(error))

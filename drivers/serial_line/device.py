@@ -14,7 +14,7 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, FrameError
 from drivers.ports import SerialPort
 from drivers.records import Batch, Severity
-from drivers.reporter import Reporter
+from drivers.reporter import Absence, Reporter
 from drivers.serial_line.frames import FrameDecoder
 
 Frame = TypeVar("Frame")
@@ -22,8 +22,6 @@ OpenPort = Callable[[], SerialPort]
 Clock = Callable[[], int]
 Channels = Mapping[str, np.dtype[Any]]
 
-BACKOFF_NS = 20_000_000
-LONGEST_BACKOFF_NS = 1_000_000_000
 LONGEST_FRESH_READ_NS = 35_000_000
 LARGEST_FRESH_READ = 4000
 MOST_EXCHANGES = 32  # largest number of exchanges per pump
@@ -64,9 +62,7 @@ class SerialLink:
         self._report = report
         self._port: SerialPort | None = None
         self._retry_ns: int | None = None
-        self._backoff_ns = BACKOFF_NS
-        self._away_since_ns: int | None = None
-        self._told = ""
+        self._absence = Absence(report)
 
     @property
     def is_open(self) -> bool:
@@ -116,22 +112,11 @@ class SerialLink:
     def drop(self, now_ns: int, code: str, text: str) -> None:
         """Close the port, report the reason (once per code) and schedule its reopening."""
         self.close()
-        if code != self._told:
-            self._report.event(now_ns, Severity.ERROR, code, text)
-            self._told = code
-        if self._away_since_ns is None:
-            self._away_since_ns = now_ns
-        self._retry_ns = now_ns + self._backoff_ns
-        self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
+        self._retry_ns = self._absence.begin(now_ns, code, text, kind=code)
 
     def alive(self, now_ns: int) -> None:
         """Valid data arrived: the fault is over."""
-        if self._away_since_ns is not None:
-            away_ms = (now_ns - self._away_since_ns) // MS
-            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"answers again after {away_ms} ms")
-            self._away_since_ns = None
-        self._told = ""
-        self._backoff_ns = BACKOFF_NS
+        self._absence.end(now_ns)
 
     def close(self) -> None:
         """Close the port, ignoring an error of the close."""
