@@ -10,6 +10,8 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 ComplexArray = NDArray[np.complex128]
 
+ROUNDING = 1e-9
+"""Relative difference of numbers that are equal but for rounding errors, or information that keeps a matrix regular."""
 _HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 
 

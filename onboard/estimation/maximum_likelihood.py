@@ -13,6 +13,15 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 
+MINIMUM = 1e-2
+"""Promised decrease of the whitened sum of squares, the square of the way to the minimum in sigmas: a tenth of one."""
+NEAR_MINIMUM = 3.0
+"""The same where another step follows or is taken, which is as good as the promise: of a guess, a stage, a search."""
+ROUGH_MINIMUM = 50.0
+"""The same before data or unknowns are added."""
+ROUNDS = 3  # of a model that is nearly linear about the result of the last
+OPEN = 1e3  # stated sigmas of an error that may be of any size
+ITERATIONS = 50  # predictions, at most, of a fit that converges: it takes 3 to 30, more along a curved valley
 _LIGHTER = 0.1  # damping after a step that has lowered the sum of squares, relative to that before
 _HEAVIEST = 1e9  # damping
 BEYOND = 4  # steps, at most, from the end of one that has not lowered the sum of squares
@@ -109,7 +118,7 @@ class Descent:
         start: FloatArray,
         prior_mean: FloatArray,
         prior_information: FloatArray,
-        iterations: int = 50,
+        iterations: int = ITERATIONS,
         tolerance: float = 1e-4,
         damping: float = 1e-3,
         beyond: int = BEYOND,
@@ -231,7 +240,7 @@ def fit(
     start: FloatArray,
     prior_mean: FloatArray,
     prior_information: FloatArray,
-    iterations: int = 50,
+    iterations: int = ITERATIONS,
     tolerance: float = 1e-4,
 ) -> Fit:
     """:func:`fit_normal` of whitened residuals (m,), predicted less measured, and their derivative (m, p), at x."""
@@ -243,7 +252,7 @@ def fit_normal(
     start: FloatArray,
     prior_mean: FloatArray,
     prior_information: FloatArray,
-    iterations: int = 50,
+    iterations: int = ITERATIONS,
     tolerance: float = 1e-4,
     damping: float = 1e-3,
 ) -> Fit:

@@ -61,12 +61,21 @@ MISFIT_DOUBTED = 1.3
 """Mean square of residuals over what is stated: below it intervals are 14 % too narrow at most; 95 % are 91."""
 MISFIT_REFUSED = 2.0
 """The same where as much is left over besides the noise as by the noise: such intervals hold 83 %."""
+MISFIT_PART = MISFIT_REFUSED**2
+"""The same of some of the readings, judged alone: a kind of rows, or what is slow; and of a search's result before it
+is fitted on. What is stated of the noise of all may be as wrong as :data:`MISFIT_REFUSED` of a part of them."""
 MOST_CONTRADICTED = 0.05
 """Share of readings that contradict the others, beyond which no answer is to be used: good data hold 1 to 10 % gross
 errors (Hampel et al., Robust Statistics, 1986, section 1.2)."""
 MOSTLY = 0.5
 """Share from which on something is most of it: of the ticks, an instrument that is there and takes part; of the power
-of a channel, a line; of what is left over, what a reason names."""
+of a channel, a line; of what is left over, what a reason names; of what is refused, a doubt; of the variance of each
+torque's gain, what all have in common, of which no data sheet gives the share."""
+MOST_SHARE = 0.9
+"""Of one, that what is divided by the rest may have: a leverage, a correlation, noise in an information. What is off by
+a tenth of it is off by the whole of the rest."""
+AGAIN = 1.2
+"""Growth of the data after which what is costly is done again: sigmas have fallen by 9 %, less than they scatter."""
 
 
 @lru_cache(maxsize=256)

@@ -25,11 +25,10 @@ from scipy.linalg.blas import dtrsv
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import chdtrc, chdtri
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.policy import DOUBT, REFUSE, of_each, sigmas
 
 DOUBTFUL = sigmas(of_each(DOUBT))  # of one
-_NOTHING = 1e-7  # mean weight of corrections of which the data tell nothing: below it is rounding
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
 
@@ -96,7 +95,7 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     mean = k - _LEAST_TOLD * trace  # sum of the weights a / (a + e)
     of_all = 2.0 * float(np.vdot(inverse, inverse)) - float(own @ own)
     square = k - 2.0 * _LEAST_TOLD * trace + _LEAST_TOLD**2 * of_all
-    if mean < _NOTHING * k:
+    if mean < ROUNDING * k:
         return Together(0.0, 0.0)
     return Together(squares * mean / square, mean * mean / square)
 

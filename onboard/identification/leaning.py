@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-
-PART = 0.2  # of a sigma: from which on a cause of it is named
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
 
 class Causes:
@@ -53,7 +52,7 @@ class Causes:
         """
         found = []
         for each, one, whole in zip(effects, sigma.tolist(), size.tolist(), strict=True):
-            large = [c for c in np.argsort(-each)[:most].tolist() if each[c] > PART * one]
+            large = [c for c in np.argsort(-each)[:most].tolist() if each[c] > SUPPORTED_SHRINKAGE * one]
             told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
             found.append(f"leans on {told}" if told else "")
         return tuple(found)

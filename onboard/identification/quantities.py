@@ -24,7 +24,9 @@ Numbers = TypeVar("Numbers", float, FloatArray)
 
 MOST_ALSO = 6  # quantities of an Estimate that are not asked for
 # A quantity is reported when the data determine it:
-SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
+SUPPORTED_SHRINKAGE = 0.2
+"""Posterior over prior sigma at most: the prior's weight in the estimate is this squared, a 25th. Part of an interval
+by one cause, from which on it is named: as much of its variance."""
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
 
 

@@ -24,16 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.policy import MISFIT_REFUSED, MOST_CONTRADICTED
+from onboard.estimation.policy import MISFIT_PART, MISFIT_REFUSED, MOST_CONTRADICTED, MOSTLY
 from onboard.identification.corrections import doubtful, refused_from, too_large
 from onboard.identification.quantities import Findings
-from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED, NOISE
+from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.standing import Level, Standing
-
-MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
-WEAKLY_PREDICTED = 0.5
 
 
 class Verdict(NamedTuple):
@@ -101,9 +98,9 @@ def _of_all(evidence: Evidence) -> Findings:
         doubts += [evidence.unchecked] * bool(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
         said = f"a half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
-        if held_out.worst.relative_error >= MOST_UNPREDICTED:
+        if held_out.worst.relative_error >= 1.0:  # as much as there is to be predicted
             against.append(said)
-        elif held_out.worst.relative_error >= WEAKLY_PREDICTED:
+        elif held_out.worst.relative_error >= MOSTLY:
             doubts.append(said)
     return Findings(tuple(against), tuple(doubts), evidence.findings.widened)
 
@@ -156,4 +153,4 @@ def _together(standings: Mapping[str, Standing], level: Level) -> list[str]:
 
 
 def _beyond_noise(prediction: HeldOutFit, evidence: Evidence) -> bool:
-    return prediction.misfit * evidence.correlation > NOISE
+    return prediction.misfit * evidence.correlation > MISFIT_PART

@@ -13,7 +13,10 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.recursive.consistency import NoiseScale, noise_scale
 
-_LEAST_TOLD = 0.01  # least share of a stated variance that the data must take away
+WINDOW_s = 5.0  # of a state that begins anew: what a guess is off by grows in it, where a body tumbles
+SHORTEST = 20  # ticks or poses in one
+STAGES_s = (4.0,)  # parts of a segment or run that are fitted first: from a poor guess most fits of all get nowhere
+LEAST_TOLD = 0.01  # least share of a stated variance that the data must take away
 
 
 class Part(NamedTuple):
@@ -97,5 +100,5 @@ def against(corrections: FloatArray, left: FloatArray, wider: float = 1.0) -> Fl
         left: their variances after the fit, in stated ones, (k,).
         wider: f.
     """
-    g = np.maximum(1.0 - left, _LEAST_TOLD)
+    g = np.maximum(1.0 - left, LEAST_TOLD)
     return np.asarray(corrections / np.sqrt(g * g + wider * g * (1.0 - g)), np.float64)

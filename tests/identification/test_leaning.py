@@ -43,7 +43,7 @@ def test_what_makes_up_a_good_part_of_sigma_is_said() -> None:
 
 def test_a_part_that_is_doubled_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     causes = Causes(KEYS, SIGMA)
-    monkeypatch.setattr(leaning, "PART", 2.0 * leaning.PART)
+    monkeypatch.setattr(leaning, "SUPPORTED_SHRINKAGE", 2.0 * leaning.SUPPORTED_SHRINKAGE)
     assert causes.said(np.array([[0.3, 0.25]]), np.ones(1), np.ones(1)) == ("",)
 
 

@@ -24,7 +24,9 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.policy import HALF
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.further import TURNING_rad_s
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.ticks import RESTS_rad_s
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.identification.online import OnlineIdentifier
@@ -33,11 +35,10 @@ from onboard.identification.quantities import Estimate
 _STEADY = 10  # steps in succession with which a goal is met
 _LATE_s, _FIRST_LATE_s = 8.0, 60.0  # of an arm that is not back, or has other things to do first
 _UNMOVED = 2  # segments in which the arm has not moved
-_STILL_rad_s, _NEAR_rad = 0.01, 0.05  # an arm at rest in the posture
+_NEAR_rad = 0.05  # an arm at rest in the posture
 _LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the last
 _FEWEST = 3  # segments before it is given up
 _PROBES = 5  # motions with nothing known to be held
-_ANY_RATE_rad_s = 0.1
 
 
 class _Known(NamedTuple):
@@ -84,7 +85,7 @@ class Asking:
         self._text = mission.until
         self.prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
         self.prior[PAYLOAD, PAYLOAD] = np.diag(online.exiddm.payload_sigma**2)
-        self.prior[RATE, RATE] = _ANY_RATE_rad_s**2 * np.eye(3)
+        self.prior[RATE, RATE] = TURNING_rad_s**2 * np.eye(3)
         identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
         self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
         self._motions = [_motion(library, k) for k in range(len(library.names))]
@@ -134,7 +135,7 @@ class Asking:
             took = f"{time_s - self._held_s:.0f} s after the payload was held, {self.since_change} segments"
             return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
         self._linearise(exiddm)
-        self.moved |= bool((np.abs(joints[1]) > _STILL_rad_s).any())
+        self.moved |= bool((np.abs(joints[1]) > RESTS_rad_s).any())
         rests = time_s >= self._until_s and self._rests(joints) and bool(np.isfinite(rate).all())
         why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
@@ -185,7 +186,7 @@ class Asking:
     def _rests(self, joints: FloatArray) -> bool:
         """Whether the arm is where segments begin."""
         q, dq = joints
-        return bool(np.abs(q - self.library.posture).max() < _NEAR_rad and np.abs(dq).max() < _STILL_rad_s)
+        return bool(np.abs(q - self.library.posture).max() < _NEAR_rad and np.abs(dq).max() < RESTS_rad_s)
 
     def _known(self, exiddm: RecursiveExiddm, estimate: Estimate, rate: float) -> _Known:
         masses = self.library.masses

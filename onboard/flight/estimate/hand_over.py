@@ -23,8 +23,7 @@ from onboard.flight.estimate.answers import PAYLOAD_CHANGES
 from onboard.identification.quantities import BODY
 from onboard.identification.standing import LEVELS, Level
 
-EVERY_NS = 1_000_000_000  # between two files
-STEADY_NS = 1_000_000_000  # for which an answer has been good before it is handed over
+EVERY_NS = 1_000_000_000  # between two files; for which an answer has been good before it is handed over
 _MARK = "<identified "
 
 
@@ -68,7 +67,7 @@ class HandOver:
         if why := _not_good(ten):
             return self._withdraw(now_ns, why)
         self._good_since_ns = now_ns if self._good_since_ns < 0 else self._good_since_ns
-        if now_ns - self._good_since_ns < STEADY_NS or now_ns - self._written_ns < EVERY_NS:
+        if now_ns - self._good_since_ns < EVERY_NS or now_ns - self._written_ns < EVERY_NS:
             return []
         return self._write(now_ns, ten)
 

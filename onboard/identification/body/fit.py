@@ -18,7 +18,7 @@ import numpy as np
 from onboard.dynamics.floating import Floating, predict_floating
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Descent, Fit
+from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
 from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
@@ -31,14 +31,9 @@ STATE = 9  # unknowns of a window: x, y, yaw, their rates, steady accelerations
 BODY = 4  # unknowns of the body
 _UNKNOWN = 3.0  # sigma of the logarithm of a mass or moment of inertia of which nothing is known
 _SEARCHED, _SEARCH_s = 24, 0.025  # windows, and step of the delays that a fit begins from
-_TOLERANCE, _MOST, _LOOKS = (
-    1e-2,
-    40,
-    8,
-)  # of the whitened sum of squares; predictions by which pulses that do nothing are judged
+_LOOKS = 8  # predictions by which pulses that do nothing are judged
 _LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how many lengths are tried
 _BETTER = -2.0 * np.log(ODDS_OF_PART)  # squares by which valves that stay shut explain the poses
-_WORSE = 3.0  # times the squares: longer pulses opened the valves
 _SENSORS = 3
 _AS_WRITTEN = Opening(0.0, 0.0, 0.0)
 
@@ -174,21 +169,21 @@ class BodyModel:
             EstimationError: too few poses, or no minimum.
         """
         windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
-        begun, least_s = self._descend(windows, 0.0, self._begun(windows), 1.0, _LOOKS)[0], 0.0
+        begun, least_s = self._descend(windows, 0.0, self._begun(windows), NEAR_MINIMUM, _LOOKS)[0], 0.0
         for tried_s in self._leasts():
-            other, _ = self._descend(windows, tried_s, begun.x, 1.0, _LOOKS)
-            if other.residual_sum > _WORSE * begun.residual_sum:
+            other, _ = self._descend(windows, tried_s, begun.x, NEAR_MINIMUM, _LOOKS)
+            if other.residual_sum > MISFIT_REFUSED * begun.residual_sum:
                 break  # longer pulses opened the valves
             if other.residual_sum < begun.residual_sum - _BETTER * (least_s == 0.0):
                 begun, least_s = other, tried_s
-        found, settled = self._descend(windows, least_s, begun.x, _TOLERANCE, _MOST)
+        found, settled = self._descend(windows, least_s, begun.x, MINIMUM, ITERATIONS)
         white = self._whiteners(found.x, windows, least_s)
         rows, spread = sum(noise.size for noise in windows.noise), sum(one.log_determinant for one in white)
-        other, _ = self._descend(windows, least_s, found.x, 1.0, _LOOKS, white)
+        other, _ = self._descend(windows, least_s, found.x, NEAR_MINIMUM, _LOOKS, white)
         likelier = rows * float(np.log(found.residual_sum / other.residual_sum)) > spread  # the noise's scale unknown
         scattered = likelier and other.residual_sum < MISFIT_REFUSED * rows
         if scattered:
-            found, settled = self._descend(windows, least_s, other.x, _TOLERANCE, _MOST, white)
+            found, settled = self._descend(windows, least_s, other.x, MINIMUM, ITERATIONS, white)
         white = white if scattered else ()
         parts = self._parts(found.x, windows, least_s, white)
         late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self._thrusters.valves]).mean())

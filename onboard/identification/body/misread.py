@@ -26,7 +26,6 @@ _MIRRORED = (  # by quarter turns of the yaw
     "x and y are exchanged",
 )
 _AXES = tuple(product((1.0, -1.0), (1.0, -1.0), range(4)))  # signs of y and of the yaw, quarter turns of the yaw
-_LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
 
 
 class Interpretation(NamedTuple):
@@ -59,8 +58,8 @@ class _Way(NamedTuple):
 
     @property
     def score(self) -> float:
-        """The smaller, the likelier."""
-        return self.left / _LIKELIER**self.mistakes
+        """The smaller, the likelier: a further mistake leaves half of the squares, at the most."""
+        return self.left * MISFIT_REFUSED**self.mistakes
 
 
 def others(

@@ -17,8 +17,8 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
+from onboard.identification.windows import WINDOW_s
 
-_LONGEST_s = 2.5  # of a window's part that is fitted by itself: unknown accelerations do not add up in it
 _OPEN = 1e-10  # determinant of normal equations with ones on their diagonal: they leave something open
 
 
@@ -95,11 +95,16 @@ def guess(found: Products, full: FloatArray, place_m: FloatArray, axes: PoseAxes
 
 
 def products(windows: list[PoseWindow], noise: FloatArray) -> Products:
-    """Products of all windows, which are of one recording and of the same delays; noise: sigma of x, y, yaw, (3,)."""
+    """Products of all windows, which are of one recording and of the same delays; noise: sigma of x, y, yaw, (3,).
+
+    Halves of windows are fitted by themselves: unknown accelerations do not add up in them.
+    """
     d, _, j = windows[0].level.shape
     found = Products(*(np.zeros((d, size, size)) for size in (j + 1, 2 * j + 3, 2 * j + 3)))
     for window in windows:
-        for part in np.array_split(np.arange(len(window.time_s)), max(1, round(np.ptp(window.time_s) / _LONGEST_s))):
+        for part in np.array_split(
+            np.arange(len(window.time_s)), max(1, round(2.0 * np.ptp(window.time_s) / WINDOW_s))
+        ):
             _add(found, window, part, noise)
     return found
 

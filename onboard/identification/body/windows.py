@@ -7,8 +7,8 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
+from onboard.identification.windows import SHORTEST, WINDOW_s
 
-WINDOW_s, SHORTEST = 5.0, 20  # and fewest poses in one
 _MOST_WINDOWS = 240
 _STEP_s = 0.02  # of the prediction
 

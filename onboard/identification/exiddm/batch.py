@@ -27,7 +27,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Fit, covariance_of, fit
+from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Fit, covariance_of, fit
 from onboard.estimation.policy import MISFIT_DOUBTED
 from onboard.identification.exiddm.guesses import guesses
 from onboard.identification.exiddm.prediction.imu_errors import (
@@ -45,17 +45,13 @@ from onboard.identification.exiddm.prediction.parameters import UncertainLinks, 
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 
-_ITERATIONS = 60  # on a part of the flight
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
-_HELD_OUT_TOLERANCE = 1.0  # of the residual sum
 
 
 class Schedule(NamedTuple):
     """Stages of a fit: first ticks (every guess), a third of the flight, all ticks."""
 
     early: int  # ticks
-    rough: float  # tolerance of the residual sum before the last fit
-    fine: float  # of the last
     iterations: int  # of the last: weak motion makes a flat minimum
 
 
@@ -190,7 +186,7 @@ class Exiddm:
         found: Fit | None = None
         for guess in guesses(self.rough):
             try:
-                tried = self._fit(self.start(guess), plan.early, plan.rough)
+                tried = self._fit(self.start(guess), plan.early, NEAR_MINIMUM)
             except ConvergenceError:
                 continue
             if found is None or tried.residual_sum < found.residual_sum:
@@ -199,8 +195,8 @@ class Exiddm:
                 break
         if found is None:
             raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")
-        found = self._fit(found.x, max(plan.early, n // 3), plan.rough)
-        return self.found(self._fit(found.x, n, plan.fine, plan.iterations))
+        found = self._fit(found.x, max(plan.early, n // 3), NEAR_MINIMUM)
+        return self.found(self._fit(found.x, n, MINIMUM, plan.iterations))
 
     def found(self, found: Fit) -> PayloadFit:
         """The payload of a fit of all ticks.
@@ -280,12 +276,12 @@ class Exiddm:
             return r, J[:, anew]
 
         prior = self.prior_information[np.ix_(anew, anew)]
-        done = fit(residuals, own[anew], np.zeros(anew.size), prior, tolerance=_HELD_OUT_TOLERANCE)
+        done = fit(residuals, own[anew], np.zeros(anew.size), prior, tolerance=NEAR_MINIMUM)
         tried[anew], tried[self._payload] = done.x, _NOTHING
         none = self.left(self._with_first_state(tried))
         return HeldOutFit(float(np.sqrt(done.residual_sum / (none @ none))), done.residual_sum / none.size)
 
-    def _fit(self, x: FloatArray, ticks: int, tolerance: float, iterations: int = _ITERATIONS) -> Fit:
+    def _fit(self, x: FloatArray, ticks: int, tolerance: float, iterations: int = ITERATIONS) -> Fit:
         early = partial(self.residuals, ticks=ticks)
         return fit(early, x, np.zeros_like(x), self.prior_information, iterations, tolerance)
 

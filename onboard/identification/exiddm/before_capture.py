@@ -35,7 +35,6 @@ _ZERO_s: Final = 0.5  # before the first touch, from which the accelerometer's z
 _EARLY_s: Final = 0.03  # before the first time at which the payload may have been touched
 _CONTACTS_s: Final = (0.25, 0.35, 0.5)  # after the last one, until the grip has closed
 _BESIDE: Final = 12  # ticks on each side that tell the rate there
-_HOLE: Final = 0.5  # of a tick: largest deviation of a tick's time; beyond it ticks are missing
 _RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative
 _UNEXPLAINED: Final = "the motion about the capture cannot be predicted"
@@ -102,10 +101,9 @@ def before_capture(
     if first < _BESIDE + 1 or ends[-1] + _BESIDE + 1 >= len(ticks.time_s):
         raise SignalError(f"ticks are missing within {_BESIDE * predictor.period_s:g} s of the capture")
     seen = ticks.part(slice(first - _BESIDE - 1, ends[-1] + _BESIDE + 2))
-    if (
-        np.abs(np.diff(seen.time_s) / predictor.period_s - 1.0).max() > _HOLE
-        or not np.isfinite(np.column_stack([seen.measured[:, :6], seen.q, seen.dq])).all()
-    ):
+    if (np.rint(np.diff(seen.time_s) / predictor.period_s) != 1.0).any() or not np.isfinite(
+        np.column_stack([seen.measured[:, :6], seen.q, seen.dq])
+    ).all():
         raise SignalError("readings are missing about the capture")
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
         raise SignalError("the estimated payload has no mass or inertia that a body can have")

@@ -11,6 +11,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.maximum_likelihood import ITERATIONS
 from onboard.identification.exiddm.batch import Exiddm, Schedule, checked
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s
 from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
@@ -35,7 +36,7 @@ class FreeBase:
         self.start = Unknowns(tuple(f"momentum_{axis}" for axis in "xyz"), np.full(3, np.nan))
         self.others: Mapping[str, Unknowns] = {}
         self.of_a_run: tuple[str, ...] = ()
-        self.schedule = Schedule(len(signals.q) // 8, 1.0, 1e-4, 60)
+        self.schedule = Schedule(len(signals.q) // 8, ITERATIONS)
 
     def predict(
         self, start: FloatArray, chi: FloatArray, others: Mapping[str, FloatArray], links: tuple[int, ...], ticks: int

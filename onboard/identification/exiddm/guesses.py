@@ -13,6 +13,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPre
 from onboard.identification.exiddm.prediction.ticks import Ticks
 
 ROUGH_WIDTH_s = 0.3  # of the kernel that smooths the base's motion for a least squares on rows
+WIDEST_s = 0.8  # of a kernel: 3 dB at 2.75 Hz, four times the fastest sweep of an arm, 0.6 Hz
 FIRST_TICKS = 10  # for the initial rate
 _POSE_TICKS = 100  # for the first pose
 

@@ -9,6 +9,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import SingularError
+from onboard.estimation.maximum_likelihood import OPEN
 from onboard.identification.corrections import DOUBTFUL, refused_from
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.fusion import Accusation, Fusion
@@ -16,12 +17,10 @@ from onboard.identification.exiddm.held_against import stated_after
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import TickPrediction
+from onboard.identification.exiddm.prediction.ticks import IMMODERATE, TickPrediction
 from onboard.identification.exiddm.suspects import Believed, Rivals
 
-_LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's noise
 _MOST_TOLD = 256  # batches whose errors wait to be taken out
-_FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
 class TickBatch(NamedTuple):
@@ -134,7 +133,7 @@ class Innovations:
         np.matmul(steps.T, H.T, out=known[p + 1 :])
         S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
-        if not S.diagonal().max() < _LARGEST:  # as with NaN
+        if not S.diagonal().max() < IMMODERATE:  # as with NaN
             raise SingularError("the state says nothing of what is measured; it has to be estimated anew")
         try:
             L = np.asarray(np.linalg.cholesky(S), np.float64)
@@ -217,7 +216,7 @@ class Innovations:
         mean, covariance = prior
         if instrument is not None:
             at, covariance = self._predictor.of_each[instrument], covariance.copy()
-            covariance[at, at] += (_FREE * self._predictor.sigma[at]) ** 2
+            covariance[at, at] += (OPEN * self._predictor.sigma[at]) ** 2
         return mean, covariance
 
     def of_batch(self, batch: TickBatch, there: BoolArray, covariance: FloatArray) -> Innovation:

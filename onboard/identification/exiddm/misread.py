@@ -17,18 +17,17 @@ from onboard.dynamics.kinematics import LinkMotion, composite_inertia, link_moti
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.maximum_likelihood import ROUNDS
 from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY
-from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
+from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, WIDEST_s
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
+from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu, zero_wrench_of
 
-LIKELIER = 1.0 / MISFIT_REFUSED  # what a further mistake leaves of the sum of squares, at the most
-_TICKS = 300  # that a way to read is judged by
-_FEWEST = 5  # widths in a recording
-_WIDE_s = 0.8  # kernel through which a slow motion is seen
-_ROUNDS = 3
+_UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero
+_FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut off, and each tells six lines anew
 _MOST_SAID = 3
 _NOISE_SEED = 1
 _G_m_s2 = 9.80665
@@ -107,7 +106,7 @@ class _Recording:
         edge = round(width_s / period_s)
         whole = np.flatnonzero(np.logical_and.reduce(known))
         whole = whole[(whole >= edge) & (whole < len(ticks.time_s) - edge)]
-        some = whole[:: max(1, len(whole) // _TICKS)]
+        some = whole[:: max(1, len(whole) // MOST_TICKS)]
         self.ticks = len(some)
         self._imu, self._noise = (BaseSignals(*(one[some] for one in of)) for of in (imu, noise))
         self._joints = ticks.q[some], ticks.dq[some], ticks.ddq[some]
@@ -192,7 +191,7 @@ def mistaken(predictor: ImuPredictor, ticks: Ticks, period_s: float, smoothing_s
 
     Noise hides a slow motion, and a wide kernel a fast one: two widths are tried.
     """
-    for width_s in (_WIDE_s, max(ROUGH_WIDTH_s, smoothing_s)):
+    for width_s in (WIDEST_s, max(ROUGH_WIDTH_s, smoothing_s)):
         found = misread(predictor.vehicle, predictor.imu_frames[0], ticks, period_s, width_s)
         if found is not None:
             return found.text
@@ -214,7 +213,7 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
     recording = _Recording(vehicle, frame, ticks, period_s, width_s)
     names = [joint.name for joint in vehicle.joints]
     stated = FlightReading.stated(len(names))
-    if not recording.ticks or (least := recording.left(stated, _ROUNDS)) <= recording.explained(stated):
+    if not recording.ticks or (least := recording.left(stated, ROUNDS)) <= recording.explained(stated):
         return None
     of_imu, of_joints = [*_of_imu(stated)], [*_of_joints(stated, names)]
     zeros = [*_of_zeros(stated, names)]
@@ -222,13 +221,13 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
     if ways[0].left > recording.explained(ways[0].way):
         pairs = [two for way in of_joints for two in (*_of_imu(way), *_of_joints(way, names))]
         ways = sorted([*ways, *(recording.weighed(way) for way in pairs)], key=_score)
-    best = ways[0]._replace(left=recording.left(ways[0].way, _ROUNDS))
+    best = ways[0]._replace(left=recording.left(ways[0].way, ROUNDS))
     by_noise, of_best = (float(recording.by_noise(way).sum()) for way in (stated, best.way))
     if of_best > MOSTLY or best.left > recording.explained(best.way):
         return None
     if _score(best._replace(left=max(best.left - of_best, 2.0 * MOST_UNEXPLAINED**2))) >= least - by_noise:
         return None
-    near = [one.way for one in ways if _score(one) * LIKELIER < _score(ways[0])]
+    near = [one.way for one in ways if _score(one) / MISFIT_REFUSED < _score(ways[0])]
     # of zeros beside each other, and of a pair in either order, a single one
     each = {re.sub(r"[-+]\d+", "", " ".join(sorted(way.said))): way for way in reversed(near)}
     shares = (min(1.0, float(np.sqrt(0.5 * left))) for left in (least, best.left))
@@ -246,8 +245,8 @@ def _noise(flight: FlightSignals) -> FlightSignals:
 
 
 def _score(one: _Weighed) -> float:
-    """The smaller, the likelier."""
-    return one.left / LIKELIER**one.way.mistakes
+    """The smaller, the likelier: a further mistake leaves half of the squares, at the most."""
+    return one.left * MISFIT_REFUSED**one.way.mistakes
 
 
 def _of_imu(now: FlightReading) -> Iterator[FlightReading]:

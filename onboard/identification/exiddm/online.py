@@ -14,7 +14,7 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, REFUSE, contradicted_text, tails
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text, tails
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
 from onboard.identification.evidence.bank import Weighed
@@ -28,9 +28,10 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, Imu
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
 from onboard.identification.exiddm.prediction.ticks import Ticks, gated, ticks_of
 from onboard.identification.exiddm.recursion.bounded_work import last_work
+from onboard.identification.exiddm.recursion.lines import RECENT_s
 from onboard.identification.exiddm.recursion.recursive import DETERMINED, RecursiveExiddm
 from onboard.identification.exiddm.recursion.windowed import SOLVED_AT_s
-from onboard.identification.leaning import PART, Causes
+from onboard.identification.leaning import Causes
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -49,9 +50,7 @@ _EXCHANGED = "the payload changed without a release, so an instrument did: check
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
 _SWINGING = "slosh, a flexible joint or a drift"
 _GIVEN_UP = "the end of the flight is not taken in: its windows take too long to solve"
-_MOST_SLOW = 4.0  # power below 1.5 Hz
-_MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
-_RECENT_s = 60.0
+_MOST_UNEXPLAINED = 3  # changes without a change of the payload, within RECENT_s
 _LEANINGS = 2  # keys that an answer leans on: as above
 
 
@@ -260,7 +259,7 @@ class ExiddmIdentifier:
         swaying = tuple(
             f"residuals of the {name} below 1.5 Hz are {ratio**0.5:.1f} times its noise: {_SWINGING}"
             for name, ratio in slow.by_sensor(REFUSE).items()
-            if ratio > _MOST_SLOW
+            if ratio > MISFIT_PART
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
         doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
@@ -365,7 +364,7 @@ class ExiddmIdentifier:
             if (
                 one.suspect is None
                 or (cause := self._causes.at[one.suspect.at[0]]) < 0
-                or not (large := share > PART).any()
+                or not (large := share > SUPPORTED_SHRINKAGE).any()
             ):
                 continue
             shift, root = weighed.effect(one, PAYLOAD)
@@ -376,7 +375,7 @@ class ExiddmIdentifier:
     def _unexplained(self) -> int:
         """Largest number of recent changes at any time that no capture and no ejection explained."""
         times = [one.time_s for one in self.exiddm.changes if one.kind in ("contact", "instrument", "altered")]
-        return max((sum(at - _RECENT_s < other <= at for other in times) for at in times), default=0)
+        return max((sum(at - RECENT_s < other <= at for other in times) for at in times), default=0)
 
     def news(self) -> tuple[Change, ...]:
         """Captures and ejections, instruments left out and taken back, since the last call."""

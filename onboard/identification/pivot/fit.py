@@ -20,20 +20,17 @@ from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal, inverse_of
+from onboard.estimation.maximum_likelihood import MINIMUM, Fit, Normal, fit_normal, inverse_of
 from onboard.estimation.recursive.consistency import NoiseScale
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, UnknownLayout, Unknowns
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
-from onboard.identification.windows import Part, WindowedFit, judged, total
+from onboard.identification.windows import SHORTEST, Part, WINDOW_s, WindowedFit, judged, total
 
-WINDOW_s = 5.0
-SHORTEST_TICKS = 20  # of a window
 BODY = 9  # unknowns: first moment, inertia
 _STATE = 5  # unknowns of a window: rate, tilt at its first tick
-_TOLERANCE = 1e-2  # of the whitened sum of squares
 
 
 class Windows(NamedTuple):
@@ -141,10 +138,10 @@ class PivotModel:
         prior = np.diag(np.concatenate([self.sigma**-2, np.zeros(_STATE * k)]))
         asked = (lambda at: self._total(at, windows)), x, np.zeros_like(x), prior
         try:
-            found = fit_normal(*asked, tolerance=_TOLERANCE)
+            found = fit_normal(*asked, tolerance=MINIMUM)
         except ConvergenceError:  # of an IMU that is not as stated, say: the drawing may be nearer, and tells what is
             x[:p] = 0.0
-            found = fit_normal(*asked, tolerance=_TOLERANCE)
+            found = fit_normal(*asked, tolerance=MINIMUM)
         return judged(found, self._residuals(found.x, windows), p, 2)
 
     def bound(self, ticks: Ticks, held: BoolArray, rate: FloatArray) -> WindowedFit:
@@ -176,7 +173,7 @@ class PivotModel:
 
     def _begun(self, windows: Windows) -> FloatArray:
         """Unknowns but the windows', where nothing is known: the body by its momentum in each second, nothing wrong."""
-        n = SHORTEST_TICKS + 1
+        n = SHORTEST + 1
         spans = range(0, windows.time_s.shape[1] - n + 1, n - 1)
         rate, felt = (windows.measured[..., axes] @ self._R_BS.T for axes in (slice(3), slice(3, 6)))
         parts = rate, felt, windows.speed @ self.stored
@@ -272,7 +269,7 @@ def windows_of(ticks: Ticks, held: BoolArray, period_s: float, R_BS: FloatArray)
     Raises:
         ConvergenceError: there is none.
     """
-    most = max(SHORTEST_TICKS, round(WINDOW_s / period_s))
+    most = max(SHORTEST, round(WINDOW_s / period_s))
     known = np.asarray(np.isfinite(np.hstack([ticks.dq, ticks.ddq])).all(axis=1), np.bool_)
     use = np.asarray(np.isfinite(ticks.measured.reshape(-1, 2, 3)).all(axis=2) & known[:, None], np.bool_)
     apart = (held[1:] != held[:-1]) | ~known[1:] | ~known[:-1] | (np.abs(np.diff(ticks.time_s) / period_s - 1.0) > 0.5)
@@ -280,14 +277,14 @@ def windows_of(ticks: Ticks, held: BoolArray, period_s: float, R_BS: FloatArray)
     for end in (*(np.flatnonzero(apart) + 1).tolist(), len(known)):
         while first < end and not use[first].all():
             first += 1
-        while end - first >= SHORTEST_TICKS:
+        while end - first >= SHORTEST:
             parts.append(slice(first, min(first + most, end)))
             first = parts[-1].stop
             while first < end and not use[first].all():
                 first += 1
         first = end
     if not parts:
-        raise ConvergenceError(f"no {SHORTEST_TICKS * period_s:g} s of IMU and wheels in succession")
+        raise ConvergenceError(f"no {SHORTEST * period_s:g} s of IMU and wheels in succession")
 
     def stacked(values: FloatArray) -> FloatArray:
         return np.array([np.pad(values[p], [(0, most - p.stop + p.start), (0, 0)], "edge") for p in parts])

@@ -10,7 +10,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import MISFIT_DOUBTED, MISFIT_REFUSED
+from onboard.estimation.policy import AGAIN, MISFIT_DOUBTED, MISFIT_REFUSED
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes
@@ -21,7 +21,7 @@ from onboard.identification.table.run import TableRun
 from onboard.identification.windows import WindowedFit, against
 from onboard.regressor.signals import Signals
 
-_FIRST_TICKS, _MORE = 200, 1.15  # of the first fit; times as many for the next one
+_FIRST_TICKS = 200  # of the first fit
 _MOST_TICKS = 12_000  # 40 MB of derivatives at once
 CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
 TOLD = "of what the motion tells"
@@ -97,7 +97,7 @@ class PivotRun(TableRun):
             self._fit()
 
     def _fit(self) -> None:
-        self._next = max(self._next, round(_MORE * self._count))
+        self._next = max(self._next, round(AGAIN * self._count))
         ticks, held = self.taken
         self._ticks, self._held = [ticks], [held]
         start = None if self.found is None else self.found.fit.x[: self.found.globals]

@@ -15,8 +15,6 @@ from onboard.identification.rows.checks.prediction import HeldOutFit, predicted,
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
 
-_FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved
-
 
 class HeldOut(NamedTuple):
     """Prediction of each half from the other, and of all rows from all."""
@@ -70,7 +68,7 @@ def _half(blocks: RowBlocks, later: bool) -> tuple[FloatArray, FloatArray] | Non
     found: tuple[FloatArray, FloatArray] | None = None
     for part in blocks.parts:
         own, noise = blocks.of(*part)
-        if len(own) < _FEWEST_BLOCKS:
+        if len(own) < 2:  # cannot be halved
             continue
         rows = np.cumsum(own[:, -1, -1])
         middle = max(1, int(np.searchsorted(rows, 0.5 * rows[-1])))

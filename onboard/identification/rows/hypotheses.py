@@ -31,8 +31,7 @@ from onboard.identification.rows.likelihood import nats
 from onboard.identification.standing import Level, standing
 from onboard.regressor.signals import Signals
 
-_JUDGED_ROWS = 50  # between decisions
-_FEWEST_ROWS = 100  # after a reported release, before the decision
+_JUDGED_ROWS = 50  # between decisions; twice as many after a reported release, before its own
 
 
 class Member(NamedTuple):
@@ -173,7 +172,7 @@ class Hypotheses:
 
     def _judge(self) -> None:
         findings = {member: identifier.findings() for member, identifier in self._members.items()}
-        if self._told_rows is not None and abs(self.rows_used - self._told_rows) >= _FEWEST_ROWS:
+        if self._told_rows is not None and abs(self.rows_used - self._told_rows) >= 2 * _JUDGED_ROWS:
             self._judge_release(findings)
         as_told = findings[_AS_TOLD]
         others = [member for member in findings if member.left_out and not member.still_held]

@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.dynamics.model.errors import SignalError
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray
+from onboard.estimation.policy import AGAIN
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.identification.rows.predicted_motion import PredictedMotion
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowFold, RowModel
 
-_RIDGE = 1e-9  # relative, on the diagonal of nearly singular row covariances
-_FIRST_S = 1.0  # before there is an estimate to predict with
-_SETTLED_S = 10.0  # of flight after which instruments are final
-_EVERY, _LEAST_S, _MOST_S = 0.2, 0.5, 10.0  # of the flight so far, between one correction and the next
+_LEAST_S, _MOST_S = 0.5, 10.0  # between one correction and the next; of flight after which instruments are final
 
 
 class MotionRows(NamedTuple):
@@ -65,7 +63,7 @@ def whitening(rows: MotionRows, mean: FloatArray) -> tuple[FloatArray, list[tupl
         index = starts[sizes == size][:, None] + np.arange(size)  # (t, m)
         E = scaled[index]
         S = E @ E.swapaxes(1, 2)
-        S[:, np.arange(size), np.arange(size)] = 1.0 + _RIDGE
+        S[:, np.arange(size), np.arange(size)] = 1.0 + ROUNDING
         parts.append((index, np.linalg.inv(np.linalg.cholesky(S))))
     return sigma, parts
 
@@ -110,12 +108,12 @@ class Instruments:
         """Takes rows already added to the least squares."""
         now_s = float(rows.time_s[-1])
         if self._start_s is None:
-            self._start_s, self._due_s = now_s, now_s + _FIRST_S
+            self._start_s, self._due_s = now_s, now_s + 2.0 * _LEAST_S
         elapsed = now_s - self._start_s
-        due, settled = now_s >= self._due_s, elapsed > _SETTLED_S
+        due, settled = now_s >= self._due_s, elapsed > _MOST_S
         if due:
             self._correct()
-            self._due_s = now_s + min(max(_EVERY * elapsed, _LEAST_S), _MOST_S)
+            self._due_s = now_s + min(max((AGAIN - 1.0) * elapsed, _LEAST_S), _MOST_S)
         if self._waiting is None:
             self._instrument(rows, True)
             return

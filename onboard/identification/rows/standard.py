@@ -14,7 +14,7 @@ from scipy.special import chdtrc, fdtrc
 from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements, pseudo_inertia, take_away
 from onboard.dynamics.model.payload import body_jacobian, body_of, possible_body, standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.policy import sigmas
 from onboard.estimation.recursive.consistency import JackknifeEstimate
@@ -23,7 +23,6 @@ from onboard.identification.rows.identifier import Identifier
 
 _MOMENTS = 6
 _RAREST = float(np.finfo(np.float64).tiny)
-_SAME = 1e-9  # combinations that differ by less are one
 
 
 class LinkEstimate(NamedTuple):
@@ -130,7 +129,7 @@ def standard_posterior(identifier: Identifier, nuisance: Collection[str] = ()) -
     ]
     weights = np.vstack([np.eye(len(base.names)), *(q.weights for q in identifier.quantities)])[told]  # (k, p)
     F = weights @ base.grouping  # (k, P)
-    K = root @ np.asarray(np.linalg.pinv(F @ root, rcond=_SAME))  # (P, k)
+    K = root @ np.asarray(np.linalg.pinv(F @ root, rcond=ROUNDING))  # (P, k)
     mean = model.chi + K @ (weights @ jackknife.mean - F @ model.chi)
     left = (root - K @ F @ root) @ root.T  # what the rows do not tell
     of_rows, unstated = K @ weights, identifier.unstated(jackknife).covariance()

@@ -28,8 +28,8 @@ from onboard.dynamics.spatial import times
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
-from onboard.estimation.maximum_likelihood import Descent, Fit, Normal, fit
-from onboard.estimation.policy import MISFIT_DOUBTED
+from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit, Normal, fit
+from onboard.estimation.policy import MISFIT_DOUBTED, MISFIT_PART
 from onboard.identification.corrections import refused_from
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
@@ -38,16 +38,15 @@ from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrio
 from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, GeometryPrior, Unknowns
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.windows import STAGES_s
 from onboard.regressor.free_rows import measured_base
 
-_EARLY_s = 4.0
-_PATIENT, _STEPS = 200, 40  # iterations at the end, of a step of a search: velocity and drag form a curved valley
-_ROUGHLY, _FAIRLY, _CLOSELY = 100.0, 3.0, 1e-2  # tolerances of the sum, by stage
+_PATIENT = 200  # iterations at the end: velocity and drag form a curved valley
+_ROUGHLY = 100.0  # tolerance of the sum in a search, before drags are free
 _SEARCH_PERIOD_s = 0.02  # between ticks
 _ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
 _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
-_HOPELESS = 4.0  # squares of a search's result by its residuals, three times what could be an answer
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
@@ -111,8 +110,8 @@ class AirBearingBase:
         }
         # tilt: along the base's axes at the first tick; what the supply does in one half it does not in the other
         self.of_a_run: tuple[str, ...] = ("tilt", *(("drag", "sag") if prior.sag else ()))
-        early = min(len(signals.q), round(_EARLY_s / signals.period_s))
-        self.schedule = Schedule(early, 3.0, _CLOSELY, _PATIENT)
+        early = min(len(signals.q), round(STAGES_s[0] / signals.period_s))
+        self.schedule = Schedule(early, _PATIENT)
 
     def predict(
         self, start: FloatArray, chi: FloatArray, others: Mapping[str, FloatArray], links: tuple[int, ...], ticks: int
@@ -239,7 +238,7 @@ class TableExiddm(Exiddm):
         Raises:
             EstimationError, SignalError: as :meth:`Exiddm.fit`.
         """
-        fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
+        fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, MINIMUM)
         return self._dragged(self.found(fitted))
 
     def _dragged(self, found: PayloadFit) -> PayloadFit:
@@ -250,8 +249,8 @@ class TableExiddm(Exiddm):
             return found
         x[pushing] = 0.0
         try:
-            x = self.held(x, pushing, _FAIRLY, self.ticks, Work(_STEPS * self.ticks)).x
-            fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
+            x = self.held(x, pushing, NEAR_MINIMUM, self.ticks, Work(ITERATIONS * self.ticks)).x
+            fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, MINIMUM)
         except EstimationError:
             return found
         return min(found, self.found(fitted), key=lambda one: one.fit.residual_sum)
@@ -305,12 +304,12 @@ class TableExiddm(Exiddm):
                         found.append(one)
                         of_drag[drags] = min(one.squares, of_drag.get(drags, np.inf))
                 least, most = min(of_drag.values(), default=0.0), max(of_drag.values(), default=0.0)
-                if len(of_drag) == len(DRAGS) and most - least < _FAIRLY and least < MISFIT_DOUBTED * rows:
+                if len(of_drag) == len(DRAGS) and most - least < NEAR_MINIMUM and least < MISFIT_DOUBTED * rows:
                     break
             if found:
                 break
         found = sorted(found, key=lambda one: one.squares)[:_FINISHED]
-        near = [one.x for one in found if one.squares < _HOPELESS * rows]
+        near = [one.x for one in found if one.squares < MISFIT_PART * rows]
         if found and not near:
             times = np.sqrt(found[0].squares / rows)
             raise ConvergenceError(f"IMU and joints contradict each other: {times:.1f} times the noise is left")
@@ -328,8 +327,8 @@ class TableExiddm(Exiddm):
         for held, ticks in ((both, n // 3), (drag, n // 3), (drag, 2 * n // 3), (drag, n)):
             x = rounded.held(x, held, _ROUGHLY, ticks, work).x
         for rounding_m_s in roundings_m_s:
-            x = self.of(self._base.rounded(rounding_m_s)).held(x, none, _FAIRLY, n, work).x
-        return self.held(x, none, _FAIRLY, n, work)
+            x = self.of(self._base.rounded(rounding_m_s)).held(x, none, NEAR_MINIMUM, n, work).x
+        return self.held(x, none, NEAR_MINIMUM, n, work)
 
     def _drag(self, viscous_1_s: float, coulomb_m_s2: float) -> FloatArray:
         """Fv and Fc of each puck that slow the bare vehicle down so, (2 x pucks,)."""
@@ -341,8 +340,8 @@ class TableExiddm(Exiddm):
         """The best in a few steps, for the first ticks, with some unknowns kept as they are."""
         free = np.setdiff1d(np.arange(x.size), held)
         tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]
-        descent = Descent(x[free], np.zeros(free.size), prior, _STEPS, tolerance)
-        for _ in range(_STEPS):
+        descent = Descent(x[free], np.zeros(free.size), prior, ITERATIONS, tolerance)
+        for _ in range(ITERATIONS):
             tried[free] = descent.at
             work.spend(ticks)
             with np.errstate(over="ignore", invalid="ignore"):

@@ -7,10 +7,10 @@ iteration predicts the whole flight anew about the same estimate (Gauss-Newton,
 narrows the payload's interval. All instruments of the predictor take part but those that are left out, be it the first
 IMU.
 
-A bias is a straight line over the flight with a kink every ``KINK_s``: the sigma of a kink's change of slope is that of
-the random walk of the filter's drift, ``drift sqrt(2 KINK_s / DRIFT_MEMORY_s)``. A delay that wanders (a clock without
-marks) is a constant and, in stretches of its correlation time T, a deviation of its stated sigma s: noise along the
-effect d of a delay, so that rows are whitened by ``(1 + s^2 d d')^(-1/2)``.
+A bias is a straight line over the flight with a kink every ``WINDOW_s``: the sigma of a kink's change of slope is that
+of the random walk of the filter's drift, ``drift sqrt(2 WINDOW_s / DRIFT_MEMORY_s)``. A delay that wanders (a clock
+without marks) is a constant and, in stretches of its correlation time T, a deviation of its stated sigma s: noise along
+the effect d of a delay, so that rows are whitened by ``(1 + s^2 d d')^(-1/2)``.
 
 Normal equations are kept for each block of ticks and each instrument, of the parameters that it depends on, so that
 agreement of parts of the flight (:mod:`onboard.identification.whole_flight.parts`) costs no further prediction, and
@@ -24,9 +24,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from onboard.dynamics.model.payload import body_estimate
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
+from onboard.estimation.maximum_likelihood import NEAR_MINIMUM, ROUGH_MINIMUM, Fit, Normal, fit_normal
 from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.exiddm.guesses import first_rate
@@ -45,15 +45,13 @@ from onboard.identification.whole_flight.blocks import (
     misfit_by_instrument,
     total_of,
 )
-from onboard.identification.whole_flight.segments import SHORTEST_TICKS, KINK_s, Segment, others_in
+from onboard.identification.whole_flight.segments import Segment, others_in
+from onboard.identification.windows import SHORTEST, WINDOW_s
 
 _BLOCK_TICKS = 200
 _FEWEST_TICKS = 4  # of a prediction
 _EVALUATIONS = 25  # predictions of the flight in a stage
-_ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
-_LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
 _SAME = 0.05  # relative change of a sigma that counts as none: 0.1 % in the mean
-_DAMPING = 1e-6  # of the first step
 
 
 class _Minimum(NamedTuple):
@@ -62,7 +60,6 @@ class _Minimum(NamedTuple):
     fit: Fit
     blocks: tuple[NormalEquations, ...]  # there
     promised: float  # decrease of the residual sum by the last step, whose end was not predicted
-    gained: float  # by the step before; NaN where there is none
 
 
 class _Along(NamedTuple):
@@ -116,11 +113,11 @@ class WholeFlight:
         self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)
-        self.segments = [one for one in segments if len(one.ticks.time_s) >= SHORTEST_TICKS]
+        self.segments = [one for one in segments if len(one.ticks.time_s) >= SHORTEST]
         self._begin_s = min((float(one.ticks.time_s[0]) for one in self.segments), default=0.0)
         end_s = max((float(one.ticks.time_s[-1]) for one in self.segments), default=0.0)
-        self._kinks_s = np.arange(1, int((end_s - self._begin_s) / KINK_s)) * KINK_s
-        walk = np.sqrt(2.0 * KINK_s / DRIFT_MEMORY_s)
+        self._kinks_s = np.arange(1, int((end_s - self._begin_s) / WINDOW_s)) * WINDOW_s
+        walk = np.sqrt(2.0 * WINDOW_s / DRIFT_MEMORY_s)
         drifts = [drift_at for _, drift_at in predictor.biases]
         self.constants = len(predictor.names) - PAYLOAD.start
         self.of_bodies = predictor.of_bodies - PAYLOAD.start
@@ -202,15 +199,14 @@ class WholeFlight:
         x = start
         for length_s in stages_s:
             self.weigh(x)
-            x = self._settle(x, _ROUGH, length_s).fit.x
+            x = self._settle(x, ROUGH_MINIMUM, length_s).fit.x
             x = self.start(np.concatenate([start[:10], x[10 : self.constants]]))
         self.weigh(x)
-        found = self._settle(x, _ROUGH)
+        found = self._settle(x, ROUGH_MINIMUM)
         glitches, as_before = self._leave_out(), self.weigh(found.fit.x)
         self._glitches += glitches
-        near = _NEAR if found.promised < _LINEAR * found.gained else _FINE
-        if glitches or not as_before or found.promised > near:
-            found = self._settle(found.fit.x, near)
+        if glitches or not as_before or found.promised > NEAR_MINIMUM:
+            found = self._settle(found.fit.x, NEAR_MINIMUM)
         return self._found(found)
 
     def _found(self, minimum: _Minimum) -> FlightFit:
@@ -296,11 +292,10 @@ class WholeFlight:
             give_up(bests, sum(block.rows for block in blocks), _EVALUATIONS)
             return total
 
-        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, _DAMPING)
+        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, ROUNDING)
         cost, at, blocks, self._left = best
-        gained = bests[-2] - bests[-1] if len(bests) > 1 else np.nan
         here = tuple(block.moved(found.x - at) for block in blocks)
-        return _Minimum(found, here, cost - found.residual_sum, gained)
+        return _Minimum(found, here, cost - found.residual_sum)
 
     def weigh(self, x: FloatArray) -> bool:
         """Add the effect of the joints' noise, with the payload of x, to the IMU's; whether it is about as before."""
@@ -337,7 +332,7 @@ class WholeFlight:
     def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[_Along]:
         """Block by block along a segment."""
         ticks, p = self.segments[segment].ticks, len(self.predictor.names)
-        last = min(len(ticks.time_s), max(SHORTEST_TICKS, round(min(length_s, 1e6) / self.predictor.period_s)))
+        last = min(len(ticks.time_s), max(SHORTEST, round(min(length_s, 1e6) / self.predictor.period_s)))
         state, d_rate, first = self.state(x, segment), np.eye(3, p), 0
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2

@@ -20,7 +20,7 @@ import numpy as np
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, Normal, inverse_of
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import NormalEquations, misfit_by_instrument, total_of
@@ -28,8 +28,6 @@ from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import DETERMINED, PAYLOAD
 
-_STEPS = 12
-_DONE = 1e-2  # promised decrease of the residual sum at which a step is the last
 _HALVINGS = 6
 
 
@@ -99,15 +97,15 @@ class Pool:
             one[at] = common
             flight.weigh(one)
         z, parts = common.copy(), self._reduced(x)
-        for _ in range(_STEPS):
+        for _ in range(ITERATIONS):
             information = np.diag(self._prior) + sum(part.S for part in parts)
             gradient = self._prior * z + sum(part.s for part in parts)
             d = -inverse_of(information) @ gradient
             promised = float(-gradient @ d) + sum(part.gained for part in parts)
             x, z, parts = self._moved(x, z, d, parts)
-            if promised < _DONE:
+            if promised < MINIMUM:
                 return self._pooled(x, z, parts)
-        raise ConvergenceError(f"the flights together did not converge in {_STEPS} steps")
+        raise ConvergenceError(f"the flights together did not converge in {ITERATIONS} steps")
 
     def _moved(
         self, x: list[FloatArray], z: FloatArray, d: FloatArray, parts: list[_Reduced]
@@ -121,7 +119,7 @@ class Pool:
                 one[own] += share * (part.step + part.by_common @ d)
                 one[at] = z + share * d
             found = self._reduced(moved)
-            if self._cost(z + share * d, found) <= before + _DONE:
+            if self._cost(z + share * d, found) <= before + MINIMUM:
                 return moved, z + share * d, found
         raise ConvergenceError("no step of all flights together makes their residuals smaller")
 

@@ -9,9 +9,7 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.steps import JumpedJoint
-
-KINK_s = 5.0
-SHORTEST_TICKS = 20  # of a segment
+from onboard.identification.windows import SHORTEST, WINDOW_s
 
 
 class Segment(NamedTuple):
@@ -22,7 +20,7 @@ class Segment(NamedTuple):
 
 
 def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
-    """The same ticks in segments of ``KINK_s`` or less, each with a rate of its own at its start.
+    """The same ticks in segments of ``WINDOW_s`` or less, each with a rate of its own at its start.
 
     A base that tumbles while its arm moves is chaotic: what a guess of the payload or the first rate is off by grows
     until the prediction has no more to do with the readings, and no step of a fit leads nearer.
@@ -31,7 +29,7 @@ def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
         segments: in the order of their times.
         period_s: between ticks.
     """
-    size = max(SHORTEST_TICKS, round(KINK_s / period_s))
+    size = max(SHORTEST, round(WINDOW_s / period_s))
     found = list[Segment]()
     for one in segments:
         n = len(one.ticks.time_s)

@@ -17,8 +17,7 @@ from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import FlightFit, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight
-
-_TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
+from onboard.identification.windows import LEAST_TOLD
 
 
 def bodies_of(flight: WholeFlight, found: FlightFit) -> Chance:
@@ -33,7 +32,7 @@ def bodies_of(flight: WholeFlight, found: FlightFit) -> Chance:
     expected = inverse_of(flight.prior_information[both]) - found.fit.covariance[both]
     doubt = found.correction.sigma[at]
     told = (expected + np.outer(doubt, doubt)) / np.outer(sigma, sigma)
-    return Chance(*squares_of(found.fit.x[at] / sigma, told, _TOLD))
+    return Chance(*squares_of(found.fit.x[at] / sigma, told, LEAST_TOLD))
 
 
 def bound_of(flight: WholeFlight, found: FlightFit) -> FloatArray:

@@ -32,8 +32,7 @@ from onboard.identification.whole_flight.blocks import FlightFit
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import PAYLOAD, differences
 from onboard.identification.whole_flight.stated import bodies_of
-
-_STAGES_s = (8.0,)  # part of each segment that is fitted first: most fits without an instrument get nowhere
+from onboard.identification.windows import STAGES_s
 
 
 class Tested(NamedTuple):
@@ -135,7 +134,7 @@ def without_each(
     for device in devices:
         try:
             flight = made(device)
-            yield device, fitted(flight, start, _STAGES_s, phase_at)
+            yield device, fitted(flight, start, STAGES_s, phase_at)
         except (EstimationError, ModelError):
             continue
 

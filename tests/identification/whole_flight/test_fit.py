@@ -23,8 +23,9 @@ from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
-from onboard.identification.whole_flight.segments import KINK_s, Segment, in_windows
+from onboard.identification.whole_flight.segments import Segment, in_windows
 from onboard.identification.whole_flight.stated import bodies_of, bound_of, leans_on
+from onboard.identification.windows import WINDOW_s
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
@@ -305,7 +306,7 @@ def test_a_tumbling_base_is_fitted_in_windows_where_the_whole_flight_cannot_be_p
     with pytest.raises(ConvergenceError, match=r"residuals stay at .* times the noise"):
         flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
     windows = in_windows(whole, 0.01)
-    assert [len(one.ticks.time_s) <= round(KINK_s / 0.01) for one in windows] == [True] * 6
+    assert [len(one.ticks.time_s) <= round(WINDOW_s / 0.01) for one in windows] == [True] * 6
     np.testing.assert_array_equal(np.concatenate([one.ticks.time_s for one in windows]), ticks.time_s)
     flight = WholeFlight(predictor, WIDE, windows)
     found = flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))

@@ -5,14 +5,12 @@ from collections.abc import Iterator, Sequence
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import MOSTLY
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
 from onboard.identification.rows.stated_errors.stated import Stated
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
-
-FEWEST_GAINS = 2  # that can have an error in common
-COMMON_SHARE = 0.5  # of the variance of each gain: see :func:`of_gains`
 
 
 def of_motion(roles: Roles) -> list[Considered]:
@@ -108,11 +106,11 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
         roles: of the devices.
     """
     scales = [cause for cause in found if cause.effect == "scale" and cause.sigma > 0.0]
-    if len(scales) < FEWEST_GAINS or not all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells):
+    if len(scales) < 2 or not all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells):
         return list(found)
     if len(scales) < len(roles.cells):
         return list(found)
-    common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
+    common = min(cause.sigma for cause in scales) * MOSTLY**0.5
     own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]
     return [*own, Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques")]
 

@@ -70,7 +70,6 @@ from onboard.regressor.rows import (
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
-FEWEST_SAMPLES = 2  # of an instrument in a tick
 UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
 
 
@@ -209,13 +208,13 @@ def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior:
     """What the ExIDDM uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
     found, roles = list[Further](), roles_of(vehicle)
     for imu in roles.imus[1:]:
-        if (samples := _samples(vehicle, imu.channels[0])) >= FEWEST_SAMPLES:
+        if (samples := _samples(vehicle, imu.channels[0])) >= 2:
             prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
             place_m = vehicle.file.estimation.imu_prior.position_m
             found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
     for cell in roles.cells:
         keys = cell.keys
-        if (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+        if (samples := _samples(vehicle, cell.channel)) < 2:
             continue
         if isinstance(keys, TorqueKeys):
             found.append(torque_cell(vehicle, model, cell, keys, samples))

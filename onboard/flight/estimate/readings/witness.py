@@ -18,7 +18,7 @@ from onboard.timebase.timebase import Timebase
 _BLOCK_S, _CONTRADICTIONS = 1.0, 3  # length of a block, blocks of motion in a row that contradict
 _LEAST = 0.05  # always allowed, of the slope
 _SIGMAS = sigmas(READING)
-_MOVING = 30.0  # times the noise: motion in a block that is judged
+_MOVING = 2.0 / _LEAST  # times the noise: motion in a block that is judged
 
 
 class _Slope:
@@ -60,7 +60,7 @@ class _Slope:
         self.slope = float((first * second).sum()) / moved
         left = float(np.sqrt(((first - self.slope * second) ** 2).sum() / moved))  # over the motion
         spread = left / np.sqrt(len(second) - 1.0)  # standard error of the slope
-        bad = abs(self.slope - 1.0) > allowed + _SIGMAS * spread or left > allowed + 2.0 / _MOVING
+        bad = abs(self.slope - 1.0) > allowed + _SIGMAS * spread or left > allowed + _LEAST
         self._bad = self._bad + 1 if bad else 0
         return self._bad >= _CONTRADICTIONS
 

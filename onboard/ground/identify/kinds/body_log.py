@@ -17,19 +17,19 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.ground.identify.replay.feed import PAUSE
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
 from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
-from onboard.identification.body.windows import SHORTEST, TrackedPoses, WINDOW_s
+from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import Evidence, standings_of, verdict
-from onboard.identification.windows import against
+from onboard.identification.windows import SHORTEST, WINDOW_s, against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
-_MISSED = 3.5  # periods without a command: what was commanded then is not known
 _TOLD = "of what the motion tells"
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
 
@@ -101,7 +101,7 @@ def _recorded(
         valves[thruster] = _valve(own, thruster, time_s, commands, log)
         begin_s, end_s = max(begin_s, float(time_s[0])), min(end_s, float(time_s[-1]) + 1e-3 * own.period_ms)
         if own.reads == "level":
-            missed = np.flatnonzero(np.diff(time_s) > _MISSED * 1e-3 * own.period_ms)
+            missed = np.flatnonzero(np.diff(time_s) > PAUSE * 1e-3 * own.period_ms)
             unknown += [(float(time_s[k]), float(time_s[k + 1])) for k in missed]
     return poses, valves, (begin_s, end_s), unknown
 

@@ -46,11 +46,11 @@ from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Segment, in_windows
 from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
+from onboard.identification.windows import STAGES_s
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import EncoderJump
 
 _FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
-_STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
@@ -320,7 +320,7 @@ class _Flight:
         state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
         known = state[RATE.stop] > 0.0
         left_out = frozenset(exiddm.fusion.contradicting)
-        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
+        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else STAGES_s, left_out)
 
 
 def _begin(run: likelihood_log.TickRun) -> int:

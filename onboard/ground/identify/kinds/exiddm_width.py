@@ -13,12 +13,11 @@ from onboard import config
 from onboard.devices.recorded import RecordedDevice
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, narrowest, with_settings
+from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, WIDTHS_ms, narrowest, with_settings
 from onboard.recording.reader import LogReader
 
 # Widths are tried in each order until the error grows: a fit of noise takes minutes.
-_NARROWER_ms = (400.0, 200.0, 100.0)
-_WIDER_ms = (800.0,)
+*_NARROWER_ms, _WIDEST_ms = WIDTHS_ms
 
 
 class ChosenWidth(NamedTuple):
@@ -60,11 +59,11 @@ def with_chosen_width(
             if errors[width_ms] > min(errors.values()):
                 break
 
-    try_in_turn(_NARROWER_ms)
+    try_in_turn(_NARROWER_ms[::-1])
     for width_ms, found in tried.items():
         if found.misread:
             return ChosenWidth(with_settings(vehicle, width_ms), (), found)
-    try_in_turn(_WIDER_ms if errors else _NARROWER_ms[:0:-1])  # no fit by the widest: it smooths the motion away
+    try_in_turn([_WIDEST_ms] if errors else _NARROWER_ms[:-1])  # no fit by the widest: it smooths the motion away
     if not errors:
         return ChosenWidth(vehicle)
     best_ms, said = narrowest(dict(sorted(errors.items())))

@@ -14,19 +14,20 @@ from onboard import config
 from onboard.devices.recorded import RecordedDevice
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
+from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.exiddm.misread import LIKELIER, TURNS_deg
+from onboard.identification.exiddm.misread import TURNS_deg
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
+from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.identification.standing import Level
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Verdict
+from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 from onboard.regressor.rows import RowModel, standing
 from onboard.regressor.signals import Signals
-
-_TICKS, _FEWEST = 150, 40  # that a way to read is judged by
 
 
 class ArmReading(NamedTuple):
@@ -82,15 +83,15 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     parts = [np.concatenate(part) for part in zip(*recorder.parts, strict=True)]
-    some = slice(None, None, max(1, len(parts[0]) // _TICKS))
+    some = slice(None, None, max(1, len(parts[0]) // MOST_TICKS))
     recording = _ArmRecording(rows, identifier.taken.prior_root, *(part[some] for part in parts))
     n = len(joints)
     same = tuple(range(n))
     stated = ArmReading("", same, np.ones(n), np.zeros(n), same, np.ones(n), 0)
-    if recording.ticks < _FEWEST:
+    if recording.ticks < SHORTEST:
         return ""
     least = recording.left(stated)
-    ways = sorted((recording.left(way) / LIKELIER**way.mistakes, way.said) for way in _others(stated, joints))
+    ways = sorted((recording.left(way) * MISFIT_REFUSED**way.mistakes, way.said) for way in _others(stated, joints))
     best, said = ways[0]
     if best >= least:
         return ""

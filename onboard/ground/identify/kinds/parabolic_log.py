@@ -33,9 +33,9 @@ from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.segments import Segment
 from onboard.identification.whole_flight.witnesses import Tested, fitted
+from onboard.identification.windows import STAGES_s
 from onboard.recording.reader import LogReader
 
-_STAGES_s = (4.0,)  # part of each run that is fitted first
 _GUESS_kg = 1.0  # initial guess of the payload's mass
 
 
@@ -96,7 +96,7 @@ def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
     for one in sorted(flown, key=lambda one: -_liveliness(one.flight)):
         try:
             start = one.flight.start(constants)
-            made = fitted(one.flight, start, () if known else _STAGES_s, lambda _: 0)
+            made = fitted(one.flight, start, () if known else STAGES_s, lambda _: 0)
         except (EstimationError, ModelError):
             one.flight.free(())
             continue  # it may still count for something beside the others

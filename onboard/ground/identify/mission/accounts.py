@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import records
+from onboard.ground.identify.replay.feed import PAUSE
 from onboard.recording.reader import LogReader
 
 SHORT_PART, SHORT_EACH = 0.02, 2
-_PAUSE = 3.0  # median intervals between rows from which on a pause without a gap record is a place of loss
 _MOST_PLACES = 20  # of a channel
 
 
@@ -145,7 +145,7 @@ def _silent(times_s: NDArray[np.float64], gaps: list[dict[str, Any]]) -> list[Mi
     usual_s = float(np.median(since[since > 0])) if (since > 0).any() else 0.0
     spans = [
         MissionSpan(round(float(times_s[place]), 4), round(float(times_s[place + 1]), 4))
-        for place in np.flatnonzero(since > _PAUSE * usual_s)
+        for place in np.flatnonzero(since > PAUSE * usual_s)
     ]
     spans = [s for s in spans if not any(g["from_s"] < s.to_s and g["to_s"] > s.from_s for g in gaps)]
     return sorted(spans, key=lambda span: span.from_s - span.to_s)[:_MOST_PLACES]

@@ -23,30 +23,29 @@ from onboard.devices.base import ImuDevice
 from onboard.devices.recorded import RecordedDevice
 from onboard.devices.registry import DEVICES
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import LIKELY_SIZE, MOST_CONTRADICTED, MOSTLY
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.estimation.stuck import StuckReadings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.replay.feed import FARTHEST_TIMES, AT_ONCE_s, feed
+from onboard.identification.exiddm.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
 from onboard.identification.rows.identifier import Identifier
 from onboard.recording.reader import LogReader
 
-WIDTHS_ms = (100.0, 200.0, 400.0, 800.0)
+WIDTHS_ms = tuple(1e3 * WIDEST_s / 2**k for k in (3, 2, 1, 0))
 FEWEST_SAMPLES = 8  # under a kernel: a spline of order 8 has as many pieces
-_ROWS, _ROWS_TRIED = 10.0, 5.0  # in a width: as 100 Hz makes in 100 ms; enough to compare widths, for half the time
+_ROWS = 10.0  # in a width: as 100 Hz makes in 100 ms; half are enough to compare widths, for half the time
 _ALIKE = 1.02  # times the least error: as good; the narrowest of those tells most
 IN_TURN = "recording"
 """Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
 a column that says by 0 and 1 whether the payload is held."""
-_OTHER_PERIOD = 0.1  # relative: file and log differ
 _OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
-_FEWEST_STEPS = 32  # between readings, to tell how they are rounded
-_WHOLE, _MOST_SPLIT = 0.05, 0.01  # a step this near to whole numbers of quanta is one; so many may be none
-_OF_A_DIGIT, _MOST_OF_A_QUANTUM = 1.5, 0.25  # that two roundings change a step by; beyond which they hide the quantum
+_FEWEST_STEPS = 32  # between readings, to tell how they are rounded; runs of equal ones, that they are a recorder's
+_WHOLE = 0.05  # of a quantum, by which steps that are whole numbers of it may differ from them, besides what is rounded
 _NEAREST = 10.0  # quanta, of the steps that tell
-_FEWEST_RUNS = 20  # of equal readings while the joint moves: a recorder's way, no encoder that is stuck
 
 
 class WidthChoice(NamedTuple):
@@ -94,7 +93,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
     for width_ms in WIDTHS_ms:
         if 1e-3 * width_ms < FEWEST_SAMPLES * slowest_s:
             continue
-        who = _identified(with_width(vehicle, width_ms, _ROWS_TRIED), log)
+        who = _identified(with_width(vehicle, width_ms, 0.5 * _ROWS), log)
         if who is not None:
             by_width[width_ms] = who
     if len(by_width) < 2:
@@ -200,7 +199,7 @@ def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[Recorded
         return device, said
     period_ms = 1e-6 * float(np.median(np.diff(rows["host_ns"])))
     ratio = period_ms / device.period_ms
-    if abs(ratio - 1.0) > _OTHER_PERIOD and 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
+    if abs(ratio - 1.0) > LIKELY_SIZE and 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
         found["period_ms"] = period_ms
         said.append(f"period_ms: samples are {period_ms:.4g} ms apart, not {device.period_ms:g}")
     stated = device.model_dump()
@@ -237,11 +236,11 @@ def quantum_of(raw: NDArray[np.floating]) -> float:
     if len(few) < _FEWEST_STEPS:
         return least if not (steps % least).any() else 1.0
     quantum = float(few.sum() / np.rint(few / least).sum())
-    digits = _OF_A_DIGIT * digit / quantum
-    if digits > _MOST_OF_A_QUANTUM:
+    apart = digit / quantum + _WHOLE  # two roundings of half a digit each
+    if 2.0 * apart > MOSTLY:  # of steps of any size, so many are as near to whole numbers
         return digit
-    split = np.abs(few / quantum - np.rint(few / quantum)) > max(_WHOLE, digits)
-    return quantum if split.mean() < _MOST_SPLIT else digit
+    split = np.abs(few / quantum - np.rint(few / quantum)) > apart
+    return quantum if split.mean() < MOST_CONTRADICTED else digit
 
 
 def _repeats(raw: FloatArray) -> bool:
@@ -249,7 +248,7 @@ def _repeats(raw: FloatArray) -> bool:
     stuck, _ = StuckReadings(1, None).watch(raw[:, None], np.ones(len(raw), np.bool_))
     begins = np.flatnonzero(np.append(True, np.diff(raw) != 0.0))
     lengths = np.diff(np.append(begins, len(raw)))[stuck[begins]]
-    return len(lengths) >= _FEWEST_RUNS and bool(np.median(lengths) > 0.5 * lengths.max())
+    return len(lengths) >= _FEWEST_STEPS and bool(np.median(lengths) > MOSTLY * lengths.max())
 
 
 def _held(vehicle: config.Vehicle, log: LogReader) -> Phases | None:

@@ -30,9 +30,9 @@ from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.exiddm.prediction.further import PlacedImu
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 
 NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
-_POSTURE_TICKS = 10  # over which the arm's posture is constant
 
 
 class NoiseCorrection(NamedTuple):
@@ -109,7 +109,7 @@ class JointNoise:
         """
         if not any(one.any() for one in joint_sigma):
             return [np.zeros((len(q), self._lines[-1].stop)) for _ in joint_sigma]
-        squares = self.effect(q[::_POSTURE_TICKS], chi)[np.arange(len(q)) // _POSTURE_TICKS] ** 2
+        squares = self.effect(q[::BATCH_TICKS], chi)[np.arange(len(q)) // BATCH_TICKS] ** 2
         return [np.sqrt(np.einsum("njkm,nkj->nm", squares, one**2)) for one in joint_sigma]
 
     def effect(self, q: FloatArray, chi: FloatArray) -> FloatArray:

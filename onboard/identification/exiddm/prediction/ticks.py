@@ -12,8 +12,8 @@ from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
 BATCH_TICKS = 10  # that the filter takes in one step
-_IMMODERATE = 1e12  # of a prediction in SI units
-_RESTS_rad_s = 0.01  # joint rate below which the motion carries no information on the payload
+IMMODERATE = 1e12  # of a prediction in SI units
+RESTS_rad_s = 0.01  # joint rate below which the motion carries no information on the payload
 
 
 class TickPrediction(NamedTuple):
@@ -39,7 +39,7 @@ class TickPrediction(NamedTuple):
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""
-        return all(bool(part.min() > -_IMMODERATE and part.max() < _IMMODERATE) for part in self)  # False for NaN
+        return all(bool(part.min() > -IMMODERATE and part.max() < IMMODERATE) for part in self)  # False for NaN
 
 
 def _plus(values: FloatArray, by: FloatArray, more: FloatArray) -> FloatArray:
@@ -71,7 +71,7 @@ class Ticks(NamedTuple):
     @property
     def rest(self) -> bool:
         """Whether the arm rests in all of them."""
-        return bool(np.abs(self.dq).max() <= _RESTS_rad_s)
+        return bool(np.abs(self.dq).max() <= RESTS_rad_s)
 
     def and_then(self, more: "Ticks") -> "Ticks":
         """These ticks followed by ``more``."""

@@ -26,13 +26,12 @@ from onboard.estimation.policy import DOUBT, MOSTLY, of_each
 from onboard.identification.change import CONTACT_s
 
 _BLOCK_s = 8.0
-_BLOCKS = 450  # of an hour; as many times half-second sums are all new ones
+_BLOCKS = round(3600.0 / _BLOCK_s)  # of an hour; as many times half-second sums are all new ones
 _CHANNELS = 6
-_WAITS_s = 0.5, 8.0  # the first, which doubles, and the longest
-_RECENT_s = 60.0  # for which a line is remembered
+RECENT_s = 60.0  # for which a line is remembered
 _LOWEST_Hz, _FEWEST_CYCLES = 1.0, 2  # of a line: above the one, no fewer than the other
 _SLOW_Hz = 1.5  # the arm moves at 0.1 to 0.6 Hz
-_SUMMED_s, _RECENT_SUMS = 0.5, 16
+_SUMMED_s = 0.5  # at once; what is recent is a block of sums. The first wait, which doubles until it is a block
 _SENSORS = "gyro", "accelerometer"
 
 
@@ -59,7 +58,7 @@ class SlowPower:
     def forget(self) -> None:
         """Clear the sums after a reset of the filter."""
         self._window = self._since = np.zeros(2), 0  # squares by sensor, degrees of freedom of each
-        self._recent = deque[FloatArray](maxlen=_RECENT_SUMS)
+        self._recent = deque[FloatArray](maxlen=round(_BLOCK_s / _SUMMED_s))
         self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
         self._ratios: list[tuple[str, float, float]] | None = (
             None  # sensor, mean power and its chance; None: not computed
@@ -175,7 +174,7 @@ class Unexplained:
 
     def __init__(self, period_s: float) -> None:
         self._period_s, self._contact = period_s, round(CONTACT_s / period_s)
-        self._first, self._longest = (round(wait_s / period_s) for wait_s in _WAITS_s)
+        self._first, self._longest = (round(wait_s / period_s) for wait_s in (_SUMMED_s, _BLOCK_s))
         self.count, self.wait, self.between = 0, 0, ""
         self._lines: list[tuple[float, float, Line]] = []  # first and last time of the window
 
@@ -197,7 +196,7 @@ class Unexplained:
         self.count += longer or self.wait > self._contact or line is not None
         waited = self.wait if self.wait > self._contact else 0
         self.wait = min(max(2 * waited, self._first), self._longest)
-        self._lines = [one for one in self._lines if one[1] > end_s - _RECENT_s]
+        self._lines = [one for one in self._lines if one[1] > end_s - RECENT_s]
         if residual is not None and line is not None:
             self._lines.append((end_s - len(residual) * self._period_s, end_s, line))
 

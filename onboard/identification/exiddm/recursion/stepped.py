@@ -18,6 +18,7 @@ Known limit: in a window the drift of a bias is constant, in steps it is a rando
 
 import numpy as np
 
+from onboard.estimation.policy import AGAIN
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.exiddm.prediction.further import fade
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
@@ -26,7 +27,6 @@ from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
-_APART = 1.25  # growth of a window at which steps linearised about different states are solved again
 _WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough
 _WELL_rad_s = 0.02  # and sigma of the base's rate, which the zeros of a gyro bound
 _AT_REST_s = 1.0  # time at rest that is kept
@@ -46,7 +46,7 @@ class SteppedTicks:
     def __init__(self, ticks: Ticks, length_s: float, *, held: bool, first: bool, well: bool = False) -> None:
         self._parts, self._length_s, self.held, self.first = [ticks], length_s, held, first and not well
         self._well = well
-        self._again_s = _APART * self._now_s
+        self._again_s = AGAIN * self._now_s
         self._rests = not held and ticks.rest  # the arm, in all of them
 
     @staticmethod

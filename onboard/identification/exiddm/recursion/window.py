@@ -18,33 +18,25 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.model.payload import standard_of
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
-from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
-from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, READING, REFUSE, of_each, sigmas
+from onboard.estimation.maximum_likelihood import BEYOND, ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
+from onboard.estimation.policy import DOUBT, HALF, LEAST_WEIGHT, READING, REFUSE, of_each, sigmas
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
-from onboard.identification.exiddm.prediction.imu_prediction import (
-    PAYLOAD,
-    RATE,
-    ImuPredictor,
-)
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.pieces import Pieces, Problem, evidence_of
 from onboard.identification.exiddm.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 from onboard.regressor.free_rows import rough_payload
 
-_ITERATIONS = 40  # predictions
-_ROUGHLY = 5.0  # promised decrease of the squares at which the iteration from a guess ends; steps to the minimum follow
-_SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 _FEW = 0.03  # largest share of outliers
+_SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
-_NEAR = 1e-9  # damping of the first step from a minimum of other ticks or other sigmas
 _BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
 _GROWTH, _LONGEST = 1.5, 8.0  # of such a window
-_TOLD = 0.5  # relative sigma of the payload's mass below which ticks tell a payload
 _DRIVEN = 100.0  # by how much a window of flexible joints overstates its information: noise drives their bends
 
 
@@ -90,7 +82,7 @@ class Solved(NamedTuple):
     @property
     def tells_mass(self) -> bool:
         """The payload's mass is known so well that there is one."""
-        return self.mass_sigma < _TOLD
+        return HALF * self.mass_sigma < 1.0
 
     @property
     def has_mass(self) -> bool:
@@ -205,7 +197,7 @@ class WindowSolve:
     def _give_up(self, descent: Descent, whole: Pieces) -> None:
         """Go on without the worst outlier, which may be why, or with the next guess and all ticks."""
         if self._leaves_out(whole):
-            self._descend(_Stage.GUESS, self._problem.state(descent.best), _ROUGHLY)
+            self._descend(_Stage.GUESS, self._problem.state(descent.best), NEAR_MINIMUM)
         else:
             self._use, self._glitches = np.isfinite(self._ticks.measured[1:-1]), 0
             self._failed(nearly=False)
@@ -271,7 +263,7 @@ class WindowSolve:
             if start is None:
                 self._next_guess()
             else:
-                self._descend(_Stage.GUESS, np.append(start, sizes), _ROUGHLY)
+                self._descend(_Stage.GUESS, np.append(start, sizes), NEAR_MINIMUM)
         elif best is not None:
             self._settle(self._problem.state(best.x))
         else:
@@ -279,10 +271,10 @@ class WindowSolve:
 
     def _settle(self, start: FloatArray) -> None:
         """Iterate to the minimum; a nearly flat one, where that takes long, is accepted early."""
-        self._descend(_Stage.SETTLE, start, 1e-2, _SETTLING, _NEAR)
+        self._descend(_Stage.SETTLE, start, MINIMUM, _SETTLING, ROUNDING)
 
     def _descend(
-        self, stage: _Stage, start: FloatArray, tolerance: float, iterations: int = _ITERATIONS, damping: float = 1e-3
+        self, stage: _Stage, start: FloatArray, tolerance: float, iterations: int = ITERATIONS, damping: float = 1e-3
     ) -> None:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]
@@ -352,7 +344,7 @@ class WindowSolve:
     def _taken_back(self, fitted: Fit, whole: Pieces) -> FloatArray | None:
         """Where to go on from, once, if the ticks tell a payload and the iteration moved what they do not tell."""
         mass, variance = fitted.x[PAYLOAD.start], fitted.covariance[PAYLOAD.start, PAYLOAD.start]
-        if self._checked or self._hypothesis is not HeldPayload.NEW or not np.sqrt(variance) < _TOLD * mass:
+        if self._checked or self._hypothesis is not HeldPayload.NEW or not HALF * np.sqrt(variance) < mass:
             return None
         self._checked = True
         return self._problem.as_stated(fitted.x, whole.normal.information)

@@ -32,22 +32,26 @@ from scipy.special import stdtr, stdtrit
 
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.policy import DOUBT, HALF, INTERVAL, MOSTLY, REFUSE, of_each
+from onboard.estimation.policy import (
+    DOUBT,
+    HALF,
+    INTERVAL,
+    LIKELY_SIZE,
+    MISFIT_PART,
+    MOST_SHARE,
+    MOSTLY,
+    REFUSE,
+    of_each,
+)
 from onboard.identification.rows.row_blocks import RowBlocks
 
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
-DOUBTFUL_UNEXPLAINED = 0.15
-NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
-_STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
-LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
+_NOTHING = 0.01
+"""Of the mean of what the drawing makes of the motion: a block in which nothing moves. Of a step's information, left by
+the parameters: a step at the release of a payload hardly differs from it."""
+LEAST_STEP = 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
-_FEWEST = 2  # blocks on each side of a step
-_SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
-_ABSORBED = (
-    0.01  # of a step's information, left by the parameters: a step at the release of a payload hardly differs from it
-)
-_MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 
 class GainStep(NamedTuple):
@@ -141,13 +145,13 @@ def instrument_fits(
             readings = np.abs(of_rows[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
-            lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
+            lost += left[as_drawn < _NOTHING * as_drawn.mean()].sum(), left.sum()
             whole = left.sum() + sums[1] if sums[3] else _sums(of_rows + noise, known).sum()
             unexplained = min(1.0, np.sqrt(left.sum() / whole)) if whole else 1.0
             of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
             expected = blocks.own(held, number) + correlation * min(of_motion[0], max(of_motion[1:]))
             misfit = float(left.sum() / expected)
-            worst = max(worst, (misfit * correlation > NOISE, float(unexplained), misfit))
+            worst = max(worst, (misfit * correlation > MISFIT_PART, float(unexplained), misfit))
             if readings.any():
                 parts.append(judged[held, own])
         rows, signal_sum, drawn_sum, read = squares.tolist()
@@ -210,30 +214,29 @@ def _step(
     of_body, scores, left, of_noise = (
         np.concatenate(column)[order] for column in zip(*((part.H @ body, *part[2:]) for part in parts), strict=True)
     )
-    if n < 2 * _FEWEST or not body.any():
+    if n < 3 or not body.any():
         return None
-    after = [0, *range(_FEWEST, n - _FEWEST + 1)]
-    later = np.cumsum(of_body[::-1], axis=0)[::-1][after]  # (k, p) sums over the blocks from a cut on
+    later = np.cumsum(of_body[::-1], axis=0)[::-1]  # (k, p) sums over the blocks from a cut on
     unit = 1.0 / np.sqrt(np.diag(every))
     a = np.linalg.solve(every * np.outer(unit, unit), (later * unit).T).T * unit
     of_cut = later @ body - np.einsum("kp,kp->k", later, a)
     of_all = later @ body - a @ later[0]
-    share = of_all / (of_cut[0] + _SCALE_INFORMATION)
-    scored = np.cumsum((scores @ body)[::-1])[::-1][after]
+    share = of_all / (of_cut[0] + LIKELY_SIZE**-2)
+    scored = np.cumsum((scores @ body)[::-1])[::-1]
     information = of_cut - share * of_all
-    information = np.where(information > _ABSORBED * (later @ body), information, 0.0)
+    information = np.where(information > _NOTHING * (later @ body), information, 0.0)
     moved = scored - share * scored[0]
     information[0] = 0.0
-    likely = np.divide(moved * moved, information, out=np.zeros(len(after)), where=information > 0.0)
+    likely = np.divide(moved * moved, information, out=np.zeros(n), where=information > 0.0)
     k = int(np.argmax(likely))
-    apart = [cut for cut, first in enumerate(after) if cut and times_s[first - 1] < recorded_s <= times_s[first]]
+    apart = [cut for cut in range(1, n) if times_s[cut - 1] < recorded_s <= times_s[cut]]
     between = bool(apart and likely[apart[0]] > _NEARLY * likely[k])
     k = apart[0] if between else k
     if not information[k] > 0.0:
         return None
     size = float(moved[k] / information[k])
     taken_up = share[k] * a[0] - a[k]
-    c = np.outer((np.arange(n) >= after[k]) - share[k], body) + taken_up
+    c = np.outer((np.arange(n) >= k) - share[k], body) + taken_up
     unsorted, ends = np.empty_like(c), np.cumsum([len(part.times_s) for part in parts])[:-1]
     unsorted[order] = c
     shares = np.concatenate([_squares(part.H, own) for part, own in zip(parts, np.split(unsorted, ends), strict=True)])
@@ -247,7 +250,7 @@ def _step(
         )
     unexplained = np.maximum(1.0, (left - 2.0 * size * told + size**2 * shares) * of_noise)  # besides the step
     around = (told - shares * size) ** 2  # of each block, scattered by ``shares`` times what is unexplained
-    leverage, tells = np.minimum(shares / information[k], _MOST_SHARE), shares > 0.0
+    leverage, tells = np.minimum(shares / information[k], MOST_SHARE), shares > 0.0
     noise = float(shares @ unexplained)
     scatter = float((around[tells] / (shares * unexplained * (1.0 - leverage))[tells]).mean())
     tried, told_k = int(np.count_nonzero(information)), abs(size) * information[k]
@@ -256,8 +259,8 @@ def _step(
     chance = min(1.0, 2.0 * float(stdtr(freedom, -surely)) * tried)
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
     expected = -float(stdtrit(n - 2, 0.5 * (1.0 - INTERVAL) / tried))
-    since_s = float(times_s[after[k]] - times_s[0])
-    return GainStep(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size, since_s, between)
+    since_s = float(times_s[k] - times_s[0])
+    return GainStep(float(times_s[k]), size, chance, sigmas, expected, a[k] * size, since_s, between)
 
 
 def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
@@ -283,7 +286,7 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
     against, doubts, told, name = list[str](), list[str](), list[str](), fit.instrument
     if fit.response < LEAST_RESPONSE:
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
-    if fit.misfit * correlation > NOISE and fit.unexplained > DOUBTFUL_UNEXPLAINED:
+    if fit.misfit * correlation > MISFIT_PART and fit.unexplained > MOSTLY * MOST_UNEXPLAINED:
         said = f"{fit.unexplained:.0%} of what {name} reads is left over"
         if fit.still > MOSTLY:
             said += ", most of it where no joint moves: is an encoder stuck?"
@@ -301,7 +304,7 @@ def judged_between(fits: Sequence[InstrumentFit]) -> tuple[list[str], list[str],
     doubts, told, alike = list[str](), list[str](), dict[tuple[bool, bool], list[tuple[str, GainStep]]]()
     for fit in fits:
         if (step := fit.step) is not None and step.is_one and step.between:
-            alike.setdefault((step.is_as_stated, abs(step.size) > LARGE_STEP), []).append((fit.instrument, step))
+            alike.setdefault((step.is_as_stated, abs(step.size) > LIKELY_SIZE), []).append((fit.instrument, step))
     for (as_stated, large), some in alike.items():
         names = ", ".join(f"{name} {step.size:+.0%}" for name, step in some)
         said = f"of the same motion the recording with the payload, from {some[0][1].since_s:.1f} s on, reads {names}"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 
-MOST = 400  # of signals smoothed over 0.2 s, what is independent in 80 s
+MOST_TICKS = 400  # of signals smoothed over 0.2 s, what is independent in 80 s
 
 
 class SmoothedTicks(NamedTuple):
@@ -35,7 +35,7 @@ def _of(parts: Iterable[NDArray[Any]]) -> SmoothedTicks:
 
 
 class KeptTicks:
-    """Every n-th of the ticks given, n doubled whenever more than :data:`MOST` would be kept.
+    """Every n-th of the ticks given, n doubled whenever more than :data:`MOST_TICKS` would be kept.
 
     Attributes:
         every: n.
@@ -53,6 +53,6 @@ class KeptTicks:
         more = ticks.at(np.asarray(given % self.every == 0))
         if self.ticks is not None:
             more = _of(np.concatenate(pair) for pair in zip(self.ticks, more, strict=True))
-        while len(more.time_s) > MOST:
+        while len(more.time_s) > MOST_TICKS:
             more, self.every = more.at(slice(None, None, 2)), 2 * self.every
         self.ticks = more

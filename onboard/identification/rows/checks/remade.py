@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel
 
 _STEP = 1e-6  # rad, relative or s, of a difference
-_SPANNED = 1e-9  # relative: rows that hold a turned one
 STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next
 OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "level")
 OF_READING = ("delay", "drift", "step", "turned")
@@ -147,7 +146,7 @@ def turned(model: RowModel, error: Considered) -> FloatArray:
         own = np.array(model.rows[k].projection)
         rotated = np.concatenate([np.cross(axis, own[:3]), np.cross(axis, own[3:])])
         by = np.linalg.lstsq(every, rotated, rcond=None)[0]
-        if np.abs(every @ by - rotated).max() > _SPANNED * np.abs(own).max():
+        if np.abs(every @ by - rotated).max() > ROUNDING * np.abs(own).max():
             return np.zeros_like(T)
         T[k, at] = by
     return T

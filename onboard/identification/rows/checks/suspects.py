@@ -26,7 +26,11 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
+    AGAIN,
     LIKELY_SIZE,
+    MISFIT_PART,
+    MOST_SHARE,
+    MOSTLY,
     ODDS,
     ODDS_OF_PART,
     READING,
@@ -34,25 +38,23 @@ from onboard.estimation.policy import (
     contradicted_text,
     sigmas,
 )
+from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.evidence.mixture import Known, Mixture
-from onboard.identification.rows.checks.agreement import DOUBTFUL_UNEXPLAINED, MOST_UNEXPLAINED, NOISE
+from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS, RowsRemade
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered, Effect, rate_of
+from onboard.identification.windows import SHORTEST
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 from onboard.regressor.signals import Signals
 
 _UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
 _EXACT = 1e9  # stated sigmas in a suspect's: what is stated so well is as stated
-_GROWS = 1.2  # rows with the payload, or without, over those when hypotheses were weighed last
-_FEWEST = 20  # ticks
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
-_MOST_ALIKE = 0.9
-_NOISE_SIGMA = 0.2  # of the stated power of the motion's noise, relative; as for the recursion
 _HUBER, _FAR = 3.0, sigmas(READING)  # rows beyond weigh less; contradict
 _TINY = float(np.finfo(np.float64).tiny)
 _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
@@ -123,7 +125,7 @@ class RowSuspects:
         if contradicted := contradicted_text(self._left.far):
             against.append(contradicted)
         for name, share, noise in zip(self._names, self._left.of_read.tolist(), self._left.noise.tolist(), strict=True):
-            if noise > NOISE and share > DOUBTFUL_UNEXPLAINED:
+            if noise > MISFIT_PART and share > MOSTLY * MOST_UNEXPLAINED:
                 said = f"{share:.0%} of what {name} reads is left over"
                 (against if share > MOST_UNEXPLAINED else doubts).append(said)
         return tuple(against), tuple(doubts)
@@ -157,7 +159,7 @@ class RowSuspects:
             seen: the recursion's rows: what noise of the motion adds to their information.
         """
         ticks = self._kept.ticks
-        if ticks is None or len(ticks.time_s) < _FEWEST or (self._rows < _GROWS * self._weighed_at + 1.0).all():
+        if ticks is None or len(ticks.time_s) < SHORTEST or (self._rows < AGAIN * self._weighed_at + 1.0).all():
             return
         self._weighed_at = self._rows.copy()
         alike = min(float(self._kept.every), correlation)
@@ -185,7 +187,7 @@ class RowSuspects:
     def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
         """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""
         moved = self._half @ off
-        doubt = _NOISE_SIGMA**2 * np.outer(moved, moved)
+        doubt = NOISE_SIGMA**2 * np.outer(moved, moved)
         return self._centre + self._half @ z + moved, self._half @ P @ self._half.T + doubt
 
     def _attenuated(self, z: FloatArray, seen: RowBlocks, share: FloatArray) -> FloatArray:
@@ -344,7 +346,7 @@ class _Left(NamedTuple):
         count = (self.ticks.weight > 0.0).sum(axis=0)
         each = np.sign(left) * np.sqrt(squares)
         alike = (each[lag:] * each[:-lag]).sum(axis=0) / np.maximum(squares[lag:].sum(axis=0), _TINY)
-        alike = np.clip(alike - 2.0 / np.sqrt(np.maximum(count, 1)), 0.0, _MOST_ALIKE)
+        alike = np.clip(alike - 2.0 / np.sqrt(np.maximum(count, 1)), 0.0, MOST_SHARE)
         loud = squares.sum(axis=0) / np.maximum(count, 1) * (1.0 + alike) / (1.0 - alike)
         return np.asarray(np.maximum(1.0, loud), np.float64)
 

@@ -10,15 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import DOUBLINGS, HALF, ODDS
+from onboard.estimation.policy import DOUBLINGS, HALF, MOSTLY, ODDS
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import doubtful_from, refused_from
-from onboard.identification.leaning import PART
-from onboard.identification.quantities import Leaning, Quantity, QuantityEstimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Leaning, Quantity, QuantityEstimate
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
-_COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
 
 
@@ -42,11 +40,11 @@ def leans_on(
     """
     said = []
     for cause, effect in zip(considered, np.abs(effects).tolist(), strict=True):
-        stands_with_it = cause.effect in _SCALES and cause.sigma and effect > _COMMON * cause.sigma * abs(mean)
-        if stands_with_it or effect > PART * sigma:
+        stands_with_it = cause.effect in _SCALES and cause.sigma and effect > MOSTLY * cause.sigma * abs(mean)
+        if stands_with_it or effect > SUPPORTED_SHRINKAGE * sigma:
             said.append(cause.stated)
     parts = [(abs(float(leaning.weights @ parameters)), leaning.cause) for leaning in leanings]
-    if parts and max(parts)[0] > PART * sigma:
+    if parts and max(parts)[0] > SUPPORTED_SHRINKAGE * sigma:
         said.append(max(parts)[1])
     return f"leans on {', '.join(said)}" if said else ""
 
@@ -139,7 +137,7 @@ def unstated(
             rows = np.asarray(sum(wrong, np.zeros_like(every)) @ body, np.float64)
             moved = np.linalg.solve(every * np.outer(unit, unit), rows * unit) * unit
             lever = float(quantity.weights @ moved)
-            if abs(lever) > _COMMON * abs(off.found):
+            if abs(lever) > MOSTLY * abs(off.found):
                 found.append(moved * beyond / lever)
     return np.array(found).reshape(len(found), body.size)
 

@@ -34,12 +34,12 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.maximum_likelihood import OPEN
 from onboard.estimation.policy import HALF, INTERVAL
 from onboard.estimation.recursive.consistency import NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
 from onboard.identification.rows.stated_errors.considered import Considered, misread_noise
 from onboard.identification.rows.stated_errors.stated import FREEDOM
 
-_OPEN = 1e3  # prior sigmas: the error that is fitted
 _ROUNDS = 4  # of the noise's scale, which settles to a few per cent
 _MOST_KEPT = 1_000_000  # numbers, 8 MB: some two seconds of a body that is thrown, or five throws
 _TOLD = 1.5  # share of an error's effect that no parameter reproduces, over the share of the readings left over
@@ -158,7 +158,7 @@ class FittedCorrections:
         covariance = np.linalg.inv(left_out)
         found = np.einsum("bij,bj->bi", covariance, np.concatenate([total[None], total - g]))[:, at]
         variance = covariance[:, at, at]
-        own = np.maximum(1.0 / variance - (1.0 - _OPEN**-2) * stated[fitted] ** -2, np.finfo(np.float32).tiny)
+        own = np.maximum(1.0 / variance - (1.0 - OPEN**-2) * stated[fitted] ** -2, np.finfo(np.float32).tiny)
         alone = found / variance / own  # (1 + b, k): its own prior opened, by its marginal
         scatter = (len(H) - 1) / len(H) * ((alone[1:] - alone[0]) ** 2).sum(axis=0)
         taken_off = (covariance[0] @ (blocks.noise @ (covariance[0] @ total) - blocks.noise_moment))[at]

@@ -40,6 +40,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.maximum_likelihood import ITERATIONS, ROUNDS
 from onboard.estimation.policy import HALF, ODDS
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -58,7 +59,6 @@ FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
 _SETTLED = 0.02  # relative change of a width in a step
 _NAMED = 1.05  # times as wide, from which on it is said of others of the kind: two digits show it
-_MOST_STEPS, _PASSES = 60, 3  # of expectation and maximisation; about a new estimate
 
 
 class Taken(NamedTuple):
@@ -153,7 +153,7 @@ class StatedSigmas:
         n = len(self.stated)
         as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
         parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, ~self._common
-        for _ in range(_PASSES):
+        for _ in range(ROUNDS):
             A, r = self._information(*self._equations(parts, X, correlation, X), X, many.width)
             many = self._settled(A, r, many.width, free)
             X = self._centre + self._L @ many.errors
@@ -245,7 +245,7 @@ class StatedSigmas:
         """Width of each key, of those that are free to change, and the errors with them, in stated sigmas."""
         every, one = np.bincount(self._kind, self._many), np.eye(len(A))
         square = np.ones(len(every))  # of each kind's scale
-        for _ in range(_MOST_STEPS):
+        for _ in range(ITERATIONS):
             w = width[self._key]
             C = np.linalg.inv(one + A * (w[:, None] * w))
             z = w * (C @ (w * r))

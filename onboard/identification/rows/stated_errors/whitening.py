@@ -30,7 +30,6 @@ from onboard.regressor.signals import Signals
 ORDERS = 3  # of derivatives
 _MEMORY_S = 1.0  # of the noise's levels, as they fall
 _GROWN = 2.0  # times as slow: the filter begins anew
-_PER_WIDTH = 1.0  # longest time constant of the filter, in widths of the kernel: blocks are five
 _PHASES = np.arange(0.05, 60.0, 0.1)  # phases over the kernel's width at which spectra are summed
 
 
@@ -143,7 +142,7 @@ class Whitening:
         fade = np.exp(-use.sum(axis=0) * self._period_s / _MEMORY_S)
         self._levels = np.maximum(fade[:, None] * self._levels, variance.max(axis=0, initial=0.0))
         a, b, c = (self._levels * (self._power[0] / self._power)).T
-        safe, slowest = np.where(a > 0.0, a, 1.0), (_PER_WIDTH * self._width_s) ** 2
+        safe, slowest = np.where(a > 0.0, a, 1.0), self._width_s**2  # blocks are five widths
         of_rates, of_accelerations = np.where(a > 0.0, b / safe, 0.0), np.where(a > 0.0, c / safe, 0.0)
         gamma = np.minimum(np.sqrt(of_accelerations), slowest)
         square = np.minimum(of_rates, slowest)  # beta^2 - 2 gamma

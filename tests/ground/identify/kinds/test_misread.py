@@ -85,6 +85,13 @@ def test_as_stated_nothing_is_said(urdf, flight):
     assert _misread(urdf, t, np.zeros_like(angles), 0.0 * rate, 0.0 * force) is None
 
 
+@pytest.mark.parametrize(("long_s", "named"), [(4.5, False), (5.0, True)])
+def test_a_recording_that_determines_too_little_is_said_nothing_of(urdf, flight, long_s, named):
+    """Payload and zero are 13 unknowns: three widths of the kernel, six lines each, besides the two at the ends."""
+    t, angles, rate, force = (one[: round(long_s / 2e-3)] for one in flight)
+    assert (_misread(urdf, t, angles, np.degrees(rate), force) is not None) == named
+
+
 def test_heft_identify_says_it_and_fits_nothing(tmp_path, flight):
     """By the commands of the page; the columns are called as the axes that they are not."""
     lab, table = tmp_path / "lab", tmp_path / "flight.csv"

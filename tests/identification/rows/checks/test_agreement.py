@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.rows.checks.agreement import instrument_fits, judged_between, judged_fit
+from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits, judged_between, judged_fit
 from onboard.identification.rows.row_blocks import RowBlocks
 
 PHYSICAL = np.array([True, True, False])
@@ -26,6 +26,24 @@ def test_honest_rows_have_nothing_against_them(rng):
     assert fit.misfit == pytest.approx(1.0, rel=0.1)
     assert fit.response == pytest.approx(1.0, rel=0.05)
     assert judged_fit(fit, 1.0) == ([], [], [])
+
+
+@pytest.mark.parametrize(
+    ("misfit", "unexplained", "response", "reasons"),
+    [
+        (3.5, 0.35, 1.0, (0, 0)),
+        (5.0, 0.14, 1.0, (0, 0)),
+        (5.0, 0.2, 1.0, (0, 1)),
+        (5.0, 0.35, 1.0, (1, 0)),
+        (1.0, 0.0, 0.15, (0, 0)),
+        (1.0, 0.0, 0.09, (1, 0)),
+    ],
+)
+def test_how_much_is_left_over_and_how_little_is_read_decides(misfit, unexplained, response, reasons):
+    """Refused, and doubted; nothing by what may be noise."""
+    fit = InstrumentFit("cell", 1000.0, misfit, unexplained, response, 0.0, None)
+    against, doubts, _ = judged_fit(fit, 1.0)
+    assert (len(against), len(doubts)) == reasons
 
 
 @pytest.mark.parametrize("at_s", [4.0, 15.0, 26.0])

@@ -244,7 +244,7 @@ def test_answers_do_not_depend_on_when_they_are_asked_for():
 
 
 def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
-    monkeypatch.setattr(kept_ticks, "MOST", 10)
+    monkeypatch.setattr(kept_ticks, "MOST_TICKS", 10)
     for parts in ([97], [1] * 97, [13, 40, 44]):
         kept, first = KeptTicks(), 0
         for count in parts:
