@@ -10,11 +10,11 @@ L is a moment over a force. M is the mounting of the sensor on the frame whose p
 Zeros are constants with a random walk from pose to pose (sensors warm up, cables creep). In the cosine transform
 (DCT-II) over the poses such a walk is white: coefficient j > 0 has the variance ``sigma^2 + q^2 / (4 sin^2(pi j /
 2n))``, and coefficient 0 is all that a constant zero changes, so it is left out (derived here). Noise and walk of each
-axis, and the size of cross-talk, are estimated by expectation maximisation; scales have a spread, over which the answer
-is a mixture: of all axes, or of one while the others are as stated, as likely beforehand. So the axes themselves tell
-how well they agree and which does not: three measure the mass. Only two moments measure each lever, so one that is off
-is identified where two levers are long; else both are as likely, and the mixture is of both. An error that all axes
-share cannot be seen.
+axis, and the size of cross-talk, are estimated by expectation maximisation, anew for each spread of the scales: what is
+wrong with these would pass for noise. The answer is a mixture over that spread, of all axes alike, or, as likely
+beforehand, of all but one, whose scale is unknown. So the axes themselves tell how well they agree and which does not:
+three measure the mass. Only two moments measure each lever, so one that is off is identified where two levers are long;
+else both are as likely, and the mixture is of both. An error that all axes share cannot be seen.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from scipy.special import stdtr
 from onboard.estimation.arrays import FloatArray, hat
 from onboard.estimation.calibration.rotations import rotation_vector, turn
 from onboard.estimation.errors import CalibrationError
-from onboard.estimation.policy import FARTHEST_SIZE, READING
+from onboard.estimation.policy import READING
 
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
@@ -44,11 +44,10 @@ _TIMES = np.repeat([1.0, 1.0 / REACH_m, REACH_m], [18, 9, 9])
 _SCALES_AND_CROSS = np.arange(SCALES.start, UNKNOWNS)
 _FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
-SPREADS = np.geomspace(0.25, 16.0, 19)  # of the scales, over what is stated
-_SPREAD_FACTOR = np.log(
-    3.0
-)  # 1 sigma of the logarithm of the spread: data sheets give limits, by range, and not sigmas
-_FAR = SPREADS > FARTHEST_SIZE  # of one alone: nearer ones are no other than of all
+SPREADS = np.geomspace(0.5, 16.0, 16)  # of the scales, over what is stated: what all share their agreement hides
+_SPREAD_FACTOR = np.log(3.0)  # 1 sigma of the spread's logarithm: data sheets give limits, by range, and not sigmas
+_ALL = -0.5 * (np.log(SPREADS) / _SPREAD_FACTOR) ** 2  # logarithm of the prior, of all axes
+_ALONE = -float(np.log(6.0))  # likewise that one is unknown besides: as likely as none
 _WALKS = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 20.0, 25)])  # of a zero from pose to pose, over the noise
 _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of one
 _ROUNDS = 25
@@ -146,7 +145,9 @@ class Weighing(NamedTuple):
         return float(self.weights @ beyond.all(axis=1)), np.asarray(self.weights @ alone, np.float64)
 
 
-def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS) -> PoseFit:
+def fit(
+    R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS, begin: PoseFit | None = None
+) -> PoseFit:
     """The most likely state with the stated spread of the scales.
 
     Args:
@@ -154,17 +155,20 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS)
         wrench: (n, 6) force and moment on the sensor, in its axes.
         prior: what is known.
         rounds: at most; few tell fits apart that differ by more than some nats.
+        begin: a fit with another spread; None: from the closed form.
 
     Raises:
         CalibrationError: too few poses, or readings that are not finite.
     """
     if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
-    state = begun(R, wrench, prior)
-    residual = wrench - predicted(R, state, prior)
-    sigma, floor = _scatter(np.diff(residual, axis=0)) / np.sqrt(2.0), _floor(wrench)
-    turned = coefficients(_elements(R))
-    one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
+    floor, turned = _floor(wrench), coefficients(_elements(R))
+    if begin is None:
+        state = begun(R, wrench, prior)
+        sigma = _scatter(np.diff(wrench - predicted(R, state, prior), axis=0)) / np.sqrt(2.0)
+        one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
+    else:
+        one = _fit(R, wrench, prior, begin.state, begin.noise)
     for _ in range(rounds):
         J = _linearised(one.state, prior)[1]
         hanging = J.transpose(0, 2, 1) @ one.covariance @ J  # (6, 9, 9)
@@ -185,16 +189,20 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> W
         prior: its ``scale`` is the median of the spread.
         first: by :func:`fit`.
     """
-    every = [(first, np.full(6, spread), 0.0) for spread in SPREADS]
-    for odd in np.eye(6, dtype=np.bool_):  # anew: what is wrong with its scale is no noise
-        own = fit(R, wrench, prior._replace(spreads=tuple(np.where(odd, SPREADS[-1], 1.0).tolist())))
-        every += [(own, np.where(odd, spread, 1.0), -np.log(6.0)) for spread in SPREADS[_FAR]]
+    wide = np.vstack([np.zeros(6), np.eye(6)]) > 0.0  # of which the scale is unknown: none, or one
+    every = list[tuple[PoseFit, FloatArray, float]]()
+    for odd, odds in zip(wide, [0.0, *[_ALONE] * 6], strict=True):
+        one = None if odd.any() else first
+        for spread, likely in zip(SPREADS, _ALL, strict=True):
+            each = np.where(odd, SPREADS[-1], spread)
+            if one is not first or spread > 1.0:
+                one = fit(R, wrench, prior._replace(spreads=tuple(each.tolist())), begin=one)
+            every.append((one, each, float(likely + odds)))
     spreads = np.array([spread for _, spread, _ in every])
     fits = tuple(
         _fit(R, wrench, prior._replace(spreads=tuple(spread.tolist())), of.state, of.noise) for of, spread, _ in every
     )
-    known = [likely - 0.5 * (np.log(spread.max()) / _SPREAD_FACTOR) ** 2 for _, spread, likely in every]
-    logs = np.array([one.evidence for one in fits]) + known
+    logs = np.array([one.evidence for one in fits]) + [likely for *_, likely in every]
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     best = fits[int(weights.argmax())]

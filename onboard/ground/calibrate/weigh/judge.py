@@ -41,7 +41,9 @@ def judge(answer: Answer) -> Judged:
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]
     }
     odd = _odd(answer)
-    corrections = {f"the scale of {one.name}": one.scale for k, one in enumerate(answer.axes) if k not in odd}
+    spread = np.maximum(answer.weighing.spread, 1.0)
+    named = zip(answer.axes, spread, strict=True)
+    corrections = {f"the scale of {one.name}": one.scale / wide for k, (one, wide) in enumerate(named) if k not in odd}
     units = _unnamed(answer)
     of_mass = units if "force" in answer.unnamed else Findings()
     own = {one.name: standing(one, of_mass if one is body[0] else units, sizes.get(one.name)) for one in body}
@@ -128,9 +130,10 @@ def _findings(answer: Answer) -> Findings:
             "unknown; calibrate the sensor"
         )
     if mass.supported and answer.weighing.wider(FARTHEST_SIZE)[0] > LIKELIER:
+        stated, taken = 100.0 * answer.known.scale * np.array([1.0, answer.weighing.spread.mean()])
         doubts.append(
-            f"the axes contradict each other: {fitted(answer)}, where scales are stated to "
-            f"{100.0 * answer.known.scale:.2g} %; hang a known mass on it, or calibrate the sensor"
+            f"the axes contradict each other: {fitted(answer)}, where scales are stated to {stated:.2g} %, and taken "
+            f"as known to {taken:.2g} (--scale-percent): hang a known mass on it, or calibrate the sensor"
         )
     plain, _ = answer.plain
     if not odd and mass.supported and not mass.low <= plain <= mass.high:
