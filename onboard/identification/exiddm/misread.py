@@ -3,7 +3,7 @@
 Each way to read it competes with the file as stated by what the wrench on the whole vehicle leaves, which is zero in
 free flight and linear in the payload (:mod:`onboard.regressor.free_rows`): the share of what the known links alone make
 of it that no payload explains. A payload has no negative mass; where the least squares make it one, there is none.
-Of pairs, those compete in which a joint takes part: two of the IMU are mostly one of all of it.
+Of pairs, those compete in which a joint or a unit takes part: two axes of the IMU are mostly those of all of it.
 """
 
 import re
@@ -220,6 +220,7 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
     ways = sorted((recording.weighed(way) for way in (*of_imu, *of_joints, *zeros)), key=_score)
     if ways[0].left > recording.explained(ways[0].way):
         pairs = [two for way in of_joints for two in (*_of_imu(way), *_of_joints(way, names))]
+        pairs += [two for way in _of_units(stated) for two in _of_imu(way)]
         ways = sorted([*ways, *(recording.weighed(way) for way in pairs)], key=_score)
     best = ways[0]._replace(left=recording.left(ways[0].way, ROUNDS))
     by_noise, of_best = (float(recording.by_noise(way).sum()) for way in (stated, best.way))
@@ -256,6 +257,11 @@ def _of_imu(now: FlightReading) -> Iterator[FlightReading]:
         yield now.also(f"the gyro's {said}", gyro=by @ now.gyro)
         yield now.also(f"the accelerometer's {said}", accelerometer=by @ now.accelerometer)
         yield now.also(f"the IMU's {said}", gyro=by @ now.gyro, accelerometer=by @ now.accelerometer)
+    yield from _of_units(now)
+
+
+def _of_units(now: FlightReading) -> Iterator[FlightReading]:
+    """With one mistake more in the units of the IMU."""
     for rate, force, said in _UNITS:
         yield now.also(said, gyro=rate * now.gyro, accelerometer=force * now.accelerometer)
 

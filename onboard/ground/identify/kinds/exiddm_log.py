@@ -51,6 +51,9 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.signals import EncoderJump
 
 _FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
+_TO_CHECK = (  # of a recording by other software
+    "; check axes and units of the IMU, signs, units, order and zeros of the joints, the clock of each, and the URDF"
+)
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
@@ -129,7 +132,7 @@ class _Flight:
             try:
                 found, agrees = self._fitted_whole_or_in_windows(known, segments, phase_at)
             except (EstimationError, ModelError) as error:
-                failure = f"the fit failed: {error}"
+                failure = f"the fit failed: {error}{_TO_CHECK * self._recorded}"
                 continue
             if best is None or found.found.misfit < best.found.misfit:
                 best = found

@@ -10,7 +10,8 @@ constants from a piece on; its size is one more unknown.
 Steps that may be inside are columns G of derivatives from their times on. Those of an instrument's constants are the
 columns of these constants. A change of the payload at a tick leaves the rate there as it is and moves it later: what
 follows is what another rate and payload at the first tick would have made, ``(-M^-1 N A, A)``, with M and N the
-derivatives of the rate at that tick by the first rate and payload, and A the change.
+derivatives of the rate at that tick by the first rate and payload, and A the change. Where M is singular, as the
+unknowns make the motion diverge, the cost is infinite, and the iteration takes that step back.
 """
 
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from onboard.identification.exiddm.steps import NO_STEPS, NONE_TAKEN, Inside, St
 _NO_SIZES = np.zeros(0)
 _FIRST = PAYLOAD.stop  # rate and payload
 _UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
+_SHOWS = 1.0 / np.finfo(np.float64).eps  # condition of M beyond which rounding is all that it holds
 _AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
 
 
@@ -127,6 +129,9 @@ class Pieces:
                 H, left = rows[0].reshape(rows[1].size, -1), rows[1].ravel()
                 if k > 0 or first == part * self.steps.every:  # it begins here
                     now = self._by_start(gyro[k - 1], *of_state[:2]) if k > 0 else self._of_first(self.transition[RATE])
+                    if not np.isfinite(now).all() or np.linalg.cond(now[:, RATE]) > _SHOWS:
+                        self.normal = self.normal._replace(squares=np.inf)
+                        continue
                     self._rates[part] = np.linalg.solve(now[:, RATE], now[:, PAYLOAD])
                 seen = np.hstack([self.steps.seen(H), self._by_start(H, *of_state[:2])])
                 told = seen.T @ seen, left @ seen, self._by_first(seen.T @ H, *of_state)

@@ -57,6 +57,7 @@ _MISTAKES = {
     "joint_2 counts the other way": lambda q, w, f: (q * [1.0, -1.0, 1.0], w, f),
     "joint_1 and joint_2 are exchanged": lambda q, w, f: (q[:, [1, 0, 2]], w, f),
     "joint_2 is about -60 deg from what is read": lambda q, w, f: (q + np.radians([0.0, 57.0, 0.0]), w, f),
+    "the gyro is in deg/s and the accelerometer is in g": lambda q, w, f: (q, np.degrees(w), f / 9.80665),
     "joint_2 counts the other way and the accelerometer is in g": lambda q, w, f: (
         q * [1.0, -1.0, 1.0],
         w,
@@ -111,3 +112,23 @@ def test_heft_identify_says_it_and_fits_nothing(tmp_path, flight):
     (log,) = json.loads(answer.read_text())["logs"]
     assert log["verdict"]["level"] == "do not use"
     assert "if the gyro's x counts the other way: correct the mapping" in log["verdict"]["text"]
+
+
+def test_what_no_mistake_explains_is_refused_with_what_to_check(tmp_path, flight):
+    """A gyro that reads ten times as much, which no unit makes: the fit fails, and no reason is claimed."""
+    lab, table, answer = tmp_path / "lab", tmp_path / "flight.csv", tmp_path / "answer.json"
+    asked = ["--base", "free", "--joints", ",".join(JOINTS), "--imu", "recorded", "--encoder", "recorded"]
+    assert main(["init", str(lab), *asked]) == OK
+    t, angles, rate, force = (one[:2200:10] for one in flight)
+    names = ["t", *(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_rad_s" for axis in "xyz"), *JOINTS]
+    np.savetxt(
+        table, np.column_stack([t, force, 10.0 * rate, angles]), "%.6f", ",", header=",".join(names), comments=""
+    )
+    mapping = str(tmp_path / "m.toml")
+    assert main(["import", "--guess", str(table), "--vehicle", str(lab / "vehicle.toml"), "-o", mapping]) == OK
+    assert main(["import", mapping, str(table), "-o", str(tmp_path)]) == OK
+    command = ["identify", "--vehicle", str(lab / "vehicle.toml"), str(tmp_path / "flight.mcap")]
+    assert main([*command, "--json", str(answer)]) == 1
+    (log,) = json.loads(answer.read_text())["logs"]
+    assert "the fit failed" in log["verdict"]["text"]
+    assert "check axes and units of the IMU, signs, units, order and zeros of the joints" in log["verdict"]["text"]

@@ -58,6 +58,22 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
     assert several.state == pytest.approx(one.state, rel=1e-4, abs=1e-6)
 
 
+def test_where_the_first_rate_no_longer_shows_the_cost_is_infinite(held):
+    """A rate of 1,100 rad/s, say of a gyro in deg/s: the derivative of the later rate may round to a singular one."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    state, use = np.full(len(predictor.names), 1e-3), np.ones((120, 6), np.bool_)
+    costs = []
+    for diverged in (False, True):
+        whole = Pieces(state, np.arange(len(state)), *use.shape, Steps(predictor).inside(120).about(state))
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+            if diverged:
+                whole.transition[RATE, RATE] = 1.0
+        costs.append(whole.normal.squares)
+    assert np.isfinite(costs[0])
+    assert costs[1] == np.inf
+
+
 def test_a_hypothesis_that_comes_nowhere_near_is_given_up_after_a_few_iterations(held):
     window = ticks_of(held).part(slice(0, 100))
     uncertain = online(held, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"]).predictor
