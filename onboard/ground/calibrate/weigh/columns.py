@@ -271,8 +271,9 @@ def _joints(table: WeighTable, columns: Sequence[Column], joints: Sequence[str])
                 names = [f"{word}{first + n}" for n in range(len(joints))]
             if all(name in by_name for name in names):
                 return [by_name[name] for name in names]
+    missing = [joint for joint in joints if _plain(joint) not in by_name]
     raise PosesError(
-        f"{table.label}: no columns for the joints {_shown(joints)} among {_shown(table.names)}; name them so"
+        f"{table.label}: no columns for the joints {_shown(missing)} among {_shown(table.names)}; name them so"
     )
 
 

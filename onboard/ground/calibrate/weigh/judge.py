@@ -110,7 +110,7 @@ def _findings(answer: Answer) -> Findings:
         against.append(
             f"no body explains the readings: {left:.0%} of what they change by from pose to pose is left over; rows of "
             "poses and of wrenches that do not belong together (shifted, sorted), another kind of orientation "
-            "(--orientation), or noise larger than the weight"
+            "(--orientation), joints (--urdf) of another order, sign or zero, or noise larger than the weight"
         )
     if mass.supported and mass.mean > HEAVIEST_kg:
         against.append(

@@ -147,7 +147,15 @@ def _mcap(path: Path, topics: Collection[str] | None) -> Iterator[tuple[str, int
     decode = _Decoder(path)
     try:
         with path.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages(topics):
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            encodings = {channel.message_encoding for channel in summary.channels.values()} if summary else set()
+            if encodings and encodings.isdisjoint(("json", "cdr", "ros1")):
+                raise SourceError(
+                    f"{path}: its messages are {', '.join(sorted(encodings))}, and those of ROS and JSON are read: "
+                    "write them as JSON, or as a table (CSV, NPZ)"
+                )
+            for schema, channel, message in reader.iter_messages(topics):
                 yield channel.topic, message.log_time, decode(schema, channel, message.data)
     except (McapError, *_BROKEN, struct.error, ZstdError) as error:
         if isinstance(error, SourceError):

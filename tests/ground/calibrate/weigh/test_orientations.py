@@ -153,7 +153,7 @@ def test_where_up_is_by_an_accelerometer(tmp_path, names, unit):
     assert weighed(tmp_path, rates, header=("gx", "gy", "gz", *WRENCH))[0] == BAD_INPUT
 
 
-def test_joint_angles_and_a_urdf(one, tmp_path):
+def test_joint_angles_and_a_urdf(one, tmp_path, capsys):
     """A shoulder about z, an elbow about y, a wrist about x: the product of the three turns."""
     rng = np.random.default_rng(5)
     q = rng.uniform(-3.0, 3.0, (30, 3))
@@ -175,6 +175,11 @@ def test_joint_angles_and_a_urdf(one, tmp_path):
         assert code == OK
         assert all(holds(answer, one.true).values())
     assert weighed(tmp_path, rows, "--urdf", str(urdf), "--link", "hand", header=(*names, *WRENCH))[0] == BAD_INPUT
+    capsys.readouterr()
+    assert (
+        weighed(tmp_path, rows, "--urdf", str(urdf), header=("shoulder", "elbow", "gripper", *WRENCH))[0] == BAD_INPUT
+    )
+    assert "no columns for the joints wrist among shoulder, elbow, gripper" in capsys.readouterr().err
 
 
 def test_readings_without_noise_and_three_angles_without_names(tmp_path):

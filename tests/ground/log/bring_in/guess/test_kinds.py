@@ -10,6 +10,7 @@ import zlib
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 from scipy.io import savemat
 
@@ -24,6 +25,22 @@ from tests.ground.log.bring_in.guess.made import COUNT, IMU_NAMES, BEGAN_ns, T, 
 from tests.ground.log.bring_in.guess.test_odd_files import brought_in
 
 _MAT = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+
+
+@pytest.mark.parametrize("command", [["import", "--guess"], ["weigh"]])
+def test_messages_of_another_encoding_are_refused_with_the_remedy(tmp_path, capsys, command):
+    """Foxglove's, for instance; beside others that can be read they are passed over."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/imu", "protobuf", writer.register_schema("imu", "protobuf", b""))
+        writer.add_message(channel, 1, b"\x00\x01", 1)
+        writer.finish()
+    assert main([*command, str(path)]) == BAD_INPUT
+    assert (
+        "its messages are protobuf, and those of ROS and JSON are read: write them as JSON" in capsys.readouterr().err
+    )
 
 
 def test_numbers_beyond_all_measure_are_refused_at_the_import(tmp_path):
