@@ -39,17 +39,21 @@ BOX = Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
-    """What came of a seed's flight; ``settings``: ``class``, else ``vehicle`` (drawn otherwise) and ``healthy``."""
+    """What came of a seed's flight.
+
+    ``settings``: ``class``, else ``vehicle`` (drawn otherwise) and ``healthy``; ``identify``: what the command says of
+    the log counts, and not what was said on board.
+    """
     without = ""
     if "class" in settings:
         drawn, without = of_class(settings["class"], seed)
     else:
         drawn = draw(seed, settings.get("vehicle"), settings.get("healthy", False))
-    found = run(drawn) if drawn.vehicle == "planar" else _simulated(drawn, without)
+    found = run(drawn) if drawn.vehicle == "planar" else _simulated(drawn, without, settings)
     return found._replace(faults=drawn.texts, unseen=drawn.invisible, what=drawn.vehicle)
 
 
-def _simulated(drawn: Drawn, without: str) -> FlightResult:
+def _simulated(drawn: Drawn, without: str, settings: dict[str, Any]) -> FlightResult:
     """Through drivers, clocks and estimator, in virtual time."""
     scenario = scenario_of(drawn.vehicle, {**MISSIONS[drawn.vehicle], "fault": drawn.faults, **drawn.overrides})
     vehicle = _without(config.load(config.packaged(drawn.vehicle)), without)
@@ -59,6 +63,9 @@ def _simulated(drawn: Drawn, without: str) -> FlightResult:
             flown = hil.fly_simulated(vehicle, world, urls, Path(directory) / "flight.mcap")
         log = LogReader(flown.log, kept=True)
         found = of_mission(mission_table.result(flown, log=log))
+        if settings.get("identify"):
+            truth = {one.quantity: one.truth for one in found.answers}
+            return of_log(identify(vehicle, [flown.log]).logs[0], {"quantities": truth})
         return found.with_instants(instants.of_flight(log, vehicle, flown.truth))
 
 

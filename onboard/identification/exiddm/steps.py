@@ -145,7 +145,13 @@ class JumpedJoint:
                 self.others.append(OtherError(names[own[kind]], at, along))
         self.cyclic = [OtherError(names[k], np.array([k]), 2.0**0.5 * predictor.sigma[[k]]) for k in cyclic]
 
+    @property
+    def changed(self) -> list[OtherError]:
+        """All that is an error of its own from the jump on, of unit normal prior."""
+        return [*self.others, *self.cyclic]
 
+
+_NOWHERE: IndexArray = np.zeros(0, np.intp)
 ALTERED = "a change of the payload"
 NO_STEPS = Inside(np.zeros(0, np.intp), np.zeros((0, 0)), BATCH_TICKS, 0)
 NONE_TAKEN = NO_STEPS.taken(())
@@ -164,7 +170,7 @@ class Steps:
 
     def __init__(self, predictor: ImuPredictor, payload: slice = PAYLOAD) -> None:
         self._predictor, self._every_s = predictor, _EVERY * BATCH_TICKS * predictor.period_s
-        self._what = tuple(_steps_of(predictor, self._every_s, np.arange(len(predictor.names))[payload]))
+        self._what = tuple(steps_of(predictor, self._every_s, np.arange(len(predictor.names))[payload]))
         self._of = [one for one in self._what for _ in range(one.along.shape[1])]  # of each column
         self._at = np.unique(np.concatenate([np.zeros(0, np.intp), *(one.at for one in self._what)]))
         self._along = np.zeros((len(self._at), len(self._of)))
@@ -267,10 +273,15 @@ def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:
     return own[[predictor.names[at].startswith(kind) for at in own]]
 
 
-def _steps_of(predictor: ImuPredictor, every_s: float, payload: IndexArray) -> Iterator[Suspect]:
+def steps_of(predictor: ImuPredictor, every_s: float, payload: IndexArray = _NOWHERE) -> Iterator[Suspect]:
     """Of a cell its scale or its zero; of an IMU the scale of its gyro, of its accelerometer, or both; of the payload.
 
     What the last changes depends on the payload.
+
+    Args:
+        predictor: of these instruments.
+        every_s: for which each step stands.
+        payload: its places in the state; none: it does not change.
     """
     odds = STEPS_PER_HOUR * every_s / 3600.0
     ways = list[tuple[str, IndexArray, float]]()

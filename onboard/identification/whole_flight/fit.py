@@ -34,7 +34,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RAT
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
 from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction
-from onboard.identification.exiddm.steps import JumpedJoint
+from onboard.identification.exiddm.steps import OtherError
 from onboard.identification.whole_flight.blocks import (
     FlightFit,
     Instrument,
@@ -45,7 +45,7 @@ from onboard.identification.whole_flight.blocks import (
     misfit_by_instrument,
     total_of,
 )
-from onboard.identification.whole_flight.segments import Segment, others_in
+from onboard.identification.whole_flight.segments import Segment, divided, others_in
 from onboard.identification.windows import SHORTEST, WINDOW_s
 
 _BLOCK_TICKS = 200
@@ -81,7 +81,7 @@ class WholeFlight:
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         segments: in the order of their times; too short ones are left out.
         without: numbers of the predictor's instruments that take no part.
-        jumped: encoders that are others from some time on, s; no segment has ticks of before and after.
+        changed: errors that are others from some time on, s; no segment has ticks of before and after.
 
     Attributes:
         predictor: the one given.
@@ -106,8 +106,9 @@ class WholeFlight:
         payload_sigma: FloatArray,
         segments: Sequence[Segment],
         without: Collection[int] = (),
-        jumped: Sequence[tuple[float, JumpedJoint]] = (),
+        changed: Sequence[tuple[float, Sequence[OtherError]]] = (),
     ) -> None:
+        self._given = predictor, payload_sigma, without, changed
         self.predictor = predictor
         self.further, self.key_of = predictor.further, predictor.key_of
         self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
@@ -121,12 +122,12 @@ class WholeFlight:
         drifts = [drift_at for _, drift_at in predictor.biases]
         self.constants = len(predictor.names) - PAYLOAD.start
         self.of_bodies = predictor.of_bodies - PAYLOAD.start
-        of_jumps, self._other = others_in(self.segments, jumped, len(predictor.names))
+        of_others, self._other = others_in(self.segments, changed, len(predictor.names))
         of_rates = (f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE])
         of_kinks = (f"{predictor.names[at]}_kink_{k}" for k in range(len(self._kinks_s)) for at in drifts)
-        self.names: tuple[str, ...] = (*predictor.names[PAYLOAD.start :], *of_rates, *of_kinks, *of_jumps)
+        self.names: tuple[str, ...] = (*predictor.names[PAYLOAD.start :], *of_rates, *of_kinks, *of_others)
         kinks = np.tile(walk * predictor.sigma[drifts], len(self._kinks_s))
-        rest = np.full(3 * len(self.segments), np.nan), kinks, np.ones(len(of_jumps))
+        rest = np.full(3 * len(self.segments), np.nan), kinks, np.ones(len(of_others))
         self.stated = np.concatenate([payload_sigma, predictor.sigma[PAYLOAD.stop :], *rest])
         self.sigma = self.stated.copy()
         self.prior_information = np.diag(np.nan_to_num(1.0 / self.sigma**2))
@@ -156,6 +157,11 @@ class WholeFlight:
             for at, memory_s in predictor.wandering
             if at in own
         }
+
+    def with_step(self, at_s: float, other: OtherError) -> "WholeFlight":
+        """The same flight, as stated, in which an error may be another one from a time on."""
+        predictor, sigma, without, changed = self._given
+        return WholeFlight(predictor, sigma, divided(self.segments, at_s), without, [*changed, (at_s, [other])])
 
     def zeros(self, fit: Fit, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Of the first IMU at a time, gyro and accelerometer, (6,), and their covariance; zeros if constant."""
@@ -237,7 +243,9 @@ class WholeFlight:
                 lines[:, PAYLOAD] *= one.held
                 for own in self.instruments:
                     if use[here, own.lines].any():
-                        found.append(np.pad(lines[own.lines, RATE.stop :].sum(axis=0), (0, rest)))
+                        by_state = lines[own.lines, RATE.stop :].sum(axis=0)
+                        by_others = by_state @ self._other[k, RATE.stop :]
+                        found.append(np.concatenate([by_state, np.zeros(rest - by_others.size), by_others]))
         return found
 
     def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:

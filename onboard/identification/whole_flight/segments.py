@@ -8,7 +8,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.steps import JumpedJoint
+from onboard.identification.exiddm.steps import OtherError
 from onboard.identification.windows import SHORTEST, WINDOW_s
 
 
@@ -38,21 +38,34 @@ def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
     return found
 
 
+def divided(segments: Sequence[Segment], at_s: float) -> list[Segment]:
+    """The same ticks, none of a segment before a time and others after it."""
+    found = list[Segment]()
+    for one in segments:
+        k = int(np.searchsorted(one.ticks.time_s, at_s))
+        found += [
+            Segment(one.ticks.part(part), one.held)
+            for part in (slice(0, k), slice(k, None))
+            if len(one.ticks.time_s[part])
+        ]
+    return found
+
+
 def others_in(
-    segments: Sequence[Segment], jumped: Sequence[tuple[float, JumpedJoint]], size: int
+    segments: Sequence[Segment], changed: Sequence[tuple[float, Sequence[OtherError]]], size: int
 ) -> tuple[list[str], FloatArray]:
-    """What may be other errors after encoders have jumped, of unit normal prior.
+    """What may be other errors from some times on, of unit normal prior, in segments of a flight.
 
     Args:
-        segments: none has ticks of before and after a jump.
-        jumped: time, s, and joint of each.
+        segments: none has ticks of before and after such a time.
+        changed: time, s, and errors of each.
         size: p, of the state.
 
     Returns:
         m names, and what each does to the state in each segment, (segments, p, m).
     """
-    of_each = [(time_s, k, other) for k, (time_s, one) in enumerate(jumped) for other in (*one.others, *one.cyclic)]
+    of_each = [(time_s, k, other) for k, (time_s, others) in enumerate(changed) for other in others]
     along, ends_s = np.zeros((len(segments), size, len(of_each))), [one.ticks.time_s[-1] for one in segments]
     for column, (time_s, _, other) in enumerate(of_each):
         along[np.flatnonzero(np.array(ends_s) > time_s)[:, None], other.at, column] = other.along
-    return [f"{other.name}_jump_{k}" for _, k, other in of_each], along
+    return [f"{other.name}_from_{k}" for _, k, other in of_each], along

@@ -1,10 +1,11 @@
 """Is all of a flight as stated: what may be wrong is weighed on its fit, and which instrument contradicts the others.
 
-The hypotheses are those of the filter on board (:func:`onboard.identification.exiddm.suspects.suspects_of`), weighed by
-the same bank with mean and covariance of the fit. While one is likelier than "as stated", what counts is free in the
-prior and the flight is fitted again; the answer is the mixture. Such an error moves a payload by more than its own
-correction shows: 5 % of the scale of DYMAFLEX's accelerometer, common to its axes, move the mass by half of it and are
-corrected by less than one of the stated sigmas.
+The hypotheses are those of the filter on board (:func:`onboard.identification.exiddm.suspects.suspects_of`, and steps
+of an instrument in flight), weighed by the same bank with mean and covariance of the fit. While one is likelier than
+"as stated", what counts is free in the prior, or a step an unknown from its time on, and the flight is fitted again;
+the answer is the mixture. Such an error moves a payload by more than its own correction shows: 5 % of the scale of
+DYMAFLEX's accelerometer, common to its axes, move the mass by half of it and are corrected by less than one of the
+stated sigmas.
 
 Where a test fails after that, the flight is fitted once more without each instrument, the first IMU too. If exactly one
 of these fits passes every test, the instrument that it is without is the one that is wrong, and the answer is made from
@@ -32,7 +33,10 @@ from onboard.identification.whole_flight.blocks import FlightFit
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import PAYLOAD, differences
 from onboard.identification.whole_flight.stated import bodies_of
+from onboard.identification.whole_flight.steps_inside import StepsInside
 from onboard.identification.windows import STAGES_s
+
+_MOST_STEPS = 2  # after which a flight is fitted no more: two at a time are as many as the filter looks for
 
 
 class Tested(NamedTuple):
@@ -69,20 +73,31 @@ def fitted(
     Raises:
         EstimationError, ModelError: as :meth:`WholeFlight.fit`.
     """
-    found = flight.fit(start, stages_s)
+    found, stepped = flight.fit(start, stages_s), list[str]()
     suspects = [one._replace(at=one.at - RATE.stop) for one in suspects_of(flight.predictor)]
-    bank, freed = Bank(suspects, flight.stated), tuple[int, ...]()
+    freed = tuple[int, ...]()
     while True:
-        known = found.fit.x, found.fit.covariance
-        weighed = bank.weigh(bank.as_stated(known, freed) if freed else known)
-        if not weighed.contradicts or set(weighed.likeliest.numbers) <= set(freed):
+        bank, steps = Bank(suspects, flight.stated), StepsInside.of(flight, found)
+        known, changed = (found.fit.x, found.fit.covariance), steps.changed
+        if freed:
+            known, changed = bank.as_stated(known, freed), bank.steps_as_stated(known, freed, changed)
+        weighed = bank.weigh(known, steps.hypotheses(changed))
+        one = weighed.likeliest
+        settled = len(stepped) == _MOST_STEPS if one.steps else set(one.numbers) <= set(freed)
+        if settled or not weighed.contradicts:
             break
-        freed = tuple(sorted({*freed, *counting(weighed)}))
-        flight.free([suspects[k] for k in freed])
-        found = flight.fit(found.fit.x)
+        if one.steps:
+            at_s, other = steps.taken(one.steps[0])
+            x, freed = found.fit.x[: flight.constants], ()
+            flight, stepped = flight.with_step(at_s, other), [*stepped, other.name]
+            found = flight.fit(flight.start(x))
+        else:
+            freed = tuple(sorted({*freed, *counting(weighed)}))
+            flight.free([suspects[k] for k in freed])
+            found = flight.fit(found.fit.x)
     against, _ = weighed.judged
-    made = tested(flight, found, phase_at).plus(against)
-    return made._replace(found=_mixed(found, weighed), names=weighed.names)
+    names = tuple(dict.fromkeys([*stepped, *weighed.names]))
+    return tested(flight, found, phase_at).plus(against)._replace(found=_mixed(found, weighed), names=names)
 
 
 def _mixed(found: FlightFit, weighed: Weighed) -> FlightFit:

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.dynamics.model.bases import BaseKind
-from onboard.dynamics.model.payload import standard_covariance, standard_of
-from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import doubtful, refused_from
 from onboard.identification.evidence.bank import Suspect
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.steps import JumpedJoint
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
@@ -27,55 +22,17 @@ from onboard.identification.whole_flight.segments import Segment, in_windows
 from onboard.identification.whole_flight.stated import bodies_of, bound_of, leans_on
 from onboard.identification.windows import WINDOW_s
 from onboard.regressor.signals import EncoderJump
-from tests.dynamics.free_flyer_twin import BOX, URDF
+from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, jumped, recorded, ticks_of
-
-PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
-CAPTURE_s, END_s = 6.0, 14.0
-
-
-@pytest.fixture(scope="module")
-def ticks():
-    """Nothing held, then a capture."""
-    rng = np.random.default_rng(5)
-    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
-    capture = free_flyer.Capture(BOX, CAPTURE_s, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
-    free_flyer.fly_with_capture(flight, capture, END_s)
-    return ticks_of(recorded(flight.history, rng, BIASED))
-
-
-@pytest.fixture(scope="module")
-def predictor():
-    return predictor_of()
-
-
-def predictor_of(cyclic=()):
-    """Of the twin; rms of the cyclic errors of each joint."""
-    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
-    chi = {name: vehicle.chi[10 * k : 10 * k + 10] for k, name in enumerate(vehicle.links)}
-    links = {name: standard_covariance(chi[name], 0.03, 2e-3, 0.01) for name in ("base", "link_2")}
-    geometry = GeometryPrior(
-        0.003, {joint.name: JointPrior(5e-4, 1e-3, 2e-4, 2e-4, cyclic) for joint in vehicle.joints}
-    )
-    return ImuPredictor(
-        vehicle, "imu_base", 0.01, 5, links, PRIOR, geometry, key_of=lambda name: name.partition("_inertial_")[0]
-    )
-
-
-def segments(ticks):
-    free, held = ticks.time_s < CAPTURE_s - 0.1, ticks.time_s > CAPTURE_s + 0.1
-    return [Segment(ticks.part(slice(*np.flatnonzero(which)[[0, -1]])), own) for which, own in ((free, 0), (held, 1))]
-
-
-def started(flight, predictor, chi):
-    return flight.start(np.concatenate([chi, np.zeros(len(predictor.names) - PAYLOAD.stop)]))
-
-
-@pytest.fixture(scope="module")
-def fitted(ticks, predictor):
-    flight = WholeFlight(predictor, WIDE, segments(ticks))
-    return flight, flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
+from tests.identification.whole_flight.flights import (
+    CAPTURE_s,
+    fitted_freely,
+    predictor_of,
+    scaled,
+    segments,
+    started,
+)
 
 
 def test_the_payload_is_the_truth_within_its_sigmas(fitted):
@@ -121,15 +78,6 @@ def test_what_may_be_wrong_is_added_to_the_prior_and_taken_out_again(predictor, 
     flight.free(())
     np.testing.assert_array_equal(flight.prior_information, stated)
     np.testing.assert_array_equal(flight.sigma, flight.stated)
-
-
-@pytest.fixture(scope="module")
-def noisy(ticks):
-    """Joint accelerations with white noise, which is known, and which the rates do not have."""
-    of_each = 0.3 * np.array([[0.0], [1.0]])
-    sigma = np.broadcast_to(of_each, ticks.joint_sigma.shape).copy()
-    ddq = ticks.ddq + 0.3 * np.random.default_rng(8).standard_normal(ticks.ddq.shape)
-    return ticks._replace(ddq=ddq, joint_sigma=sigma, sample_sigma=sigma)
 
 
 def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predictor, fitted):
@@ -178,14 +126,14 @@ def test_slopes_are_differences(ticks, predictor):
     """Also those of what an encoder that has jumped may have done to its joint."""
     parts = [Segment(one.ticks.part(slice(0, 600)), one.held) for one in segments(ticks)]
     other = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2))
-    flight = WholeFlight(predictor, WIDE, parts, (), [(CAPTURE_s, other)])
-    assert flight.names[-2:] == ("scale_joint_2_jump_0", "delay_joint_2_jump_0")
+    flight = WholeFlight(predictor, WIDE, parts, (), [(CAPTURE_s, other.changed)])
+    assert flight.names[-2:] == ("scale_joint_2_from_0", "delay_joint_2_from_0")
     x = started(flight, predictor, standard_of(TRUTH))
     rng = np.random.default_rng(1)
     x[10:] += 0.3 * np.nan_to_num(flight.sigma[10:]) * rng.standard_normal(len(x) - 10)
     p = len(x)
     gradient = total_of(flight.blocks(x), p).gradient
-    assert (gradient[["kink" in name or "jump" in name for name in flight.names]] != 0.0).all()
+    assert (gradient[["kink" in name or "_from_" in name for name in flight.names]] != 0.0).all()
     for _ in range(4):
         step = 1e-3 * np.where(np.isfinite(flight.sigma), flight.sigma, 1e-2) * rng.standard_normal(p)
         step[:10] *= 1e-2
@@ -202,13 +150,13 @@ def test_a_flight_is_fitted_as_a_whole_where_an_encoder_jumps(ticks, predictor, 
     k = int(np.searchsorted(held.ticks.time_s, at_s))
     parts = [free, *(Segment(held.ticks.part(part), True) for part in (slice(0, k), slice(k, None)))]
     joint = JumpedJoint(predictor, "joint_2", jump)
-    flight = WholeFlight(predictor, WIDE, parts, (), [(at_s, joint)])
+    flight = WholeFlight(predictor, WIDE, parts, (), [(at_s, joint.changed)])
     found = flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
     sigma = np.sqrt(np.diag(found.payload.covariance))
     off = found.payload.body.mass_kg - TRUTH.mass_kg
     assert abs(off) < 3.0 * sigma[0] < 0.06 * TRUTH.mass_kg
     assert found.misfit < 1.1
-    which = flight.names.index("scale_joint_2_jump_0")
+    which = flight.names.index("scale_joint_2_from_0")
     size = found.fit.x[which] * joint.others[0].along[0]
     assert size == pytest.approx(1.0 / (1.0 + scale) - 1.0, abs=0.004)
     if scale:
@@ -221,7 +169,7 @@ def test_cyclic_errors_are_noise_after_a_jump_that_may_have_changed_a_scale(tick
     functions = np.random.default_rng(2).normal(size=(len(ticks.time_s), 3, 10)) * [[1.0], [10.0], [100.0]]
     joint = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2))
     squares = []
-    for jumps in ((), ((CAPTURE_s, joint),)):
+    for jumps in ((), ((CAPTURE_s, joint.changed),)):
         flight = WholeFlight(predictor, WIDE, segments(ticks._replace(cyclic=functions)), (), jumps)
         x = started(flight, predictor, standard_of(TRUTH))
         flight.weigh(x)
@@ -350,18 +298,6 @@ def test_a_flight_too_short_to_halve(ticks, predictor, fitted):
     with pytest.raises(SingularError, match="halves"):
         halves(flight, found)
     assert differences(found, lambda _: 0)[0].freedom == 0
-
-
-def scaled(ticks, columns, factor):
-    """All that was flown, some readings of the IMU times a factor."""
-    measured = ticks.measured.copy()
-    measured[:, columns] *= factor
-    return segments(ticks._replace(measured=measured))
-
-
-def fitted_freely(flight, whole):
-    """A fit in which what is likely wrong is free."""
-    return witnesses.fitted(flight, whole.fit.x, (), lambda time_s: 0)
 
 
 def test_of_a_flight_as_stated_nothing_is_free(ticks, predictor, fitted):

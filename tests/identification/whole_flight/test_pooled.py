@@ -11,9 +11,7 @@ from onboard.identification.whole_flight.segments import Segment
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
-from tests.identification.whole_flight.test_fit import predictor, started
-
-__all__ = ["predictor"]
+from tests.identification.whole_flight.flights import started
 
 
 def flown(predictor, seed, payload=BOX):

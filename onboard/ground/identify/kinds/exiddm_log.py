@@ -104,7 +104,7 @@ class _Flight:
     ) -> None:
         settings, predictor = vehicle.file.estimation, online.exiddm.predictor
         self._jumps, times_s = jumps, [1e-9 * jump.vehicle_ns for _, jump in jumps]
-        self._jumped = [(at_s, JumpedJoint(predictor, *one)) for at_s, one in zip(times_s, jumps, strict=True)]
+        self._jumped = [(at_s, JumpedJoint(predictor, *one).changed) for at_s, one in zip(times_s, jumps, strict=True)]
         self._jumped_at: list[int] = np.searchsorted(ticks.time_s, times_s).tolist()
         self._online, self._ticks, self._attached = online, ticks, attached
         self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
@@ -208,7 +208,7 @@ class _Flight:
         made, failure = None, None
         try:
             made = fitted(flight, start, known.stages_s, phase_at)
-            start = made.found.fit.x
+            start = flight.start(made.found.fit.x[: flight.constants])
         except (EstimationError, ModelError) as error:
             failure = error
         if (made is None or not made.passes) and len(flight.devices) > 1 and not excluded:
