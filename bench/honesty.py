@@ -1,8 +1,9 @@
 """Does a wrong answer ever look like a right one, and how often is there none?
 
 Run ``heft campaign PLAN -o DIR``, then ``python -m bench.honesty DIR...`` (of a campaign flown in parts: each part's).
-Of ``bench/plans/scoreboard.toml`` it prints the scoreboard, a row a class (``bench/honest_flights/scores.py``);
-``--before DIR...`` gives flights of another revision, shown in brackets, and ``--page FILE`` writes it.
+Of ``bench/plans/scoreboard.toml`` (what was said on board) and ``scoreboard_identified.toml`` (what ``heft identify``
+says of the same logs) it prints the scoreboard, a row a class (``bench/honest_flights/scores.py``); ``--before DIR...``
+gives flights of another revision, shown in brackets, and ``--page FILE`` writes it.
 
 Of ``bench/plans/honesty.toml`` each seed is a short mission of its own; vehicle, faults and model errors are drawn from
 it (``bench/honest_flights/drawn.py``). Counted are
@@ -137,23 +138,27 @@ class CampaignRows(NamedTuple):
     rows: list[dict[str, Any]]
     failures: int
     revisions: tuple[str, ...]
+    name: str = "scoreboard"  # of the plan
 
 
 def read(directories: list[Path]) -> CampaignRows:
     """The rows of all flights that are done."""
-    rows, failures = list[dict[str, Any]](), 0
+    rows, failures, names = list[dict[str, Any]](), 0, list[str]()
     for directory in directories:
         store = Store(directory)
-        items = store.content().items
-        failures += len(store.failures(items))
-        rows += store.rows(items)
-    return CampaignRows(rows, failures, tuple(sorted({row["revision"] for row in rows})))
+        content = store.content()
+        names.append(content.name)
+        failures += len(store.failures(content.items))
+        rows += store.rows(content.items)
+    return CampaignRows(rows, failures, tuple(sorted({row["revision"] for row in rows})), *names[:1])
 
 
 def _at_all_instants(rows: list[dict[str, Any]]) -> str:
     told, beyond = (sum(row[one] or 0 for row in rows) for one in ("instants", "instants_beyond"))
+    if not told:
+        return "By what is said of each log as a whole."
     farthest = max((row["instants_farthest"] or 0.0 for row in rows), default=0.0)
-    share = f"{100.0 * beyond / max(told, 1):.3f} %"
+    share = f"{100.0 * beyond / told:.3f} %"
     return (
         f"At all instants of all flights together {beyond} of {told:,} numbers lay beyond their 99.9 % interval\n"
         f"({share}; exact intervals leave 0.1 %), the farthest {farthest:.2g} times half of it."
@@ -177,16 +182,17 @@ def main() -> int:
     print(text)
     print(f"\nfailed programs: {own.failures}")
     if arguments.page:
-        command = f"heft campaign bench/plans/scoreboard.toml, python -m bench.honesty; code {', '.join(own.revisions)}"
+        plan = f"bench/plans/{own.name.replace(' ', '_')}.toml"
+        command = f"heft campaign {plan}, python -m bench.honesty; code {', '.join(own.revisions)}"
         beside = f"; in brackets that of {', '.join(before.revisions)}" if before.rows else ""
         seeds = sorted({int(row["seed"]) for row in own.rows})
         made = f"Made by {command}{beside}; seeds {seeds[0]} to {seeds[-1]}.\n{_at_all_instants(own.rows)}"
-        arguments.page.write_text(f"{_HEAD}\n{made}\n{text}\n", encoding="utf-8")
+        title = f"# {own.name.capitalize()}"
+        arguments.page.write_text(f"{title}\n\n{_HEAD}\n{made}\n{text}\n", encoding="utf-8")
     return int(any(score.lied for score in after.values()))
 
 
-_HEAD = """# Scoreboard
-
+_HEAD = """\
 Each row is a class of flights (`bench/honest_flights/classes.py`). *Answered*: every mass is supported and known to
 20 %. *Lies*: a number was supported while its truth lay beyond its 99.9 % interval, at any time of the flight or in its
 last estimate. *Good, beyond*: such a number was called good. *rms*: of errors in sigmas; 1 is exact, less is too wide.

@@ -163,7 +163,7 @@ def test_on_the_ground_it_is_as_well_known_with_the_same_instruments(flown: Resu
 
 
 @pytest.mark.parametrize("told_on_board", [False, True])
-def test_on_the_ground_a_wrong_scale_is_named_and_one_that_was_left_out_stays_out(
+def test_on_the_ground_a_wrong_scale_is_named_and_one_that_was_left_out_and_is_right_takes_part(
     flown: Result, tmp_path: Path, told_on_board: bool
 ) -> None:
     """The wrist cell reads 8 % more, unnoticed on board; or nothing is wrong but that it was left out on board."""
@@ -180,11 +180,11 @@ def test_on_the_ground_a_wrong_scale_is_named_and_one_that_was_left_out_stays_ou
             writer.write(EVENTS, said)
     (found,) = identify(config.load(config.packaged("dymaflex")), [copy]).logs
     mass = found.answers[0]
-    assert found.verdict.level is Level.WEAK
-    said = "without load_cell, which contradicts the others" if told_on_board else "not as stated: load_cell"
-    assert said in found.verdict.text
+    assert "without" not in found.verdict.text
+    assert ("not as stated: load_cell" in found.verdict.text) is not told_on_board
+    assert (found.verdict.level is Level.GOOD) is told_on_board
     assert abs(mass.value - MASS_kg) < 3.0 * mass.sigma
-    assert mass.sigma > 0.006 * MASS_kg
+    assert (mass.sigma < 0.006 * MASS_kg) is told_on_board
 
 
 def assert_weak(mass: np.void, without: str) -> None:

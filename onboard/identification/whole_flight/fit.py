@@ -109,8 +109,7 @@ class WholeFlight:
         changed: Sequence[tuple[float, Sequence[OtherError]]] = (),
     ) -> None:
         self._given = predictor, payload_sigma, without, changed
-        self.predictor = predictor
-        self.further, self.key_of = predictor.further, predictor.key_of
+        self.predictor, self.further, self.key_of = predictor, predictor.further, predictor.key_of
         self.instruments = tuple(one for one in instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)
@@ -129,9 +128,7 @@ class WholeFlight:
         kinks = np.tile(walk * predictor.sigma[drifts], len(self._kinks_s))
         rest = np.full(3 * len(self.segments), np.nan), kinks, np.ones(len(of_others))
         self.stated = np.concatenate([payload_sigma, predictor.sigma[PAYLOAD.stop :], *rest])
-        self.sigma = self.stated.copy()
-        self.prior_information = np.diag(np.nan_to_num(1.0 / self.sigma**2))
-        self._freed = predictor.of_bodies[:0]  # places in the predictor's state of what may be wrong
+        self.free(())
         pairs, first = len(drifts), self.constants + 3 * len(self.segments)
         self._of_lines: list[IndexArray] = [
             np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(len(self._kinks_s)))], np.intp)
@@ -158,10 +155,12 @@ class WholeFlight:
             if at in own
         }
 
-    def with_step(self, at_s: float, other: OtherError) -> "WholeFlight":
-        """The same flight, as stated, in which an error may be another one from a time on."""
+    def with_step(self, other: OtherError, when_s: tuple[float, float, float]) -> "WholeFlight":
+        """The same flight, as stated, in which an error may be another one; ``when_s`` as :func:`.divided`."""
         predictor, sigma, without, changed = self._given
-        return WholeFlight(predictor, sigma, divided(self.segments, at_s), without, [*changed, (at_s, [other])])
+        own = [lines for lines, at in zip(predictor.lines, predictor.of_each, strict=True) if other.at[0] in at]
+        parts = divided(self.segments, own if len(self.devices) > 1 else [], when_s)
+        return WholeFlight(predictor, sigma, parts, without, [*changed, (when_s[1], [other])])
 
     def zeros(self, fit: Fit, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Of the first IMU at a time, gyro and accelerometer, (6,), and their covariance; zeros if constant."""

@@ -38,16 +38,21 @@ def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
     return found
 
 
-def divided(segments: Sequence[Segment], at_s: float) -> list[Segment]:
-    """The same ticks, none of a segment before a time and others after it."""
-    found = list[Segment]()
+def divided(segments: Sequence[Segment], without: Sequence[slice], when_s: tuple[float, float, float]) -> list[Segment]:
+    """The same ticks, none of a segment before a time and others after it.
+
+    Args:
+        segments: to be divided.
+        without: lines that are not used about it, as it may be another one.
+        when_s: between which times; in the middle the time itself.
+    """
+    found, (first_s, at_s, last_s) = list[Segment](), when_s
     for one in segments:
-        k = int(np.searchsorted(one.ticks.time_s, at_s))
-        found += [
-            Segment(one.ticks.part(part), one.held)
-            for part in (slice(0, k), slice(k, None))
-            if len(one.ticks.time_s[part])
-        ]
+        time_s, measured = one.ticks.time_s, one.ticks.measured.copy()
+        for lines in without:
+            measured[(time_s > first_s) & (time_s < last_s), lines] = np.nan
+        ticks, k = one.ticks._replace(measured=measured), int(np.searchsorted(time_s, at_s))
+        found += [Segment(ticks.part(part), one.held) for part in (slice(0, k), slice(k, None)) if len(time_s[part])]
     return found
 
 

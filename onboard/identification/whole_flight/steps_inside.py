@@ -55,8 +55,12 @@ class StepsInside(NamedTuple):
         """Each, and each two; ``changed``: as above, with something else free or not."""
         return changed.hypotheses([*self.kinds] * len(self.times_s))
 
-    def taken(self, which: int) -> tuple[float, OtherError]:
-        """The time of one of them, by its number, and what it changes, places as in the predictor's state."""
+    def taken(self, which: int) -> tuple[OtherError, tuple[float, float, float]]:
+        """What one of them changes, by its number, places as in the predictor's state; its time, between two others.
+
+        It may be at any of the ticks between these.
+        """
         time, kind = divmod(which, len(self.kinds))
-        one = self.kinds[kind]
-        return float(self.times_s[time]), OtherError(one.name, one.at + RATE.stop, one.along[:, 0])
+        one, times_s = self.kinds[kind], np.concatenate([[-np.inf], self.times_s, [np.inf]])
+        first_s, at_s, last_s = times_s[time : time + 3].tolist()
+        return OtherError(one.name, one.at + RATE.stop, one.along[:, 0]), (first_s, at_s, last_s)

@@ -87,9 +87,9 @@ def fitted(
         if settled or not weighed.contradicts:
             break
         if one.steps:
-            at_s, other = steps.taken(one.steps[0])
+            other, when_s = steps.taken(one.steps[0])
             x, freed = found.fit.x[: flight.constants], ()
-            flight, stepped = flight.with_step(at_s, other), [*stepped, other.name]
+            flight, stepped = flight.with_step(other, when_s), [*stepped, other.name]
             found = flight.fit(flight.start(x))
         else:
             freed = tuple(sorted({*freed, *counting(weighed)}))

@@ -6,6 +6,7 @@ import pytest
 from onboard.dynamics.model.payload import standard_of
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.fit import WholeFlight
+from onboard.identification.whole_flight.segments import divided
 from onboard.identification.whole_flight.steps_inside import StepsInside
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import WIDE
@@ -24,6 +25,7 @@ def test_a_step_in_flight_is_named_and_an_unknown_from_its_time_on(ticks, predic
     assert made.passes
     assert np.abs(made.found.chi - standard_of(TRUTH))[0] < 2.0 * np.sqrt(made.found.chi_covariance[0, 0])
     assert made.found.chi_covariance[0, 0] < 2.0 * whole.chi_covariance[0, 0]
+    assert sum("_from_" in name for name in made.found.names) == 1
     which = next(k for k, name in enumerate(made.found.names) if "_from_" in name)
     assert 0.1 * made.found.fit.x[which] == pytest.approx(factor - 1.0, abs=0.01)
 
@@ -56,7 +58,7 @@ def test_steps_of_a_flight_are_those_of_normal_equations_with_more_unknowns(tick
     more[:p, :p], gradient[:p] = total.information + flight.prior_information, 0.0
     along = np.zeros((p, 1))
     along[steps.kinds[kind].at] = steps.kinds[kind].along
-    later = [total_of([b for b in found.blocks if b.middle_s > steps.taken(k)[0]], p) for k in which]
+    later = [total_of([b for b in found.blocks if b.middle_s > steps.taken(k)[1][1]], p) for k in which]
     for k, one in enumerate(later):
         more[:p, p + k] = more[p + k, :p] = (one.information @ along)[:, 0]
         gradient[p + k] = float(along[:, 0] @ one.gradient)
@@ -67,3 +69,20 @@ def test_steps_of_a_flight_are_those_of_normal_equations_with_more_unknowns(tick
     np.testing.assert_allclose(size, wanted[p:], rtol=1e-4)
     np.testing.assert_allclose((x - found.fit.x)[:10], wanted[:10], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(sigma[:10], np.sqrt(np.diag(P))[:10], rtol=1e-3)
+
+
+def test_what_may_have_stepped_is_not_read_about_the_time_of_it(ticks):
+    """Which is known to a block; the other lines are."""
+    free, held = segments(ticks)
+    at_s = CAPTURE_s + 3.0
+    parts = divided([free, held], [slice(3, 6)], (at_s - 1.0, at_s, at_s + 2.0))
+    assert [one.held for one in parts] == [free.held, held.held, held.held]
+    assert parts[1].ticks.time_s[-1] < at_s <= parts[2].ticks.time_s[0]
+    time_s = np.concatenate([one.ticks.time_s for one in parts])
+    np.testing.assert_array_equal(time_s, np.concatenate([free.ticks.time_s, held.ticks.time_s]))
+    measured = np.concatenate([one.ticks.measured for one in parts])
+    unread = (time_s > at_s - 1.0) & (time_s < at_s + 2.0)
+    assert np.isnan(measured[unread, 3:6]).all()
+    assert np.isfinite(measured[~unread]).all()
+    assert np.isfinite(measured[:, :3]).all()
+    assert np.isfinite(held.ticks.measured).all()  # the readings that were given stay

@@ -195,7 +195,8 @@ class _Flight:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
         """
         names = self._online.exiddm.predictor.instruments
-        excluded = {at for at, name in enumerate(names) if name in known.left_out}
+        excluded = set[int]()
+        on_board = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
         exiddm = self._online.exiddm
 
@@ -203,14 +204,18 @@ class _Flight:
             left_out = {*excluded, *hardly, *more}
             return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, left_out, self._jumped)
 
-        flight = without()
-        start = flight.start(known.constants)
-        made, failure = None, None
-        try:
-            made = fitted(flight, start, known.stages_s, phase_at)
-            start = flight.start(made.found.fit.x[: flight.constants])
-        except (EstimationError, ModelError) as error:
-            failure = error
+        failure: Exception | None = None
+        for left_out in [set[int](), *([on_board] if on_board else [])]:  # that it was wrong may be known better now
+            excluded.update(left_out)
+            made, flight = None, without()
+            start = flight.start(known.constants)
+            try:
+                made = fitted(flight, start, known.stages_s, phase_at)
+                start = flight.start(made.found.fit.x[: flight.constants])
+            except (EstimationError, ModelError) as error:
+                failure = error
+            if made is not None and made.passes:
+                break
         if (made is None or not made.passes) and len(flight.devices) > 1 and not excluded:
             fits = without_each(without, flight.devices, start, phase_at)
             passing = [(device, found) for device, found in fits if found.passes]
