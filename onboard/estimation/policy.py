@@ -69,8 +69,7 @@ MOST_CONTRADICTED = 0.05
 errors (Hampel et al., Robust Statistics, 1986, section 1.2)."""
 MOSTLY = 0.5
 """Share from which on something is most of it: of the ticks, an instrument that is there and takes part; of the power
-of a channel, a line; of what is left over, what a reason names; of what is refused, a doubt; of the variance of each
-torque's gain, what all have in common, of which no data sheet gives the share."""
+of a channel, a line; of what is left over, what a reason names; of what is refused, a doubt."""
 MOST_SHARE = 0.9
 """Of one, that what is divided by the rest may have: a leverage, a correlation, noise in an information. What is off by
 a tenth of it is off by the whole of the rest."""

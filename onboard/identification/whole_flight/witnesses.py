@@ -23,6 +23,7 @@ from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.payload import body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.maximum_likelihood import ROUNDS
 from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, chance_text, of_each
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
@@ -35,8 +36,6 @@ from onboard.identification.whole_flight.parts import PAYLOAD, differences
 from onboard.identification.whole_flight.stated import bodies_of
 from onboard.identification.whole_flight.steps_inside import StepsInside
 from onboard.identification.windows import STAGES_s
-
-_MOST_STEPS = 2  # after which a flight is fitted no more: two at a time are as many as the filter looks for
 
 
 class Tested(NamedTuple):
@@ -65,7 +64,7 @@ def fitted(
     """A fit in which what is likely wrong is free, and its tests.
 
     Args:
-        flight: to be fitted; its prior is changed.
+        flight: to be fitted; its prior is changed. With a step in it the one of the result is another.
         start: (p,) from where.
         stages_s: lengths of the parts of each segment that are fitted first.
         phase_at: code of the phase at a time, s.
@@ -83,7 +82,7 @@ def fitted(
             known, changed = bank.as_stated(known, freed), bank.steps_as_stated(known, freed, changed)
         weighed = bank.weigh(known, steps.hypotheses(changed))
         one = weighed.likeliest
-        settled = len(stepped) == _MOST_STEPS if one.steps else set(one.numbers) <= set(freed)
+        settled = len(stepped) == ROUNDS if one.steps else set(one.numbers) <= set(freed)
         if settled or not weighed.contradicts:
             break
         if one.steps:

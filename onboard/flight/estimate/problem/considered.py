@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import MOSTLY
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
 from onboard.identification.rows.stated_errors.stated import Stated
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
+
+COMMON_SHARE = 0.5  # of the variance of each gain, of which no data sheet gives it: see :func:`of_gains`
 
 
 def of_motion(roles: Roles) -> list[Considered]:
@@ -110,7 +111,7 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
         return list(found)
     if len(scales) < len(roles.cells):
         return list(found)
-    common = min(cause.sigma for cause in scales) * MOSTLY**0.5
+    common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
     own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]
     return [*own, Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques")]
 

@@ -47,9 +47,8 @@ from onboard.identification.rows.row_blocks import RowBlocks
 
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
-_NOTHING = 0.01
-"""Of the mean of what the drawing makes of the motion: a block in which nothing moves. Of a step's information, left by
-the parameters: a step at the release of a payload hardly differs from it."""
+_STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
+_ABSORBED = 0.01  # of a step's information: what the parameters leave of one at the release of a payload
 LEAST_STEP = 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 _NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 
@@ -145,7 +144,7 @@ def instrument_fits(
             readings = np.abs(of_rows[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
-            lost += left[as_drawn < _NOTHING * as_drawn.mean()].sum(), left.sum()
+            lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             whole = left.sum() + sums[1] if sums[3] else _sums(of_rows + noise, known).sum()
             unexplained = min(1.0, np.sqrt(left.sum() / whole)) if whole else 1.0
             of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
@@ -224,7 +223,7 @@ def _step(
     share = of_all / (of_cut[0] + LIKELY_SIZE**-2)
     scored = np.cumsum((scores @ body)[::-1])[::-1]
     information = of_cut - share * of_all
-    information = np.where(information > _NOTHING * (later @ body), information, 0.0)
+    information = np.where(information > _ABSORBED * (later @ body), information, 0.0)
     moved = scored - share * scored[0]
     information[0] = 0.0
     likely = np.divide(moved * moved, information, out=np.zeros(n), where=information > 0.0)
