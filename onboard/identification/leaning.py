@@ -4,12 +4,23 @@ A shift of a prior's mean by one sigma s moves an estimate by its covariance P w
 what the prior adds to its variance: ``dP / d(ln s) = 2 (P / s)^2``. Parameters of one key are summed as squares.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+
+MEASURED = "noise of what was measured, and scatter beyond it"
+
+
+class Contribution(NamedTuple):
+    """A part of an answer's sigma."""
+
+    cause: str  # a key of vehicle.toml, or what the data leave
+    sigma: float  # in the unit of the answer
+    share: float  # of the variance
 
 
 class Causes:
@@ -56,3 +67,18 @@ class Causes:
             told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
             found.append(f"leans on {told}" if told else "")
         return tuple(found)
+
+    def budget(self, effects: FloatArray, sigma: FloatArray) -> tuple[tuple[Contribution, ...], ...]:
+        """Of each answer what its sigma is made of, the largest first; arguments as of :meth:`said`."""
+        rest = np.sqrt(np.maximum(sigma**2 - (effects**2).sum(axis=1), 0.0))
+        every = zip(effects.tolist(), rest.tolist(), strict=True)
+        return tuple(by_size(dict(zip((*self.names, MEASURED), (*each, left), strict=True))) for each, left in every)
+
+
+def by_size(parts: Mapping[str, float]) -> tuple[Contribution, ...]:
+    """Parts of a sigma by their cause, the largest first; empty where they are not known."""
+    whole: FloatArray = np.array(list(parts.values())) ** 2
+    if not np.isfinite(whole).all() or not whole.sum() > 0.0:
+        return ()
+    made = [Contribution(cause, sigma, sigma**2 / float(whole.sum())) for cause, sigma in parts.items() if sigma > 0.0]
+    return tuple(sorted(made, key=lambda one: -one.sigma))

@@ -42,6 +42,7 @@ class Body(Section):
     """A body without joints, moved by its thrusters and tracked: 1 sigma of what moves it besides, and of these.
 
     ``mass``: relative, of the URDF's mass or that of [link], where it was weighed; silent: nothing is known of it.
+    ``common_force``: relative, of the force of all thrusters alike; silent: as much as that of each, the mean of these.
     ``tilt``: gravity along the table; ``uneven``, ``turning``: steady accelerations within each five seconds.
     ``drag``, ``spin_drag``: of the air, over mass and over moment of inertia. ``place``, ``turn``: of each thruster;
     ``leak``: the share of its force that it has while it is off. ``delay_ms``: from the command to the force, the least
@@ -50,6 +51,7 @@ class Body(Section):
     """
 
     mass_sigma: Positive | None = None
+    common_force_sigma: NotNegative | None = None
     tilt_sigma_m_s2: NotNegative = 0.01
     uneven_sigma_m_s2: Positive = 5e-4
     turning_sigma_rad_s2: Positive = 1e-3

@@ -49,6 +49,10 @@ PIVOT: dict[str, tuple[str, ...]] = {
 
 BODY: dict[str, tuple[str, ...]] = {
     "mass_sigma": ("Relative, of the mass as drawn or weighed; silent: unknown.", "the body was weighed: give it"),
+    "common_force_sigma": (
+        "Relative, of the force of all thrusters alike, beside `scale_sigma` of each; silent: the mean of these.",
+        "the pressure of their supply was measured, or falls",
+    ),
     "tilt_sigma_m_s2": ("Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.",),
     "uneven_sigma_m_s2": ("Steady acceleration in each five seconds by axis, 1 sigma.", "the table is uneven"),
     "turning_sigma_rad_s2": ("Steady angular acceleration in each five seconds, 1 sigma.", "a draught turns it"),

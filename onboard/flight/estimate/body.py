@@ -15,11 +15,17 @@ from onboard.identification.body.fit import BodyModel, BodySigmas, Thrusters, Tr
 from onboard.identification.body.valves import Valve
 
 _LEAST_ON_TABLE = 0.5  # of a thruster's force: less is hardly one that moves the body on the table
-_OF_BODY = {"mass": "body.mass_sigma", "loss": "body.loss_sigma_ms", "drag": "body.drag_sigma_1_s"} | {
+_OF_BODY = {
+    "mass": "body.mass_sigma",
+    "common_force": "body.common_force_sigma",
+    "loss": "body.loss_sigma_ms",
+    "drag": "body.drag_sigma_1_s",
+} | {
     "spin_drag": "body.spin_drag_sigma_1_s",
     "tilt": "body.tilt_sigma_m_s2",
 }
 _OF_THRUSTERS = {
+    "scale": "device.{}.scale_sigma",
     "turn": "body.turn_sigma_rad",
     "lever": "body.place_sigma_m",
     "leak": "body.leak_sigma",
@@ -68,7 +74,8 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
         np.array([one.force_N for one in own.values()]) * np.abs(pushes),
         np.array(places, np.float64),
         np.angle(pushes),
-        np.array([one.scale_sigma for one in own.values()]),
+        scale_sigma := np.array([one.scale_sigma for one in own.values()]),
+        float(np.mean(scale_sigma)) if asked.common_force_sigma is None else asked.common_force_sigma,
         tuple(valves[name] for name in own),
     )
     _, pose = tracker_of(vehicle)
@@ -97,8 +104,8 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
 def key_of(unknown: str, vehicle: config.Vehicle) -> str:
     """The key of the vehicle file that states an unknown's sigma; empty where none does."""
     kind, _, rest = unknown.partition("_")
-    if rest in thrusters_of(vehicle):
-        return f"device.{rest}.scale_sigma" if kind == "scale" else _OF_THRUSTERS[kind]
+    if kind in _OF_THRUSTERS and rest in thrusters_of(vehicle):
+        return _OF_THRUSTERS[kind].format(rest)
     if kind == "tracker":
         return f"device.{tracker_of(vehicle)[0]}.{_OF_TRACKER[rest.split('_')[0]]}"
     if unknown == "mass" and (vehicle.file.body is None or vehicle.file.body.mass_sigma is None):

@@ -24,8 +24,8 @@ from onboard.identification.verdict import Verdict
 
 _BAR, _LEAST_SHARE = 20, 0.01
 _NO_BUDGET = (
-    "no budget: it is made by rows only, of supported [estimation.quantities] and of a payload whose ten parameters "
-    "are all determined; see what each answer leans on"
+    "no budget: it is made by rows, of supported [estimation.quantities] and of a payload whose ten parameters are all "
+    "determined, and of bodies without joints; see what each answer leans on"
 )
 PER_KG_MM2 = 1e6
 _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE: "bold red"}

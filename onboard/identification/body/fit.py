@@ -1,10 +1,10 @@
 """Maximum likelihood fit of a body without joints on a table: its tracked pose, predicted from its thrusters' commands.
 
 Unknown are mass, moment of inertia (both as logarithms) and centre of mass; of each thruster scale, direction, lever,
-leak and delay; delay and loss of all valves; tilt of the table and drag; place, direction and scale of the tracker. For
-every window of :data:`WINDOW_s` there are the state at its first pose, and steady accelerations within the stated
-sigmas: what drives the body besides its thrusters does not add up. The pulse below which a valve does not open is
-the one of those commanded that explains the poses best; so is whether commands came when they are written, or at any
+leak and delay; scale, delay and loss of all alike; tilt of the table and drag; place, direction and scale of the
+tracker. For every window of :data:`WINDOW_s` there are the state at its first pose, and steady accelerations within the
+stated sigmas: what drives the body besides its thrusters does not add up. The pulse below which a valve does not open
+is the one of those commanded that explains the poses best; so is whether commands came when they are written, or at any
 time since the sample before (:mod:`onboard.identification.body.sampling`).
 
 Forces set the scale of mass and inertia; a stated mass sets that of the forces.
@@ -46,6 +46,7 @@ class Thrusters(NamedTuple):
     place_m: FloatArray  # (j, 2)
     direction: FloatArray  # (j,) angle of the force from x, rad
     scale_sigma: FloatArray  # (j,)
+    common_sigma: float  # relative, of the force of all alike
     valves: tuple[Valve, ...]
 
 
@@ -128,6 +129,7 @@ class BodyModel:
             "lever": Unknowns(tuple(f"lever_{name}" for name in each), np.full(j, stated.place_m)),
             "leak": Unknowns(tuple(f"leak_{name}" for name in each), np.full(j, stated.leak)),
             "each": Unknowns(tuple(f"delay_{name}" for name in each), np.full(j, stated.each_delay_s)),
+            "common": Unknowns(("common_force",), np.array([thrusters.common_sigma])),
             "valves": Unknowns(("delay", "loss"), np.array([high - low, stated.loss_s])),
             "table": Unknowns(("tilt_x", "tilt_y"), np.full(2, stated.tilt_m_s2)),
             "drag": Unknowns(("drag", "spin_drag"), np.array([stated.drag_1_s, stated.spin_drag_1_s])),
@@ -345,7 +347,7 @@ class BodyModel:
         toward = thrusters.direction[j] + turn
         ux, uy = np.cos(toward), np.sin(toward)
         arm = (thrusters.place_m[j, 0] - centre[:, 0]) * uy - (thrusters.place_m[j, 1] - centre[:, 1]) * ux
-        force = thrusters.force_N[j] * (1.0 + scale)
+        force = thrusters.force_N[j] * (1.0 + scale + moving[:, of["common"]][:, 0])
         return np.stack([force * ux, force * uy, force * (arm + lever)], axis=1)
 
     def _opening(self, j: int, moving: FloatArray) -> FloatArray:
@@ -400,5 +402,5 @@ class BodyModel:
         """Of the differences, of all unknowns, then of a window's state."""
         j = len(self._thrusters.names)
         each = [*[1e-4] * j, *[1e-5] * j, *[1e-5] * j, *[1e-4] * j, *[1e-4] * j]
-        others = [1e-4, 1e-4, *[1e-5] * 2, *[1e-4] * 2, *[1e-5] * 3, 1e-4]
+        others = [*[1e-4] * 3, *[1e-5] * 2, *[1e-4] * 2, *[1e-5] * 3, 1e-4]
         return np.array([1e-4, 1e-5, 1e-5, 1e-4, *each, *others, *[1e-5] * STATE])

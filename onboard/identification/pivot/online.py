@@ -13,7 +13,7 @@ from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import AGAIN, MISFIT_DOUBTED, MISFIT_REFUSED
 from onboard.identification.corrections import contradicted, doubtful, together
 from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
-from onboard.identification.leaning import Causes
+from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.free_body import FREE_BODY
@@ -153,6 +153,16 @@ class PivotRun(TableRun):
         mean, sigma, low, high = numbers[:4]
         return Estimate(
             self.parameter_names, mean, sigma, low, high, supported, tuple(made), self.rows_used, dict(self.refused)
+        )
+
+    def budget(self) -> dict[str, tuple[Contribution, ...]]:
+        """What the sigma of each quantity is made of, by its name; empty before there is a fit."""
+        found = self.answers()
+        if found is None:
+            return {}
+        sigma = np.array([one.sigma for one in self.estimate().quantities])
+        return dict(
+            zip(self.quantity_names, self._causes.budget(self._causes.effects(found.along), sigma), strict=True)
         )
 
     def bounds(self) -> FloatArray:

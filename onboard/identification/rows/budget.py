@@ -1,24 +1,15 @@
 """What the width of each answer by rows is made of, largest first."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.identification.leaning import Contribution, by_size
 from onboard.identification.rows.identifier import Identifier
 
 ROWS = "scatter of the rows: noise, gears, what the model leaves"
 STATED = "prior: what is stated of bodies, friction and offsets"
 REGRESSOR = "noise_rad of the angles: how well the noise of the motion is known"
-
-
-class Contribution(NamedTuple):
-    """A part of an answer's sigma."""
-
-    cause: str  # a key of vehicle.toml, or what the rows leave
-    sigma: float  # in the unit of the answer
-    share: float  # of the variance
 
 
 def budget(identifier: Identifier) -> Mapping[str, tuple[Contribution, ...]]:
@@ -37,12 +28,4 @@ def budget(identifier: Identifier) -> Mapping[str, tuple[Contribution, ...]]:
     for fit in identifier.fits(jackknife.mean):
         if fit.step is not None:
             parts[f"{fit.instrument}: a step of its gain"] = np.abs(w @ fit.step.suspected)
-    return {name: _sorted({cause: float(one[k]) for cause, one in parts.items()}) for k, name in enumerate(names)}
-
-
-def _sorted(parts: Mapping[str, float]) -> tuple[Contribution, ...]:
-    whole: FloatArray = np.array(list(parts.values())) ** 2
-    if not np.isfinite(whole).all() or not whole.sum() > 0.0:
-        return ()
-    made = [Contribution(cause, sigma, sigma**2 / float(whole.sum())) for cause, sigma in parts.items() if sigma > 0.0]
-    return tuple(sorted(made, key=lambda one: -one.sigma))
+    return {name: by_size({cause: float(one[k]) for cause, one in parts.items()}) for k, name in enumerate(names)}

@@ -72,7 +72,7 @@ def test_a_throw_without_noise_gives_the_body_back_and_the_channel_carries_it(tm
     whole = with_carrier(LOAD)
     log = throws.write(tmp_path / "config_a_1.mcap", whole.inertia_kg_m2, whole.centre_of_mass_m, TUMBLES[0])
     of_all = identify(vehicle, [log])
-    assert str(budgets(of_all)).startswith("no budget: it is made by rows only")  # of a throw there is none
+    assert str(budgets(of_all)).startswith("no budget: it is made by rows, of")  # of a throw there is none
     (found,) = of_all.logs
     said = {answer.name: answer for answer in found.answers}
     values = np.array([said[name].value for name in FREE_BODY])

@@ -73,7 +73,7 @@ kind = "recorded_thruster"
 frame = {json.dumps(name)}
 axis = [1.0, 0.0, 0.0]         # of the frame: direction of the force on the body
 force_N = {wanted.force_N:g}{" " * max(1, 21 - len(f"{wanted.force_N:g}"))}# where the level is 1: yours
-scale_sigma = 0.05             # relative, of that: yours
+scale_sigma = 0.05             # relative, of this thruster alone: yours
 period_ms = 20                 # of the commands: yours
 """
         for name in wanted.thrusters
@@ -90,6 +90,7 @@ base_link = {json.dumps(root)}
 
 [body]                         # it has no joints: its thrusters move it. 1 sigma
 # mass_sigma = 0.005           # relative, of the URDF's mass, if you weighed it: sets the scale of all forces
+# common_force_sigma = 0.05    # of the force of all thrusters alike (supply pressure); silent: as scale_sigma
 tilt_sigma_m_s2 = 0.01         # gravity along the table: a milliradian is 0.01
 delay_ms = [-100, 700]         # from command to force: looked for between these
 place_sigma_m = 2e-3           # of each thruster: yours

@@ -23,7 +23,7 @@ from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, together
-from onboard.identification.leaning import Causes
+from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.identification.windows import SHORTEST, WINDOW_s, against
@@ -31,6 +31,7 @@ from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 _TOLD = "of what the motion tells"
+_STEADY = ("body.uneven_sigma_m_s2", "body.uneven_sigma_m_s2", "body.turning_sigma_rad_s2")
 _SENSORS = ("position", "yaw", "steady accelerations of the table")
 
 
@@ -56,7 +57,7 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     if fit is None:
         nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=failure)
         return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
-    answers, findings = _answers(vehicle, model, fit), _findings(model, fit)
+    (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
     evidence = Evidence(
         fit.found.rows,
         {},
@@ -67,7 +68,7 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         unchecked="",  # its windows are held against each other
     )
     known = log.path, "exiddm", answers, fit.found.rows, dict[str, int](), log.damage, verdict(evidence)
-    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), standings=standings_of(evidence))
+    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), budget=budget, standings=standings_of(evidence))
 
 
 def _recorded(
@@ -146,8 +147,10 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
     return Valve(time_s, level)
 
 
-def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[IdentifiedQuantity, ...]:
-    """Body, delay and tilt, with their intervals."""
+def _answers(
+    vehicle: config.Vehicle, model: BodyModel, fit: BodyFit
+) -> tuple[tuple[IdentifiedQuantity, ...], dict[str, tuple[Contribution, ...]]]:
+    """Body, delay and tilt with their intervals, and what these are made of."""
     found, p = fit.found, fit.found.globals
     P = found.fit.covariance[:p, :p]
     mass_kg, centre_m, inertia = model.body(fit.x)
@@ -163,19 +166,23 @@ def _answers(vehicle: config.Vehicle, model: BodyModel, fit: BodyFit) -> tuple[I
     stretch = np.array([True, False, False, True] + [False] * (len(at) - BODY))  # logarithms
     low = np.where(stretch, values * np.exp(-half * own), values - half * own)
     high = np.where(stretch, values * np.exp(half * own), values + half * own)
-    causes = Causes([key_of(name, vehicle) for name in model.names], model.sigma)
+    of_windows = STATE * len(fit.start_s)
+    keys = [key_of(name, vehicle) for name in model.names] + [*[""] * (STATE - 3), *_STEADY] * len(fit.start_s)
+    stated = np.full(of_windows, np.nan)
+    stated.reshape(-1, STATE)[:, -3:] = model.steady_sigma
+    causes = Causes(keys, np.append(model.sigma, stated))
     low[BODY], high[BODY] = low[BODY] - low_s, high[BODY] + high_s
-    leans = causes.said(causes.effects(scale[:, None] * P[at]), scale * sigma, np.abs(values))
+    effects = causes.effects(scale[:, None] * found.fit.covariance[at])
+    leans = causes.said(effects, scale * sigma, np.abs(values))
     told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
     if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:
         told[0] = bool(np.isfinite(sigma[0]))  # stated; what is found of it cannot be less known
     units = ("kg", "m", "m", "kg m^2", "s", "m/s^2", "m/s^2")
     bound = scale * np.sqrt(np.diag(P)[at])
     numbers = (of.tolist() for of in (values, scale * sigma, low, high, told, bound))
-    return tuple(
-        IdentifiedQuantity(*one)
-        for one in zip([model.names[k] for k in at], units[: len(at)], *numbers, leans, strict=True)
-    )
+    names = [model.names[k] for k in at]
+    answers = (IdentifiedQuantity(*one) for one in zip(names, units[: len(at)], *numbers, leans, strict=True))
+    return tuple(answers), dict(zip(names, causes.budget(effects, scale * sigma), strict=True))
 
 
 def _misread(
@@ -202,12 +209,12 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
     each = {names[k]: float(one) for k, one in zip(at, in_told, strict=True)}
     scales = [k for k, name in enumerate(names) if name.startswith("scale_")]
     if scales and model.weighed:
-        whole = np.linalg.norm(model.sigma[scales])
-        mean = model.sigma[scales] / whole
-        own = float(mean @ (P[np.ix_(scales, scales)] / np.outer(model.sigma[scales], model.sigma[scales])) @ mean)
-        each["the thrusters' common force, the mass or the tracker's lengths"] = float(
-            against(np.array([x[scales].sum() / whole]), np.array([own]))[0]
-        )
+        weight = np.array([float(name == "common_force") for name in model.names])
+        weight[scales] = 1.0 / len(scales)
+        whole = np.linalg.norm(weight * model.sigma)
+        own = weight @ P[: len(weight), : len(weight)] @ weight / whole**2
+        z = against(np.array([weight @ x[: len(weight)] / whole]), np.array([own]))
+        each["the thrusters' common force, the mass or the tracker's lengths"] = float(z[0])
     each |= dict(_by_window(model, fit))
     of_all = together(x[at] / sigma, left)
     bad = list(contradicted(each) or of_all.refused())

@@ -11,9 +11,9 @@ from onboard.dynamics.model.vehicle import STANDARD
 from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
 from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.exiddm.before_capture import BeforeCapture
+from onboard.identification.leaning import Contribution
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate, outer_of
-from onboard.identification.rows.budget import Contribution
 from onboard.identification.rows.fitted_drawing import FittedLink
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate

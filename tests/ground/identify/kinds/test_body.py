@@ -12,6 +12,7 @@ from onboard.identification.body.valves import Opening, valve_of_on_times
 
 STATED = {
     "# mass_sigma": "mass_sigma",
+    "# common_force_sigma = 0.05 ": "common_force_sigma = 0.03 ",
     "scale_sigma = 0.05 ": "scale_sigma = 0.02 ",
     "position_noise_m = 5e-4": "position_noise_m = 3e-4",
     "yaw_noise_rad = 1e-3": "yaw_noise_rad = 6e-4",
@@ -48,6 +49,22 @@ def test_mass_centre_and_inertia_are_told(tmp_path):
     for name, true in bed.truth.items():
         assert abs(found[name]["value"] - true) < 3.0 * found[name]["sigma"], name
     assert found["I_zz"]["sigma"] < 0.01 * bed.inertia_kg_m2
+
+
+def test_a_force_error_of_all_thrusters_alike_is_in_the_interval_of_what_was_not_weighed(tmp_path):
+    """Half of such masses lay outside before: errors that differ between eight thrusters leave a third of it."""
+    bed = fly(52, 20.0, delay_s=0.1, wrong=UnstatedErrors(force=np.full(8, 1.05)))
+    told = identified(tmp_path, bed, {})
+    assert told["verdict"]["level"] == "weak", told["verdict"]
+    assert "nothing checks the thrusters' common force" in told["verdict"]["text"]
+    for one in told["quantities"]:
+        if one["name"] in ("mass", "I_zz"):
+            assert one["low"] < bed.truth[one["name"]] < one["high"], one
+            assert 0.05 < one["sigma"] / one["value"] < 0.06
+            assert one["leans"].startswith("leans on body.common_force_sigma"), one
+            parts = told["budget"][one["name"]]
+            assert parts[0]["cause"] == "body.common_force_sigma", parts
+            assert sum(part["sigma"] ** 2 for part in parts) == pytest.approx(one["sigma"] ** 2)
 
 
 def test_commands_of_another_clock_are_late_by_up_to_a_sample(tmp_path):

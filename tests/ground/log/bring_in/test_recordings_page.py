@@ -121,7 +121,7 @@ def test_a_floating_body(tmp_path, monkeypatch):
     found = {one["name"]: one for one in told["quantities"]}
     for name in ("mass", "I_zz", "com_x", "com_y", "delay"):
         assert found[name]["low"] <= bed.truth[name] <= found[name]["high"], found[name]
-    assert found["I_zz"]["sigma"] < 0.03 * bed.inertia_kg_m2
+    assert found["I_zz"]["sigma"] < 0.06 * bed.inertia_kg_m2  # a common force error of 5 %
     assert told["verdict"]["level"] == "weak"
     assert "weigh the body" in told["verdict"]["text"]
 
