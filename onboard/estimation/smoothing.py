@@ -209,7 +209,7 @@ class SmoothingWindow:
         """:meth:`weights` of the three derivatives, (n, 3, l)."""
         if not self._some:
             return np.zeros((self._index.shape[0], 3, self._index.shape[1]))
-        kernels, powers, correctors = self._correction
+        kernels, powers, correctors = self.correction
         targets = self.kernel.of_powers - kernels @ powers  # (v, 3, 3)
         raw = kernels + targets @ correctors.swapaxes(1, 2)
         raw /= self.width_s ** np.arange(3.0)[:, None]
@@ -229,7 +229,7 @@ class SmoothingWindow:
         return bool(self.valid.all())
 
     @cached_property
-    def _correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """For the v valid windows.
 
         Returns:

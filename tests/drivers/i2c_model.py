@@ -43,12 +43,12 @@ class Chip:
         return self.registers.get(register, 0)
 
     def write(self, address: int, data: bytes) -> None:
-        self._begin(address, ("write", *data))
+        self.begins(address, ("write", *data))
         for place, value in enumerate(data[1:]):
             self.wrote(data[0] + place, value)
 
     def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
-        self._begin(address, ("read", *data, count))
+        self.begins(address, ("read", *data, count))
         (register,) = data
         got = bytes(self.stuck.get(register + place, self.byte(register + place)) for place in range(count))
         return I2cReply(got, self.clock())
@@ -56,7 +56,7 @@ class Chip:
     def close(self) -> None:
         raise AssertionError("the bus is not the driver's to close")
 
-    def _begin(self, address: int, transfer: tuple) -> None:
+    def begins(self, address: int, transfer: tuple) -> None:
         number = len(self.transfers)
         self.transfers.append(transfer)
         self.clock.advance(self.transfer_ns)

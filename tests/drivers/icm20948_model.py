@@ -58,7 +58,7 @@ class Icm20948Model(Chip):
 
     def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
         if data == b"\x72" and not self.bank:
-            self._begin(address, ("read", *data, count))
+            self.begins(address, ("read", *data, count))
             got = bytes(self.fifo[:count])
             del self.fifo[:count]
             return I2cReply(got + bytes(count - len(got)), self.clock())

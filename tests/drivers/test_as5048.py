@@ -44,7 +44,7 @@ class As5048aModel(As5048bModel):
 
     def transfer(self, data: bytes, size: int) -> I2cReply:
         assert size == 2
-        self._begin(0, ("spi", data.hex()))
+        self.begins(0, ("spi", data.hex()))
         got = b""
         for at in range(0, len(data), 2):
             word = self.answer | (0x4000 if self.errors else 0)

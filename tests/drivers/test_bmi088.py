@@ -37,10 +37,10 @@ class Bmi088Model(Chip):
         super().reset()
         self.on_ns, self.blocked_ns, self.gyro_ns = None, 0, 0
 
-    def _begin(self, address: int, transfer: tuple) -> None:
+    def begins(self, address: int, transfer: tuple) -> None:
         self.die = 256 * self.addresses.index(address) if address in self.addresses else 0
         self.address = address if address in self.addresses else -1
-        super()._begin(address, (transfer[0], self.die, *transfer[1:]))
+        super().begins(address, (transfer[0], self.die, *transfer[1:]))
 
     def wrote(self, register: int, value: int) -> None:
         now_ns = self.clock()

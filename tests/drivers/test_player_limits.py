@@ -99,7 +99,7 @@ class Wire:
         for axis, counts in zip(self.player.axes, self.demand.tolist(), strict=True):
             words = {POSITION: counts.to_bytes(4, "little", signed=True), STATUS: ENABLED.to_bytes(2, "little")}
             words[MODE] = bytes([CYCLIC])
-            for cob_id, entries in axis._places.items():
+            for cob_id, entries in axis.places.items():
                 data = bytearray(8)
                 for entry, place in entries:
                     data[place.start : place.start + place.size] = words[entry]

@@ -61,7 +61,7 @@ def _watch(patch: pytest.MonkeyPatch, taken: dict[str, list[float]]) -> None:
 
     conversions(Nau7802Twin, "bridge")
     conversions(Hx711Twin, "wing")
-    store, measure, sample = Icm20948Twin._store, DynamixelTwin._measure, UrController._sample
+    store, measure, sample = Icm20948Twin._store, DynamixelTwin.measure, UrController._sample
 
     def stored(self: Any, counts: Any, times_s: Any) -> None:
         taken["imu_elbow"].extend(1e9 * np.asarray(times_s))
@@ -76,5 +76,5 @@ def _watch(patch: pytest.MonkeyPatch, taken: dict[str, list[float]]) -> None:
         sample(self, now_ns)
 
     patch.setattr(Icm20948Twin, "_store", stored)
-    patch.setattr(DynamixelTwin, "_measure", measured)
+    patch.setattr(DynamixelTwin, "measure", measured)
     patch.setattr(UrController, "_sample", sampled)

@@ -16,7 +16,7 @@ KINDS = ("contents", "byte", "error", "packet")
 
 def crafted(servo, kind, share, rng):
     """A servo of whose answers a share is crafted."""
-    read, send = servo._read, servo._send
+    read, send = servo.read, servo._send
 
     def other(data):
         return rng.randbytes(len(data)) if kind == "contents" else changed(data)
@@ -38,7 +38,7 @@ def crafted(servo, kind, share, rng):
     elif kind == "packet":
         servo._send = lambda packet, now: send(damaged(packet) if is_meant() else packet, now)
     else:
-        servo._read = lambda *asked: other(read(*asked)) if is_meant() else read(*asked)
+        servo.read = lambda *asked: other(read(*asked)) if is_meant() else read(*asked)
 
 
 @settings(max_examples=12)

@@ -65,10 +65,8 @@ def test_the_arm_follows_the_motion_and_is_let_go_at_the_end(bench):
 def test_what_is_written_is_a_row_and_nothing_else_is(bench, monkeypatch):
     flown = bench()
     servo, wire = flown.rig.drives["elbow"], []
-    write = servo._write
-    monkeypatch.setattr(
-        servo, "_write", lambda at, data, now: (wire.append((at, bytes(data))), write(at, data, now))[1]
-    )
+    write = servo.write
+    monkeypatch.setattr(servo, "write", lambda at, data, now: (wire.append((at, bytes(data))), write(at, data, now))[1])
     flown.run(4.0)
     flown.stop()
     rows = flown.kept.of("elbow_sent")
@@ -251,13 +249,13 @@ def test_an_error_at_each_transaction_ends_in_no_motion_or_in_none_missing(tmp_p
     for call in range(1, 25):
 
         def refusing(servo, call=call):
-            answer, count = servo._answer, [0]
+            answer, count = servo.answer, [0]
 
             def counted(error, data, now_ns):
                 count[0] += 1
                 answer(2 if count[0] == call else error, b"" if count[0] == call else data, now_ns)
 
-            servo._answer = counted
+            servo.answer = counted
 
         with closing(ServoBench(tmp_path, change={"elbow": refusing})) as flown:
             flown.run(0.35)

@@ -66,9 +66,9 @@ def outcomes(seed):
     window = SmoothingWindow(np.cumsum(rng.uniform(0.5, 1.5, 60)), rng.uniform(0.0, 60.0, 9), 20.0)
     suspects, sigma, known = random_suspects(seed)
     bank, m = Bank(suspects, sigma), sum(one.along.shape[1] for one in suspects)
-    alone, seen = bank._alone(known), rng.normal(size=(30, m))
+    alone, seen = bank.alone(known), rng.normal(size=(30, m))
     steps = Changed(np.zeros((1, m)), rng.normal(size=m), seen.T @ seen, np.zeros((1, 0)))
-    weighed = alone.out, bank._alone(known, 0, alone.of(0)).out, *steps.evidence(suspects)
+    weighed = alone.out, bank.alone(known, 0, alone.of(0)).out, *steps.evidence(suspects)
     slid = table.velocity, table.base.specific_force, table.base.along
     parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
     return [
@@ -84,7 +84,7 @@ def outcomes(seed):
         *polygon.moments(wide),
         *more,
         *weighed,
-        *window._correction[:2],
+        *window.correction[:2],
     ]
 
 

@@ -48,7 +48,6 @@ def test_every_compiler_makes_the_same_bits(compiler, flags, ours, tmp_path, mon
     path = tmp_path / build.file_name()
     build.compile_into(path, commands[compiler], flags)
     monkeypatch.setattr(library, "LIBRARY", library.open_library(path))
-    assert path.name in str(library.LIBRARY._name)
     for seed, before in enumerate(ours):
         after = outcomes(seed)
         assert len(after) == len(before) > 30
@@ -144,7 +143,7 @@ def test_without_any_compiler_a_command_ends_with_the_remedy(bare_checkout, tmp_
 
 
 def test_a_library_of_other_sources_is_refused(tmp_path, monkeypatch):
-    path = shutil.copy(library.LIBRARY._name, tmp_path)
+    path = shutil.copy(Path(os.environ["XDG_CACHE_HOME"]) / "heft" / build.file_name(), tmp_path)
     monkeypatch.setattr(build, "key", lambda: "0123456789abcdef")
     with pytest.raises(NativeError, match="of other sources"):
         library.open_library(path)

@@ -181,9 +181,9 @@ def test_evidence_of_each_suspect_alone_and_beside_another(seed):
     suspects, sigma, (x, P) = random_suspects(seed)
     bank, (M, slope, own) = Bank(suspects, sigma), of_evidence.alone(suspects, sigma, x, P)
     for first in range(-1, len(suspects)):
-        found = bank._alone((x, P))
+        found = bank.alone((x, P))
         if first >= 0:
-            found = bank._alone((x, P), first, found.of(first))
+            found = bank.alone((x, P), first, found.of(first))
         for k, columns in enumerate(own):
             given = M[columns, columns], slope[columns]
             if first >= 0 and k != first:
@@ -202,7 +202,7 @@ def test_what_is_no_covariance_has_no_evidence_without_bounds():
     suspect, P = Suspect("all", np.arange(size), np.eye(size), 0.1), rng.normal(size=(size, size))
     M = 2.0 * np.eye(size) - (P + P.T)
     assert np.linalg.eigvalsh(M).min() < -5.0
-    found = Bank([suspect], np.ones(size))._alone((np.ones(size), P + P.T))
+    found = Bank([suspect], np.ones(size)).alone((np.ones(size), P + P.T))
     assert 0.0 < np.abs(found.out).max() < np.linalg.norm(M)
 
 
@@ -242,7 +242,7 @@ def test_samples_under_a_kernel(seed, kernel):
         shapes = np.stack([smoothing.BASE(about), *(part(u) for part in kernel.parts)])
     kernels, powers, weighted = of_smoothing.kernels(u, cell, shapes)
     correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
-    for found, true in zip(window._correction, (kernels, powers, correctors), strict=True):
+    for found, true in zip(window.correction, (kernels, powers, correctors), strict=True):
         np.testing.assert_array_equal(found, true)
 
 

@@ -262,8 +262,8 @@ def _all_keys(model: type[BaseModel], kind: str) -> list[str]:
         if key == "kind":
             continue
         name = f"**`{key}`**" if field.is_required() else f"`{key}`"
-        default = "" if field.is_required() or field.default is None else f"`{_toml(field.default)}`"
-        lines.append(f"| {name} | {_type(schema['properties'][key])} | {default} | {meaning(model, key)} |")
+        default = "" if field.is_required() or field.default is None else f"`{toml_of(field.default)}`"
+        lines.append(f"| {name} | {type_of(schema['properties'][key])} | {default} | {meaning(model, key)} |")
     return lines
 
 
@@ -287,29 +287,29 @@ def _attributes(driver: type) -> dict[str, str]:
     return {name: re.sub(r"\s+", " ", said).replace("``", "`").replace("|", "\\|") for name, said in found}
 
 
-def _toml(value: object) -> str:
+def toml_of(value: object) -> str:
     match value:
         case bool():
             return str(value).lower()
         case str():
             return f'"{value}"'
         case tuple():
-            return f"[{', '.join(map(_toml, value))}]"
+            return f"[{', '.join(map(toml_of, value))}]"
         case float():
             return f"{value:g}"
         case _:
             return str(value)
 
 
-def _type(schema: dict[str, Any]) -> str:
+def type_of(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
-        return _type(next(one for one in schema["anyOf"] if one.get("type") != "null"))
+        return type_of(next(one for one in schema["anyOf"] if one.get("type") != "null"))
     if "enum" in schema or "const" in schema:
-        return ", ".join(f"`{_toml(value)}`" for value in schema.get("enum", [schema.get("const")]))
+        return ", ".join(f"`{toml_of(value)}`" for value in schema.get("enum", [schema.get("const")]))
     if schema.get("type") == "array":
         if "prefixItems" in schema:
             return f"{len(schema['prefixItems'])} numbers"
-        return "tables" if "oneOf" in schema["items"] else f"list of {_type(schema['items'])}"
+        return "tables" if "oneOf" in schema["items"] else f"list of {type_of(schema['items'])}"
     name = {"integer": "integer", "number": "number", "string": "text", "boolean": "true, false"}[schema["type"]]
     if abs(schema.get("maximum", 0)) == LARGEST:  # any number that a vehicle can have: only its sign is stated
         sign = {-LARGEST: "", 0: " at least 0", 1 / LARGEST: " above 0"}

@@ -20,7 +20,7 @@ from onboard.config.telemetry import Telemetry
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, RecordingSection, VehicleSection
 from onboard.ground.log.tables.columns import unit_of
 from onboard.section import LARGEST, Section
-from tests.onboard.device_page import _toml, _type
+from tests.onboard.device_page import toml_of, type_of
 
 TABLES: dict[str, type[Section]] = {
     "[vehicle]": VehicleSection,
@@ -85,7 +85,7 @@ def _table(title: str, section: type[Section]) -> str:
         shown = schema["properties"][key]
         name = f"**`{key}`**" if field.is_required() else f"`{key}`"
         default = field.get_default(call_default_factory=True) if not field.is_required() else None
-        plain = "" if default is None or isinstance(default, Section | dict | list) else f"`{_toml(default)}`"
+        plain = "" if default is None or isinstance(default, Section | dict | list) else f"`{toml_of(default)}`"
         lines.append(
             f"| {name} | {_kind(shown)} | {_unit(key)} | {plain} | {said.what} | {said.change} |".replace("  ", " ")
         )
@@ -113,7 +113,7 @@ def _kind(schema: dict) -> str:  # type: ignore[type-arg]
         (0, LARGEST): "number at least 0",
         (-LARGEST, LARGEST): "number",
     }
-    return anything.get(limits) or _type(schema)
+    return anything.get(limits) or type_of(schema)
 
 
 if __name__ == "__main__":

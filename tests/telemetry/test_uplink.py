@@ -136,8 +136,9 @@ def test_a_flood_is_left_out() -> None:
 @given(st.binary(max_size=400))
 def test_no_bytes_are_a_bug(data: bytes) -> None:
     link = uplink()
-    for piece in (data[:7], data[7:], b"\x19\x08\xc0" + data):
+    for piece in (data[:7], data[7:], b"\x19\x08\xc0" + data, bytes(66_000)):
         link.feed(piece, NOW_NS)
+    assert [command.order for command in link.feed(told(Order.STOP), NOW_NS)] == [Order.STOP]
 
 
 def reports(*given_: tuple[int, dict[str, Any]]) -> list[bytes]:

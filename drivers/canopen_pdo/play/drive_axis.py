@@ -83,6 +83,7 @@ class DriveAxis(Axis):
     Attributes:
         status: Statusword; None before the first.
         mode_shown: Mode of operation that is in force.
+        places: Where entries lie in the TPDOs that are read, by COB-ID.
         failed: Error code of its last EMCY since it was started; 0 for none.
         rated_torque_mNm: Of its motor, by its object 6076h; 0 before it is set up in mode 10.
     """
@@ -111,15 +112,15 @@ class DriveAxis(Axis):
         self._rows: list[tuple[int, int, int, int, list[int]]] = []
         self._sequence = 0
         at = [(entry, config.drive.place(entry)) for entry in (POSITION, STATUS, MODE)]
-        self._places: dict[int, list[tuple[int, Place]]] = {}
+        self.places: dict[int, list[tuple[int, Place]]] = {}
         for entry, place in at:
-            self._places.setdefault(frame.TPDO[place.tpdo] + self.node, []).append((entry, place))
-        self._heard_ns = dict.fromkeys(self._places, 0)
+            self.places.setdefault(frame.TPDO[place.tpdo] + self.node, []).append((entry, place))
+        self._heard_ns = dict.fromkeys(self.places, 0)
 
     @property
     def cob_ids(self) -> tuple[int, ...]:
         """TPDOs with position and status."""
-        return tuple(self._places)
+        return tuple(self.places)
 
     @property
     def heard_ns(self) -> int:
@@ -148,7 +149,7 @@ class DriveAxis(Axis):
 
     def on_tpdo(self, cob_id: int, host_ns: int, data: bytes) -> None:
         """A TPDO of it came; one of wrong length is reported by its channel."""
-        for entry, place in self._places[cob_id]:
+        for entry, place in self.places[cob_id]:
             if len(data) != place.length:
                 continue
             word = data[place.start : place.start + place.size]

@@ -212,7 +212,7 @@ class DynamixelTwin(SerialTwin):
         elif not everybody:
             error = _NO_INSTRUCTION
             if instruction == _WRITE and len(content) >= 3:
-                error = self._write(int.from_bytes(content[:2], "little"), content[2:], now_ns)
+                error = self.write(int.from_bytes(content[:2], "little"), content[2:], now_ns)
             elif instruction == _REBOOT:
                 error = 0
             if level == 2:
@@ -225,10 +225,10 @@ class DynamixelTwin(SerialTwin):
         address, count = struct.unpack("<HH", content[:4])
         for at in range(4, len(content), 1 + count):
             if content[at] == self.memory[7]:
-                self._write(address, content[at + 1 : at + 1 + count], now_ns)
+                self.write(address, content[at + 1 : at + 1 + count], now_ns)
 
-    def _write(self, address: int, data: bytes, now_ns: int) -> int:
-        """The error number; nothing is written where a part of it cannot be."""
+    def write(self, address: int, data: bytes, now_ns: int) -> int:
+        """As an instruction writes: the error number; nothing is written where a part of it cannot be."""
         values = {}
         while data:
             size, lowest, highest = _WRITABLE.get(address, (0, 0, 0))
@@ -266,21 +266,22 @@ class DynamixelTwin(SerialTwin):
         return self._late(now_ns + 2_000 * self.memory[9])
 
     def _answer_later(self, error: int, data: bytes, now_ns: int) -> None:
-        self._at("answer", self._due(now_ns), lambda t: self._answer(error, data, t))
+        self._at("answer", self._due(now_ns), lambda t: self.answer(error, data, t))
 
-    def _answer(self, error: int, data: bytes, now_ns: int) -> None:
+    def answer(self, error: int, data: bytes, now_ns: int) -> None:
+        """Send a status packet; ``data``: its parameters."""
         body = (bytes([_STATUS, error | self._alert]) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         packet = _HEADER + bytes([self.memory[7]]) + struct.pack("<H", len(body) + 2) + body
         self.answered += 1
         self._send(packet + crc(packet), now_ns)
 
     def _answer_read(self, address: int, count: int, now_ns: int) -> None:
-        data = self._read(address, count, now_ns)
-        self._answer(0 if data else _NO_ACCESS, data, now_ns)
+        data = self.read(address, count, now_ns)
+        self.answer(0 if data else _NO_ACCESS, data, now_ns)
 
     def _answer_fast(self, address: int, count: int, now_ns: int) -> None:
         """Its part of the packet that servos make together; without stuffing."""
-        block = bytes([self._alert, self.memory[7]]) + self._read(address, count, now_ns).ljust(count, b"\0")
+        block = bytes([self._alert, self.memory[7]]) + self.read(address, count, now_ns).ljust(count, b"\0")
         self.answered += 1
         self._send((self._heard + block + crc(self._heard + block))[self._said :], now_ns)
 
@@ -321,15 +322,16 @@ class DynamixelTwin(SerialTwin):
     def _alert(self) -> int:
         return _ALERT if self.memory[70] else 0
 
-    def _read(self, address: int, count: int, now_ns: int) -> bytes:
-        """From the control table; nothing beyond it."""
+    def read(self, address: int, count: int, now_ns: int) -> bytes:
+        """Bytes of the control table; none where a part lies beyond it."""
         if not count or address + count > _TABLE_BYTES:
             return b""
         if address <= 146 and address + count > 120:
-            self._measure(now_ns)
+            self.measure(now_ns)
         return bytes(self.memory[address : address + count])
 
-    def _measure(self, now_ns: int) -> None:
+    def measure(self, now_ns: int) -> None:
+        """Put what it measures now into the control table."""
         time_s = self._seconds(now_ns)
         angle = self._angle.value(time_s)
         began_s = max(time_s - _WINDOW_S, self._seconds(self._up_ns))

@@ -100,12 +100,13 @@ class DynamixelServo(DynamixelTwin):
 
     def _stand(self, now_ns: int) -> None:
         """The goal is where it is."""
-        self._measure(now_ns)
+        self.measure(now_ns)
         self.memory[116:120] = self.memory[132:136]
         self._loop.stand()
 
-    def _measure(self, now_ns: int) -> None:
-        super()._measure(now_ns)
+    def measure(self, now_ns: int) -> None:
+        """And whether it is at its goal, or on its way."""
+        super().measure(now_ns)
         goal, position = (struct.unpack_from("<i", self.memory, at)[0] for at in (116, 132))
         self.memory[123] = (abs(goal - position) <= _IN_POSITION) | 2 * (self._loop.target is not None)
 
@@ -137,7 +138,7 @@ class DynamixelServo(DynamixelTwin):
 
     def _turn_of(self, now_ns: int) -> int:
         """Counts that bring it into the first revolution now."""
-        self._measure(now_ns)
+        self.measure(now_ns)
         position: int = struct.unpack_from("<i", self.memory, 132)[0]
         return (self._turn or 0) + position // COUNTS * COUNTS
 

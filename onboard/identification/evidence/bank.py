@@ -305,7 +305,7 @@ class Bank:
             steps: further hypotheses.
             beyond: nats of each suspect that its evidence in this linear model does not have.
         """
-        found, pairs = self._alone(stated), list[Hypothesis]()
+        found, pairs = self.alone(stated), list[Hypothesis]()
         logs, n = np.append(0.0, self._log_weights(found) + beyond), len(self.suspects)
         likeliest = int(logs.argmax()) - 1
         if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found.sizes[likeliest] < FARTHEST_SIZE:
@@ -340,7 +340,7 @@ class Bank:
         parts = [slice(*pair) for pair in pairwise(ends)]
         return made, list(zip(parts[::2], parts[1::2], strict=True))
 
-    def _alone(self, stated: Known, first: int = -1, given: tuple[FloatArray, ...] = ()) -> "_Alone":
+    def alone(self, stated: Known, first: int = -1, given: tuple[FloatArray, ...] = ()) -> "_Alone":
         """Each suspect by itself, or beside the first, of which root and gradient are given."""
         p, n = self._size, len(self.suspects)
         known = library.given(stated[0], p), library.given(stated[1], p, p)
@@ -366,7 +366,7 @@ class Bank:
         without evidence is not added to another: a cell's scale beside a wrong base mass would widen every answer.
         """
         (root, g), nats, size = alone.of(first), float(alone.nats[first]), float(alone.sizes[first])
-        one, given = self.suspects[first], self._alone(stated, first, (root, g))
+        one, given = self.suspects[first], self.alone(stated, first, (root, g))
         pairs, logs, weights = list[Hypothesis](), list[float](), self._log_weights(given)
         for k in ((weights >= np.log(LIKELIER)) & (given.sizes < FARTHEST_SIZE)).nonzero()[0].tolist():
             if k == first or (k, first) in known:

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import struct
 import zlib
 from collections import deque
 from pathlib import Path
@@ -15,7 +16,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.state import _HEAD, _MAGIC, FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
+from onboard.flight.estimate.state import FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 
@@ -76,7 +77,7 @@ def test_what_is_not_data_is_refused(thing: object) -> None:
 
 def crafted(tree: object, form: int = FORMAT) -> bytes:
     text = json.dumps(tree).encode()
-    return _HEAD.pack(_MAGIC, form, zlib.crc32(text), len(text), 0) + text + bytes(64)
+    return struct.pack("<8sIIQQ", b"heftstat", form, zlib.crc32(text), len(text), 0) + text + bytes(64)
 
 
 @pytest.mark.parametrize(

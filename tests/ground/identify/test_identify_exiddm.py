@@ -15,23 +15,20 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard import channels, cli, config
 from onboard.dynamics.model.payload import standard_of
-from onboard.estimation.errors import ConvergenceError
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds import exiddm_log
 from onboard.ground.identify.kinds.likelihood_log import longest_held
 from onboard.identification.change import Change
-from onboard.identification.exiddm.prediction.imu_prediction import RATE
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
 from onboard.identification.standing import Level
 from onboard.identification.whole_flight import witnesses
+from onboard.identification.whole_flight.segments import in_windows
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
-from tests.identification.exiddm.recorded_flights import recorded, ticks_of
 from tests.recording.logs import make_log, sampled_rows
 
 VEHICLE = config.load(config.packaged("dymaflex_parabolic"))
@@ -59,20 +56,18 @@ def write(path: Path, flown: Twin, rng: np.random.Generator, axes: tuple[int, in
     return make_log(path, sampled_rows(samples), overwrite=True)
 
 
-def test_a_flight_whose_whole_cannot_be_predicted_is_fitted_in_windows(flown: Twin, rng: np.random.Generator) -> None:
+def test_a_flight_whose_whole_cannot_be_predicted_is_fitted_in_windows(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Joints move twice as far, the base turns at 1 rad/s: a guess of the payload 10 % off is lost in chaos."""
     motion = dataclasses.replace(flown.motion, amplitude_rad=2.0 * flown.motion.amplitude_rad)
     tumbles = free_flyer.fly(free_flyer.world(BOX), motion, (0.3, 1.0, 0.3), 30.0)
-    ticks = ticks_of(recorded(tumbles, rng))
-    online, _ = build_exiddm(VEHICLE, tracked=False)
-    flight = exiddm_log._Flight(VEHICLE, online, ticks, np.zeros(len(ticks.time_s), np.bool_))
-    rest = np.zeros(len(online.exiddm.predictor.names) - RATE.stop - 10)
-    guess = exiddm_log._Onboard([], np.concatenate([1.1 * standard_of(PAYLOAD), rest]), ())
-    with pytest.raises(ConvergenceError, match="no payload explains the readings"):
-        flight._fitted(guess, flight._segments([]), lambda _: 0)
-    found, passes = flight._fitted_whole_or_in_windows(guess, flight._segments([]), lambda _: 0)
-    assert passes
-    assert found.found.payload.body.mass_kg == pytest.approx(PAYLOAD.mass_kg, rel=0.03)
+    plain = write(tmp_path / "plain.mcap", flown._replace(motion=motion, flight=tumbles), rng)
+    log, divided = answered(plain, tmp_path / "log.mcap", 1.1 * standard_of(PAYLOAD)), list[Any]()
+    monkeypatch.setattr(exiddm_log, "in_windows", lambda *given: divided.append(given) or in_windows(*given))
+    (found,) = identify(VEHICLE, [log]).logs
+    assert len(divided) == 1
+    assert found.answers[0].value == pytest.approx(PAYLOAD.mass_kg, rel=0.03)
 
 
 def test_the_payload_with_its_verdict_and_urdf(

@@ -72,10 +72,14 @@ def test_closing_a_terminal_sends_what_is_still_in_it():
 
 def test_what_is_written_to_a_terminal_is_heard_after_it_was_written():
     """The line was looked at 5 ms before; a device that answered from there would show what was before the question."""
-    link, echo, heard_ns = PtySerial(), Echo(), []
-    echo._on_byte = lambda byte, now_ns: heard_ns.append(now_ns)
+    link, heard_ns = PtySerial(), []
+
+    class Dated(Echo):
+        def _on_byte(self, byte, now_ns):
+            heard_ns.append(now_ns)
+
     bus = SerialBus(link)
-    bus.add(echo)
+    bus.add(Dated())
     with serial.Serial(link.path, 115_200) as port:
         bus.advance(START_NS)
         port.write(b"?")

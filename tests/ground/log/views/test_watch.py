@@ -28,9 +28,9 @@ def scalars(first, count, from_ms=0):
     return rows
 
 
-def shown(board, width=110):
+def shown(board, width=110, **how):
     file = io.StringIO()
-    Console(width=width, file=file).print(board.render())
+    Console(width=width, file=file, **how).print(board.render())
     return file.getvalue()
 
 
@@ -228,6 +228,6 @@ def test_prediction_errors_of_the_last_two_seconds_stand_in_their_sigmas(factor,
         board.add(Batch("innovation", rows[at : at + 10]))
     text = shown(board, 160)
     assert f"innovations over sigma: rate 1.00 1.00 1.00, specific force 1.00 {factor:.2f} 1.00" in text
-    [told] = board._error_lines()
-    assert (told.style == "yellow") == is_marked
+    yellow = "\x1b[33minnovations over sigma"
+    assert (yellow in shown(board, 160, force_terminal=True, color_system="standard")) == is_marked
     assert "innovations" not in shown(Board("x"), 160)
