@@ -78,22 +78,19 @@ class CutWrench:
 
     def predict(self, base: BasePrediction) -> CutReading:
         """The component and its derivatives, where the vehicle's base moves as predicted from its links."""
-        bodies = _moving(base)
-        n, total, errors = len(base.rate), base.along.shape[2], None
-        screws = functions = None
-        if base.displaced is not None:
-            errors, (screws, functions) = self.errors.compiled, base.displaced
-        self._require(base)
-        frames, own = bodies.frames, (bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench)
-        R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
-        moving = structures.MovingStruct(n, frames.p.shape[1], total, R, p, *own, screws, functions)
+        n, total = len(base.rate), base.along.shape[2]
+        moving, errors = self.moving(base), None if base.displaced is None else self.errors.compiled
         work, out = np.empty(6 * self.errors.columns), np.empty(n * (1 + total))
         given = ctypes.byref(moving), ctypes.byref(self.compiled), None if errors is None else ctypes.byref(errors)
         library.call("heft_cut_wrench", *given, library.address(work), out=out)
         return CutReading(out[:n], out[n:].reshape(n, total))
 
-    def _require(self, base: BasePrediction) -> None:
-        """Refuse the motion of another vehicle, or columns that are not those of these errors."""
+    def moving(self, base: BasePrediction) -> structures.MovingStruct:
+        """The motion for the compiled core.
+
+        Raises:
+            ArrayError: it is that of another vehicle, or has columns that are not those of these errors.
+        """
         n, links, columns = len(base.rate), self._group.shape[1], 3 + self._is_beyond.size
         if base.displaced is not None:
             columns += self.errors.columns
@@ -103,6 +100,10 @@ class CutWrench:
         shapes = (n, links, 3), (n, 9, max(columns, base.along.shape[2])), (n, 6, 3), (n, 6, 6)
         for part, shape in zip((_moving(base).frames.p, base.along, base.by_rate, base.by_wrench), shapes, strict=True):
             library.given(part, *shape)
+        bodies, frames = _moving(base), _moving(base).frames
+        own = bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench
+        R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
+        return structures.MovingStruct(n, links, base.along.shape[2], R, p, *own, *(base.displaced or (None, None)))
 
     def of_joint_accelerations(self, bodies: Bodies, screws: FloatArray, twist: FloatArray) -> FloatArray:
         """The component that an acceleration of one of each joint makes, (n, joints), squares of rates neglected.

@@ -199,12 +199,30 @@ def _predict(
         own += errors.errors.columns
     width = 3 + own + (0 if push is None else len(push.gain))
     total = width + (local + 3 if local else 0)
-    size = motion_size(n, count)
-    out = np.empty(size + n * (9 * total + 54 + 3 * width + 72 * joints))
+    out = np.empty(motion_size(n, count) + n * (9 * total + 54 + 3 * width + 72 * joints))
     pointers = None if seats is None else (ctypes.c_void_p * 4)(*(library.address(part) for part in seats))
     compiled = ctypes.byref(moving), ctypes.byref(free.compiled(count)), _by(errors and errors.errors.compiled)
     arguments = pointers, library.address(functions), local, _by(pushed), period_s, library.address(start), by_rate
     library.call("heft_predict_base", *compiled, *arguments, out=out)
+    return base_of(frames, functions, out, joints, width, slice(3 + own - local, 3 + own))
+
+
+def base_of(
+    frames: Frames, functions: FloatArray | None, out: FloatArray, joints: int, width: int, local: slice
+) -> BasePrediction:
+    """Motion of the base as the compiled core has put it.
+
+    Args:
+        frames: of the links, n ticks.
+        functions: that errors of the joints multiply, (n, 3, f); None: the joints have none.
+        out: what the core has put.
+        joints: whose errors are among the columns; 0: none.
+        width: number of columns but those of what is local.
+        local: columns of local errors.
+    """
+    n, count = frames.p.shape[:2]
+    size, own = motion_size(n, count), local.stop - local.start
+    total = width + (own + 3 if own else 0)
     bodies = Bodies(frames, out[:size])
     shapes = (n, 9, total), (n, 6, 3), (n, 6, 6), (n, 3, width), (n, joints, 6, 12)
     along, by_base, by_wrench, d_momentum, screws = library.carved(out[size:], shapes)
@@ -212,9 +230,8 @@ def _predict(
     w, force, spin = (
         np.ascontiguousarray(x) for x in (bodies.twist[:, 3:], bodies.thrust[:, :3], bodies.thrust[:, 3:])
     )
-    of_local = slice(3 + own - local, 3 + own)
     made = structures.BaseStruct(n, total, w, spin, force, by_base, by_wrench, along)
-    moved = bodies.momentum, d_momentum, bodies, displaced, of_local, made
+    moved = bodies.momentum, d_momentum, bodies, displaced, local, made
     return BasePrediction(w, spin, force, along, by_base, by_wrench, *moved)
 
 

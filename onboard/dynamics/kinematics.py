@@ -117,6 +117,11 @@ def chain_motion(
     out = np.empty(n * (24 * nl + 30 * nj + 12 * (nj + 1)))
     pointers = (library.address(part) for part in (*motion, moved))
     library.call("heft_chain", ctypes.byref(tree.compiled), n, *pointers, out=out)
+    return chain_of(out, n, nl, nj)
+
+
+def chain_of(out: FloatArray, n: int, nl: int, nj: int) -> Chain:
+    """The chain of so many links and joints at n ticks as the compiled core has put it."""
     shapes = [(n, count, *own) for count in (nl, nj) for own in ((3, 3), (3,), (6,), (6,))]
     parts = library.carved(out, [*shapes, (n, nj, 6), (n, nj + 1, 3, 3), (n, nj + 1, 3)])
     return Chain(Frames(*parts[:4]), Frames(*parts[4:8]), *parts[8:])

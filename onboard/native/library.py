@@ -36,10 +36,11 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_sensitivity": (_INT, _INT, *[_ARRAY] * 5, _FLOAT),
     "heft_cut_wrench": (*[_ARRAY] * 4,),
     "heft_sensor": (*[_ARRAY] * 3,),
-    "heft_imu": (*[_ARRAY] * 4, _INT, _FLOAT, _ARRAY, _INT),
     "heft_imu_reading": (_INT, *[_ARRAY] * 4),
     "heft_imu_gain": (_ARRAY,),
-    "heft_means": (*[_INT] * 5, *[_ARRAY] * 4),
+    "heft_predict": (*[_ARRAY] * 3, _INT, _FLOAT, *[_ARRAY] * 2),
+    "heft_shown": (*[_ARRAY] * 5, _FLOAT, *[_ARRAY] * 2),
+    "heft_linked": (_ARRAY, _INT, _INT, _ARRAY),
     "heft_corrected": (_ARRAY, _FLOAT, _ARRAY),
     "heft_plus": (_INT, *[_ARRAY] * 3),
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
@@ -136,8 +137,8 @@ def indices(array: IndexArray, below: int) -> IndexArray:
     return found
 
 
-def address(array: "FloatArray | IndexArray | None") -> int | None:
-    """Where an array lies; the caller keeps it."""
+def address(array: "FloatArray | IndexArray | ctypes.Structure | None") -> int | None:
+    """Where an array or a structure lies; the caller keeps it."""
     if array is None:
         return None
     try:

@@ -11,7 +11,7 @@ class _Structure(ctypes.Structure):
 
     NUMBERS: ClassVar[int] = 0
 
-    def __init__(self, *values: "int | FloatArray | IndexArray | None") -> None:
+    def __init__(self, *values: "int | FloatArray | IndexArray | _Structure | None") -> None:
         count = self.NUMBERS
         self.made_of, self.kept = values, values[count:]
         super().__init__(*values[:count], *map(address, self.kept))  # type: ignore[arg-type]
@@ -108,6 +108,18 @@ class AirBearingRun(_Structure):
 
     NUMBERS = 3
     _fields_ = _fields("ticks free pucks", "inverse known growth over columns puck others")
+
+
+class PredictorStruct(_Structure):
+    """``heft_predictor``."""
+
+    NUMBERS = 17
+    _fields_ = _fields(
+        "states unknowns joints links thrusters disturbed imus cells lines motion changing drifting pushes "
+        "links_at joints_at cyclic_at thrusters_at",
+        "tree columns errors estimated bodies chi drawn factor wrenches frames imu cell own own_here own_there "
+        "here there samples changes drifts of push",
+    )
 
 
 class BankStruct(_Structure):

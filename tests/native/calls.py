@@ -25,14 +25,15 @@ from onboard.dynamics.spatial import Columns
 from onboard.estimation.errors import RowError
 from onboard.estimation.smoothing import SmoothingWindow
 from onboard.identification.evidence.bank import Bank, Changed
-from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
+from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.timebase import polygon
-from tests.native.vehicles import PERIOD_s, on_table, random_case, random_suspects
+from tests.native.vehicles import PERIOD_s, on_table, predicted_from, random_case, random_predictor, random_suspects
 
+PREDICTORS = [random_predictor(seed) for seed in (1, 2, 3, 5)]
 REFUSALS = ArrayError, RowError, SignalError, ValueError, IndexError, MemoryError
 
 
@@ -45,8 +46,8 @@ def outcomes(seed):
         chain.links, PERIOD_s, case.vehicle.chi, case.rate, Columns(case.free, case.bases), along, case.push
     )
     R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
-    by_motion, errors = np.zeros((n, 6, base.along.shape[2])), 0.2 * rng.normal(size=SIZE)
-    imu = imu_along(base, R, p, errors, 5, PERIOD_s, by_motion)
+    errors, flyer = 0.2 * rng.normal(size=SIZE), PREDICTORS[seed % len(PREDICTORS)]
+    predicted = flyer.predict(*predicted_from(flyer, seed))
     read = imu_reading(*rng.normal(size=(2, n, 6)), np.arange(float(n)), errors)
     joint, cyclic = case.vehicle.joints[-1].name, case.errors.of_cyclic.tolist()
     cut = CutWrench(case.vehicle, joint, rng.normal(size=6), case.free, cyclic).predict(base)
@@ -70,7 +71,7 @@ def outcomes(seed):
     steps = Changed(np.zeros((1, m)), rng.normal(size=m), seen.T @ seen, np.zeros((1, 0)))
     weighed = alone.out, bank.alone(known, 0, alone.of(0)).out, *steps.evidence(suspects)
     slid = table.velocity, table.base.specific_force, table.base.along
-    parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *imu, by_motion, *read)
+    parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *predicted, *read)
     return [
         *parts,
         gain_of(errors),
@@ -142,7 +143,12 @@ def fuzz_once(seed):
     R, p, own = spoiled(np.eye(3)), spoiled(np.ones(3)), spoiled(np.zeros(SIZE))
     attempt(sensor_in_base, base, R, p)
     lines = spoiled(np.zeros((len(base.rate), 6, base.along.shape[-1])))
-    attempt(imu_along, base, R, p, own, int(rng.integers(0, 9)), PERIOD_s, lines)
+    flyer, wrong = (
+        PREDICTORS[seed % len(PREDICTORS)],
+        predicted_from(PREDICTORS[(seed + seed // 9) % len(PREDICTORS)], seed),
+    )
+    attempt(flyer.predict, *(None if part is None else spoiled(part) for part in wrong))
+    attempt(flyer._core.begin_from, base, PERIOD_s, [spoiled(part) for part in wrong[:3]], spoiled(wrong[3]))
     attempt(imu_reading, lines[..., :1], lines[..., :1], np.ones(3), own)
     attempt(imu_reading, *(spoiled(np.ones((5, 6))) for _ in range(2)), spoiled(np.ones(5)), own)
     attempt(gain_of, own)

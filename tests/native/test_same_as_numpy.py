@@ -8,21 +8,23 @@ from onboard.dynamics.air_bearing import predict_planar
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
 from onboard.dynamics.kinematics import Bodies, chain_motion
+from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
-from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_along, imu_reading
+from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_reading
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import evidence as of_evidence
 from tests.native.oracle import imu as of_imu
+from tests.native.oracle import prediction as of_prediction
 from tests.native.oracle import smoothing as of_smoothing
 from tests.native.oracle import table as of_table
 from tests.native.oracle.bodies import Bodies as OracleBodies
 from tests.native.oracle.chain import chain_motion as oracle_chain
-from tests.native.vehicles import PERIOD_s, on_table, random_case, random_suspects
+from tests.native.vehicles import PERIOD_s, on_table, predicted_from, random_case, random_predictor, random_suspects
 
 CASES = range(24)
 TOLERANCE = 1e-13  # of the largest of an array
@@ -115,12 +117,6 @@ def test_instruments_along_a_motion(case):
     for size in (1e-3, 0.3):  # with series for the rotation, and without
         errors = size * rng.normal(size=SIZE)
         same(gain_of(errors), of_imu.gain_of(errors))
-        by_motion = np.full((n, 7, base.along.shape[2]), np.nan)
-        ours = imu_along(base, R, p, errors, 5, PERIOD_s, by_motion[:, 1:])
-        theirs = of_imu.imu_along(sensor, base.along, errors, 5, PERIOD_s)
-        for one, other in zip((*ours, by_motion[:, 1:]), theirs, strict=True):
-            same(one, other, 1e-12)  # change in time by differences of neighbours
-        assert np.isnan(by_motion[:, 0]).all()
         read = rng.normal(size=(2, n, 6))
         for one, other in zip(
             imu_reading(*read, np.arange(float(n)), errors),
@@ -134,6 +130,26 @@ def test_instruments_along_a_motion(case):
     ours, theirs = cut.predict(base), oracle.cut_wrench(cut, true, true.bodies)
     same(ours.values, theirs[0], SOLVED)
     same(ours.d_values, theirs[1], SOLVED)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_instruments_show_from_a_state(seed):
+    predictor = random_predictor(seed)
+    for more in range(3):
+        given = predicted_from(predictor, seed + 12 * more)
+        found, true = predictor.predict(*given), of_prediction.predict(predictor, *given)
+        for ours, theirs in zip(found, true, strict=True):
+            same(ours, theirs, SOLVED)
+        by_line = np.moveaxis(found.jacobian, 1, 0), np.moveaxis(true[1], 1, 0)
+        for ours, theirs in zip(*by_line, strict=True):
+            same(ours, theirs, 1e-9)  # of the largest of each instrument's
+
+
+def test_a_motion_of_too_few_ticks_is_refused():
+    predictor = random_predictor(1)
+    q, dq, ddq, state, *_ = predicted_from(predictor, 1)
+    with pytest.raises(SignalError, match="3 ticks"):
+        predictor.predict(q[:3], dq[:3], ddq[:3], state)
 
 
 def test_a_momentum_alone(case):

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard import config
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun
 from onboard.dynamics.free_flight import Push
 from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
@@ -11,7 +12,19 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
+from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.identification.evidence.bank import Suspect
+from onboard.identification.exiddm.prediction.further import (
+    CellPrior,
+    DisturbancePrior,
+    Friction,
+    FurtherCell,
+    FurtherImu,
+    Thruster,
+)
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 PERIOD_s = 0.01
@@ -77,6 +90,35 @@ def on_table(case: Case, seed: int) -> OnTable:
     run = PlanarRun(case.vehicle, FlightSignals(PERIOD_s, *motion, *np.ones((2, n, 3)), *np.ones((2, 3)), 1))
     drag = PlanarDrag(rng.normal(size=(k, 2)), *rng.uniform(0.0, 1.0, (2, k)), 2e-3, tuple(rng.normal(size=3).tolist()))
     return OnTable(run, 0.3 * rng.normal(size=3), case.vehicle.chi, drag, 0.1 * rng.normal(size=2), case.free)
+
+
+def random_predictor(seed: int) -> ImuPredictor:
+    """A packaged free-flyer with and without errors of joints, load cells, torques, IMUs, thrusters, disturbances."""
+    rng, vehicle = np.random.default_rng(seed), config.load(config.packaged("dymaflex"))
+    model = build_model(vehicle)
+    covariance, prior, _ = exiddm_prior(vehicle, model)
+    some = {name: covariance[name] for name in list(covariance)[: seed % 3 * 2]}
+    cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
+    rubs = Friction(1, 0.3, 0.2, 0.1)
+    torque = FurtherCell("torque", "joint_2", (0, 0, 0, 0, 1, 0), 5, CellPrior(0.1, 0.0, 0.01, 2e-4), rubs)
+    further = [cell, torque, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)][: seed % 4]
+    thrusters = [Thruster(f"thruster_{k}", rng.normal(size=6), 0.05 * k) for k in range(seed % 3)]
+    geometry = geometry_prior(vehicle, model) if seed % 2 else EXACT_GEOMETRY
+    pushed = DisturbancePrior(0.01, 0.002, 60.0) if seed % 5 else DisturbancePrior()
+    given = "imu_base", PERIOD_s, 10, some, prior, geometry, further, "imu", thrusters, pushed
+    return ImuPredictor(model, *given)
+
+
+def predicted_from(predictor: ImuPredictor, seed: int) -> tuple[np.ndarray, ...]:
+    """Arguments of its prediction: joints, state, cyclic errors' functions, forces of thrusters; None for some."""
+    rng, n, joints = np.random.default_rng(seed), 4 + seed % 9, len(predictor.vehicle.joints)
+    motion = rng.normal(size=(3, 1, joints)) + 0.1 * rng.normal(size=(3, n, joints))
+    sigma = np.where(np.isnan(predictor.sigma), 0.1, predictor.sigma)
+    state, functions = sigma * rng.normal(size=len(sigma)), predictor._layout["cyclic"]
+    state[3:13] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    cyclic = rng.normal(size=(n, 3, functions.stop - functions.start))
+    thrust = rng.normal(size=(n, len(predictor.thrusters)))
+    return *motion, state, cyclic if seed % 3 else None, thrust if seed % 4 else None
 
 
 def random_suspects(seed: int) -> tuple[list[Suspect], np.ndarray, tuple[np.ndarray, np.ndarray]]:

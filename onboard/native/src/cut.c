@@ -1,21 +1,6 @@
 /* A component of the wrench through a cut of the arm, and its derivatives; see onboard.dynamics.cut_wrench. */
 #include "heft_native.h"
 
-/* The predicted motion that a wrench follows from. */
-typedef struct {
-    i64 n, links, total;
-    const double *R, *p;                        /* (n, links, 3, 3), (n, links, 3) */
-    const double *parts, *twist;                /* (n, links, PARTS), (n, 6) */
-    const double *along, *by_rate, *by_wrench;  /* (n, 9, total), (n, 6, 3), (n, 6, 6) */
-    const double *screws, *functions;           /* (n, joints, 6, 12), (n, 3, functions); NULL without errors */
-} heft_moving;
-
-typedef struct {
-    i64 carried_by, columns;
-    const double *group, *is_beyond;            /* (links,), (columns,) one or zero */
-    const double *R, *p, *projection;           /* of the cut in the link that carries it; (6,) */
-} heft_cut;
-
 static void weights(const heft_moving *b, const heft_cut *cut, i64 i, double u[6]) {
     i64 one = i * b->links + cut->carried_by;
     const double *R = b->R + 9 * one;

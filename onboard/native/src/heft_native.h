@@ -8,6 +8,7 @@
 
 #include "algebra.h"
 
+enum { ERRORS = 35, CELL = 4, FELT = 3 };    /* errors of an IMU; of a load cell, and of a joint's torque besides */
 enum { HEFT_OK = 0, HEFT_SIZE = 1, HEFT_MEMORY = 2 };
 
 #define HEFT_API __attribute__((visibility("default")))
@@ -47,6 +48,36 @@ typedef struct {
     const double *beyond, *stays;               /* (joints, links), (joints,) */
     const i64 *of;                              /* (functions,) the joint of each */
 } heft_errors;
+
+/* What encoders read. */
+typedef struct {
+    i64 n, joints, functions, taken;            /* taken: so many functions are multiples that are taken out */
+    const double *q, *dq, *ddq, *cyclic;        /* (n, joints) each, (n, 3, functions) */
+    const i64 *of;                              /* (functions,) the joint of each */
+    const double *errors, *multiples;           /* (joints, 6), (taken,) */
+} heft_readings;
+
+/* Motion of the base, for its sensors. */
+typedef struct {
+    i64 n, total;
+    const double *rate, *acceleration, *specific_force;    /* (n, 6): linear, angular; (n, 3) each otherwise */
+    const double *by_rate, *by_wrench, *along;             /* (n, 6, 3), (n, 6, 6), (n, 9, total) */
+} heft_base;
+
+/* The predicted motion that a wrench follows from. */
+typedef struct {
+    i64 n, links, total;
+    const double *R, *p;                        /* (n, links, 3, 3), (n, links, 3) */
+    const double *parts, *twist;                /* (n, links, PARTS), (n, 6) */
+    const double *along, *by_rate, *by_wrench;  /* (n, 9, total), (n, 6, 3), (n, 6, 6) */
+    const double *screws, *functions;           /* (n, joints, 6, 12), (n, 3, functions); NULL without errors */
+} heft_moving;
+
+typedef struct {
+    i64 carried_by, columns;
+    const double *group, *is_beyond;            /* (links,), (columns,) one or zero */
+    const double *R, *p, *projection;           /* of the cut in the link that carries it; (6,) */
+} heft_cut;
 
 /* A body, or a sum of some: inertia about the base's origin, its rate of change, momentum and wrench. */
 enum { MASS = 0, MOMENT = 1, TENSOR = 4, D_MOMENT = 10, D_TENSOR = 13, MOMENTUM = 19, WRENCH = 25, PARTS = 31 };
@@ -102,5 +133,37 @@ void errors_into(const heft_errors *e, i64 links, const double *parts, const dou
 /* Columns of momentum, and of the wrench, of one link, (6, 10) each; either may be NULL */
 void link_columns(const double R[9], const double p[3], const double V[6], const double A[6], const double *basis,
                   double *H, i64 H_apart, double *Y, i64 Y_apart);
+
+/* The parameters s of a body in the drawing by its errors z, (10,) each; see onboard...exiddm.prediction.scaled */
+void scaled_body(const double drawn[10], const double factor[10], const double z[10], double s[10]);
+
+/* An IMU along a motion, at p with axes R. Out: values (n - 2, 6), their derivatives by its errors (n - 2, 6, ERRORS), by
+ * its place (n - 2, 6, 3); by_motion (n, apart, total), its six lines, gets those of an instant by what the motion
+ * depends on. */
+int imu_along(const heft_base *b, const double *R, const double *p, const double *errors, i64 samples, double period_s,
+              double *by_motion, i64 apart, double *out);
+
+/* What a load cell, or the torque of a joint (-1: it is none), shows of its true component, (n,), over a tick: the value,
+ * and derivatives by its errors; c is the weight of the second difference, dq and ddq are of all joints */
+double cell_shows(const double *true, double period_s, const double *errors, double c, const double *dq, const double *ddq,
+                  i64 joint, i64 joints, i64 tick, double d[CELL + FELT]);
+
+/* Mean over a tick of what is known at its middle and those beside it: middle plus c times the second difference */
+static inline double tick_mean(double c, const double *at, i64 apart) {
+    return at[0] + c * (at[apart] - 2.0 * at[0] + at[-apart]);
+}
+
+/* Functions of Python that others of the library call, too */
+int heft_scaled_derive(i64 bodies, const double *drawn, const double *factor, const double *z, const i64 *at, i64 states,
+                       double *by, i64 size);
+int heft_plus(i64 columns, const double *values, const double *by, const double *more, double *out, i64 size);
+int heft_corrected(const heft_readings *r, double period_s, double *work, double *out, i64 size);
+int heft_chain(const heft_tree *t, i64 n, const double *q, const double *dq, const double *ddq, const double *offsets,
+               double *out, i64 size);
+int heft_predict_base(const heft_frames *f, const heft_columns *unknown, const heft_errors *errors,
+                      const double *const *seats, const double *functions, i64 local, const heft_push *push,
+                      double period_s, const double *start, int by_rate, double *out, i64 size);
+int heft_cut_wrench(const heft_moving *b, const heft_cut *cut, const heft_errors *errors, double *work, double *out,
+                    i64 size);
 
 #endif

@@ -5,7 +5,7 @@
 #include "heft_native.h"
 
 /* places of the errors */
-enum { AXES = 12, TURN = 9, SCALE = 6, DELAY = 24, CLOCK = 25, CROSS = 26, MOUNTING = 32, ERRORS = 35 };
+enum { AXES = 12, TURN = 9, SCALE = 6, DELAY = 24, CLOCK = 25, CROSS = 26, MOUNTING = 32 };
 #define SMALL 1e-4    /* rad^2, below which series to the square are exact to rounding: the next term is 2e-13 */
 
 /* R = exp(-hat(m)) and J, of which d(R u) = hat(R u) J dm (Sola, Deray, Atchuthan 2018, equation 145) */
@@ -94,12 +94,6 @@ HEFT_API int heft_imu_gain(const double *errors, double *out, i64 size) {
     return HEFT_OK;
 }
 
-typedef struct {
-    i64 n, total;
-    const double *rate, *acceleration, *specific_force;    /* (n, 6): linear, angular; (n, 3) each otherwise */
-    const double *by_rate, *by_wrench, *along;             /* (n, 6, 3), (n, 6, 6), (n, 9, total) */
-} heft_base;
-
 /* values (6,), gain (6, 9) and derivative by the place (3, 3) of the specific force, of a sensor at p with axes R */
 static void sensor(const heft_base *b, i64 i, const double R[9], const double p[3], double *values, double *gain,
                    double *by_place) {
@@ -132,15 +126,9 @@ HEFT_API int heft_sensor(const heft_base *b, const double *R, const double *p, d
     return HEFT_OK;
 }
 
-/* Mean over a tick of what is known at its middle and those beside it: middle plus c times the second difference */
-static double mean(double c, const double *at, i64 apart) { return at[0] + c * (at[apart] - 2.0 * at[0] + at[-apart]); }
-
-/* An IMU along a motion. Results: values (n - 2, 6), their derivatives by its errors (n - 2, 6, ERRORS), by its place
- * (n - 2, 6, 3); by_motion (n, apart, total), its six lines, gets those of an instant by what the motion depends on. */
-HEFT_API int heft_imu(const heft_base *b, const double *R, const double *p, const double *errors, i64 samples,
-                      double period_s, double *by_motion, i64 apart, double *out, i64 size) {
+int imu_along(const heft_base *b, const double *R, const double *p, const double *errors, i64 samples, double period_s,
+              double *by_motion, i64 apart, double *out) {
     i64 n = b->n, inner = n - 2;
-    if (n < 4 || size != inner * (6 + 6 * ERRORS + 18)) return HEFT_SIZE;
     double *work = malloc((size_t)(n * (6 + 9 + 6 + 6 + 1)) * sizeof(double)), c = (double)samples * (double)samples;
     if (!work) return HEFT_MEMORY;
     double *true = work, *by_place = true + 6 * n, *means = by_place + 9 * n, *change = means + 6 * n;
@@ -164,31 +152,11 @@ HEFT_API int heft_imu(const heft_base *b, const double *R, const double *p, cons
         time_s[i] = period_s * (double)(i + 1);
         for (i64 k = 0; k < 6; k++) {
             const double *at = true + 6 * (i + 1) + k;
-            means[6 * i + k] = mean(c, at, 6), change[6 * i + k] = (at[6] - at[-6]) / (2.0 * period_s);
+            means[6 * i + k] = tick_mean(c, at, 6), change[6 * i + k] = (at[6] - at[-6]) / (2.0 * period_s);
         }
-        for (i64 k = 0; k < 9; k++) d_place[18 * i + 9 + k] = mean(c, by_place + 9 * (i + 1) + k, 9);
+        for (i64 k = 0; k < 9; k++) d_place[18 * i + 9 + k] = tick_mean(c, by_place + 9 * (i + 1) + k, 9);
     }
     readings(inner, means, change, time_s, errors, out, out + 6 * inner);
     free(work);
-    return HEFT_OK;
-}
-
-/* Means over ticks of derivatives at instants, by_motion (n, lines, total), put into the jacobian (n - 2, lines, size) at
- * the places here (count,) from the columns there; samples (lines,) is the weight of the second difference. */
-HEFT_API int heft_means(i64 n, i64 lines, i64 total, i64 states, i64 count, const i64 *here, const i64 *there,
-                        const double *samples, const double *by_motion, double *out, i64 size) {
-    if (n < 2 || size != (n - 2) * lines * states) return HEFT_SIZE;
-    for (i64 k = 0; k < count; k++)
-        if (here[k] < 0 || here[k] >= states || there[k] < 0 || there[k] >= total) return HEFT_SIZE;
-    i64 apart = lines * total;
-    for (i64 i = 0; i < n - 2; i++)
-        for (i64 line = 0; line < lines; line++) {
-            const double *at = by_motion + apart * (i + 1) + total * line;
-            double *row = out + states * (lines * i + line), c = samples[line];
-            for (i64 k = 0; k < count; k++) {
-                const double *one = at + there[k];
-                row[here[k]] = (one[apart] + one[-apart]) * c + (1.0 - 2.0 * c) * one[0];
-            }
-        }
     return HEFT_OK;
 }

@@ -1,13 +1,6 @@
 /* What encoders read, with their errors taken out; see onboard.dynamics.joint_errors.Readings. */
 #include "heft_native.h"
 
-typedef struct {
-    i64 n, joints, functions, taken;            /* taken: so many functions are multiples that are taken out */
-    const double *q, *dq, *ddq, *cyclic;        /* (n, joints) each, (n, 3, functions) */
-    const i64 *of;                              /* (functions,) the joint of each */
-    const double *errors, *multiples;           /* (joints, 6), (taken,) */
-} heft_readings;
-
 /* Rate of change by differences, of one of n numbers that lie so far apart; zero for a period of zero */
 static double change(const double *x, i64 i, i64 n, i64 apart, double period_s) {
     const double *at = x + i * apart;

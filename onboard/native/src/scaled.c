@@ -27,13 +27,15 @@ static double parts_of(const double *drawn, const double *factor, const double *
     return exponential(t);
 }
 
+void scaled_body(const double drawn[10], const double factor[10], const double z[10], double s[10]) {
+    double r[10], grown = parts_of(drawn, factor, z, r);
+    for (i64 k = 0; k < 10; k++) s[k] = grown * (drawn[k] + r[k]) - drawn[k];
+}
+
 /* linear, (10 bodies,): s of z; drawn and factor (bodies, 10) */
 HEFT_API int heft_scaled(i64 bodies, const double *drawn, const double *factor, const double *z, double *out, i64 size) {
     if (size != 10 * bodies) return HEFT_SIZE;
-    for (i64 b = 0; b < bodies; b++) {
-        double r[10], grown = parts_of(drawn + 10 * b, factor + 10 * b, z + 10 * b, r);
-        for (i64 k = 0; k < 10; k++) out[10 * b + k] = grown * (drawn[10 * b + k] + r[k]) - drawn[10 * b + k];
-    }
+    for (i64 b = 0; b < bodies; b++) scaled_body(drawn + 10 * b, factor + 10 * b, z + 10 * b, out + 10 * b);
     return HEFT_OK;
 }
 

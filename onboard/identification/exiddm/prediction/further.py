@@ -19,7 +19,7 @@ from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, imu_blocks, tick_mean
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, imu_blocks
 from onboard.identification.exiddm.prediction.parameters import Unknowns
 
 _ANYWHERE_m, _ANY_m_s = 20.0, 1.0  # 1 sigma of the centre of mass in a tracker's axes, and of its velocity
@@ -59,11 +59,6 @@ class Friction(NamedTuple):
     viscous: float  # N m s / rad
     rotor: float  # kg m^2
 
-    def felt(self, dq: FloatArray, ddq: FloatArray) -> FloatArray:
-        """What each is multiplied by, (n, 3), where the joints move with rates and accelerations (n, joints)."""
-        rate = dq[:, self.joint]
-        return np.stack([np.sign(rate), rate, ddq[:, self.joint]], axis=1)
-
 
 class FurtherCell(NamedTuple):
     """A load cell of the arm, or the torque of a joint."""
@@ -85,35 +80,6 @@ class FurtherCell(NamedTuple):
         friction = () if self.friction is None else self.friction[1:]
         kinds = (*CellPrior._fields, *OF_FRICTION[: len(friction)])
         return Unknowns(tuple(f"{kind}_{self.name}" for kind in kinds), np.array([*self.prior, *friction], np.float64))
-
-    @staticmethod
-    def gain(errors: FloatArray) -> float:
-        """Its reading per component; errors in the order of :meth:`block`, (k,)."""
-        return 1.0 + float(errors[2])
-
-    def shown(
-        self, true: FloatArray, period_s: float, errors: FloatArray, dq: FloatArray, ddq: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Readings of the inner ticks, (b,), and their derivatives by its errors, (b, k).
-
-        Args:
-            true: its component at b + 2 ticks.
-            period_s: between ticks.
-            errors: in the order of :meth:`block`, (k,).
-            dq: joint rates at these ticks, (b + 2, joints).
-            ddq: joint accelerations.
-        """
-        bias, drift, scale, delay_s = errors[:4]
-        parts = true[:, None]
-        if self.friction is not None:
-            felt = self.friction.felt(dq, ddq)
-            parts = np.column_stack([true + felt @ errors[4:], felt])
-        change = (parts[2:] - parts[:-2]) / (2.0 * period_s)
-        late = tick_mean(parts, self.samples)[1:-1] - delay_s * change
-        gain, along = 1.0 + scale, np.ones((len(late), 3 + parts.shape[1]))
-        along[:, 1] = time_s = period_s * np.arange(1, len(true) - 1)
-        along[:, 2], along[:, 3], along[:, 4:] = late[:, 0], -gain * change[:, 0], gain * late[:, 1:]
-        return gain * late[:, 0] + bias + drift * time_s, along
 
 
 def cuts_of(

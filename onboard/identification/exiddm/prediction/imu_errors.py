@@ -18,17 +18,14 @@ the whole sensor has, which is ``exp(-hat)``) and ``sym(c)`` the symmetric one, 
 ``hat(c)``. Computed in ``onboard/native/src/imu.c``.
 """
 
-import ctypes
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.free_flight import BasePrediction
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.parameters import Unknowns
 from onboard.native import library
-from onboard.native.errors import ArrayError
 
 
 class ImuPrior(NamedTuple):
@@ -125,48 +122,9 @@ def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors
     return ImuReading(out[: 6 * n].reshape(n, 6), out[6 * n :].reshape(n, 6, SIZE))
 
 
-class ImuAlong(NamedTuple):
-    """What an IMU shows along a predicted motion, at the inner ticks."""
-
-    values: FloatArray  # (n - 2, 6)
-    d_errors: FloatArray  # (n - 2, 6, SIZE)
-    d_place: FloatArray  # (n - 2, 6, 3)
-
-
-def imu_along(
-    base: BasePrediction,
-    R_BS: FloatArray,
-    p_BoSo_B: FloatArray,
-    errors: FloatArray,
-    samples: int,
-    period_s: float,
-    by_motion: FloatArray,
-) -> ImuAlong:
-    """Means of an IMU's readings over ticks: :func:`imu_reading` of a sensor fixed in the base.
-
-    Args:
-        base: its motion at n ticks.
-        R_BS: axes of the sensor's frame S in the base's B, (3, 3).
-        p_BoSo_B: its origin, (3,), m.
-        errors: in the order of :func:`imu_blocks`, (SIZE,).
-        samples: in each tick, see :func:`tick_mean`.
-        period_s: between ticks.
-        by_motion: derivatives of what it shows at an instant by what the motion depends on are put there,
-            (n, 6, 3 + c), its lines one after the other.
-
-    Raises:
-        ArrayError: shapes that do not fit.
-    """
-    n, total = len(base.rate), base.along.shape[2]
-    compiled, out = base.compiled(), np.empty((n - 2) * (24 + 6 * SIZE))
-    given = [library.given(R_BS, 3, 3), library.given(p_BoSo_B, 3), library.given(errors, SIZE)]
-    apart, rest = divmod(by_motion.strides[0], 8 * total)
-    if by_motion.shape != (n, 6, total) or by_motion.strides[1:] != (8 * total, 8) or rest or apart < 6:
-        raise ArrayError(f"lines of {(n, 6, total)} are needed, and these are {by_motion.shape}")
-    pointers = (library.address(part) for part in given)
-    numbers = samples, period_s, by_motion.ctypes.data, apart
-    library.call("heft_imu", ctypes.byref(compiled), *pointers, *numbers, out=out)
-    return ImuAlong(*library.carved(out, [(n - 2, 6), (n - 2, 6, SIZE), (n - 2, 6, 3)]))
+def weight_of(samples: IndexArray | int) -> FloatArray:
+    """Of the second difference in a tick's mean of so many samples: see :func:`tick_mean`."""
+    return np.asarray((1.0 - 1.0 / samples**2) / 24.0, np.float64)
 
 
 def tick_mean(x: FloatArray, samples: int) -> FloatArray:
@@ -175,9 +133,8 @@ def tick_mean(x: FloatArray, samples: int) -> FloatArray:
     The mean is the middle value plus ``(1 - 1/D^2) / 24`` of the second difference (Taylor's series to second order);
     the first and the last tick, which have none, keep their middle values. (n, ...).
     """
-    c = (1.0 - 1.0 / samples**2) / 24.0
     out = x.copy()
-    out[1:-1] += c * (x[2:] - 2.0 * x[1:-1] + x[:-2])
+    out[1:-1] += weight_of(samples) * (x[2:] - 2.0 * x[1:-1] + x[:-2])
     return out
 
 

@@ -15,10 +15,13 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
+from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
+from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.prediction.core import Changing, PredictionBegun, PredictionCore
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import (
     DisturbancePrior,
@@ -37,11 +40,10 @@ from onboard.identification.exiddm.prediction.imu_errors import (
     SIZE,
     ImuPrior,
     drift_of,
-    imu_along,
     imu_blocks,
+    weight_of,
 )
 from onboard.identification.exiddm.prediction.joint_noise import JointNoise
-from onboard.identification.exiddm.prediction.moving_base import MovingBase
 from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
     GeometryPrior,
@@ -55,7 +57,6 @@ from onboard.identification.exiddm.prediction.parameters import (
 )
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import TickPrediction, Ticks
-from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
@@ -140,8 +141,8 @@ class ImuPredictor:
         }
         for one in self.further:
             blocks |= blocks_of(one)
-        layout = UnknownLayout(blocks)
-        self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
+        self._layout = layout = UnknownLayout(blocks)
+        self.names, self.sigma = layout.names, layout.sigma
         self._in_push = layout.estimated("disturbance")
         self.pushes: list[tuple[int, int]] = list(zip(*self._in_push.reshape(2, -1).tolist(), strict=True))
         self.fading = [one for at, of in self.pushes for one in ((at, disturbance.memory_s), (of, DRIFT_MEMORY_s))]
@@ -182,7 +183,6 @@ class ImuPredictor:
         self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_springs, in_thrusters])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
         moved = self._joint_errors if self._in_joints.size or self._flexible else None
-        self._base = MovingBase(vehicle, layout, self._links, self._columns, moved, self._flexible, thrusters)
         columns = 13 + r + (0 if moved is None else moved.columns)
         of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on
@@ -191,28 +191,38 @@ class ImuPredictor:
             (together(self._in_joints), together(of_joints)),
             (together(in_thrusters), together(of_thrusters)),
         ]
-        cells = len(self._imus) + len(self._cells)
-        self._of_cells, self._of_poses = slice(len(self._imus), cells), slice(cells, None)
+        self._of_poses = slice(len(self._imus) + len(self._cells), None)
         self._own = [Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self._imus]
         self._own += [Own(*kept_of(layout, layout[cell.name])) for cell, _ in self._cells]
-        self._samples = np.zeros((self.lines[-1].stop, 1))  # see tick_mean
         self._own += [Own(*kept_of(layout, one.unknown)) for one in self._poses]
-        samples_of = [samples, *(one.samples for one in self.further)]
-        for own, count in zip(self.lines, samples_of, strict=True):
-            self._samples[own] = (1.0 - 1.0 / count**2) / 24.0
+        samples_of = np.repeat([samples, *(one.samples for one in self.further)], [6, *(f.width for f in self.further)])
+        self._weight = weight_of(samples_of)
         self._set_changing()
+        self._core = self._core_of(samples_of, moved)
 
-    def _set_changing(self) -> None:
-        """What of the state changes from tick to tick, and how; and what of it the motion depends on."""
+    def _core_of(self, samples: IndexArray, moved: JointErrors | None) -> PredictionCore:
+        """The same for the compiled core; samples in a tick's mean of each line, errors of the joints if they move."""
+        if self._flexible is not None:
+            from onboard.identification.exiddm.prediction.moving_base import MovingBase  # noqa: PLC0415 - few have them
+
+            parts = self._links, self._columns, self._joint_errors, self._flexible, self.thrusters
+            self._base = MovingBase(self.vehicle, self._layout, *parts)
         every = np.arange(self._layout.size + len(self.names))
         both = [(every[here], every[there]) for here, there in self._of_motion]
-        self._all_of_motion = [np.concatenate(one).astype(np.int64) for one in zip(*both, strict=True)]
+        of_motion = [np.concatenate(one) for one in zip(*both, strict=True)]
+        bodies = self._columns, self._scaled, moved, self.thrusters
+        instruments = self._imus, self._cells, self._own, samples
+        drifting, by = self._drifting
+        changing = Changing(self.changing, drifting, by, self._in_push)
+        return PredictionCore(self.vehicle, self._layout, *bodies, *instruments, of_motion, changing)
+
+    def _set_changing(self) -> None:
+        """What of the state changes from tick to tick, and how."""
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
         drifting, by = self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T
         self.changing = np.concatenate([np.arange(3), drifting, self.anew_at])
-        self._unchanged = (self.changing[:, None] == np.arange(len(self.names))).astype(np.float64)
         self.stated = self.sigma.copy()
         self.stated[drifting] = np.hypot(self.sigma[drifting], DRIFT_MEMORY_s * self.sigma[by])
         self.stated[self.anew_at] = np.nan
@@ -306,66 +316,49 @@ class ImuPredictor:
         Raises:
             SignalError: fewer than four ticks.
         """
-        linear, push = self._scaled.linear(state), np.zeros_like(state)
-        push[self._in_push] = state[self._in_push]
-        found = self._unpushed((q, dq, ddq), linear - push, cyclic, thrust)
-        for by in (found.jacobian, found.transition):
-            self._scaled.derive(by, state)
-        return found._replace(state=found.state + state - linear).plus(push, self.changing)
+        n = len(q)
+        if n < 4:
+            raise SignalError(f"{n} ticks; predict four or more")
+        bent = None
+        if self._flexible is None:
+            made = self._core.begin(n, self.period_s, (q, dq, ddq, cyclic, thrust), state)
+        else:
+            x, functions = self._unpushed(state), self._base.functions(n, cyclic)
+            base, bend = self._base.predict(
+                EncoderReadings(q, dq, ddq, self.period_s, functions), x, self.period_s, thrust
+            )
+            if not np.isfinite(bend.b).all():
+                return TickPrediction.none(n - 2, self.lines[-1].stop, len(state), len(self.changing))
+            made = self._core.begin_from(base, self.period_s, (q, dq, ddq), state)
+            bent = self._flexible.along(base, bend, x, self.period_s, self._of_motion, len(state))
+        if self._poses:
+            self._track(made, base if bent else self._core.base(made), self._unpushed(state))
+        if bent is not None:
+            more, weight = bent.added(made.by_motion), self._weight[:, None]
+            made.jacobian[:] += (more[2:] + more[:-2]) * weight + (1.0 - 2.0 * weight) * more[1:-1]
+            bent.carry(made.transition, made.carried)
+        self._core.end(made, state)
+        return TickPrediction(*made[:4])
 
-    def _unpushed(self, joints: tuple[FloatArray, ...], state: FloatArray, *known: FloatArray | None) -> TickPrediction:
-        (q, dq, ddq), (cyclic, thrust) = joints, known
-        n, layout, m = len(q), self._layout, self.lines[-1].stop
-        x = layout.whole(state)
-        readings = EncoderReadings(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
-        base, bend = self._base.predict(readings, x, self.period_s, thrust)
-        if bend is not None and not np.isfinite(bend.b).all():
-            return TickPrediction.none(n - 2, m, len(state), len(self.changing))
-        time_s, jacobian = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64), np.zeros((n - 2, m, len(state)))
-        values, by_motion = np.empty((n - 2, m)), np.empty((n, m, base.along.shape[2]))
-        for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
-            place = imu.p_BoSo_B + x[imu.place]
-            shown = imu_along(base, imu.R_BS, place, x[imu.errors], imu.samples, self.period_s, by_motion[:, own])
-            values[:, own] = shown.values
-            jacobian[:, own, kept.errors] = shown.d_errors[:, :, kept.of_errors]
-            jacobian[:, own, kept.place] = shown.d_place[:, :, kept.of_place]
-        for (cell, cut), own, kept in zip(
-            self._cells, self.lines[self._of_cells], self._own[self._of_cells], strict=True
-        ):
-            reading, errors = cut.predict(base), x[layout[cell.name]]
-            values[:, own.start], d_errors = cell.shown(reading.values, self.period_s, errors, dq, ddq)
-            by_motion[:, own.start] = cell.gain(errors) * reading.d_values
-            jacobian[:, own.start, kept.errors] = d_errors[:, kept.of_errors]
-        moved = []
+    def _unpushed(self, state: FloatArray) -> FloatArray:
+        """All unknowns without what pushes."""
+        linear = self._scaled.linear(state)
+        linear[self._in_push] = 0.0
+        return self._layout.whole(linear)
+
+    def _track(self, made: PredictionBegun, base: BasePrediction, x: FloatArray) -> None:
+        """Lines of the trackers, and what these add to what is carried on."""
+        first = 3 + len(self._drifting[0])
         for pose, own, kept in zip(self._poses, self.lines[self._of_poses], self._own[self._of_poses], strict=True):
             at_joints = self._joint_errors if self._in_joints.size else None
-            shown_pose = predict_pose(base, self.period_s, pose.mount, x[pose.unknown], self._columns, at_joints)
-            values[:, own], by_motion[:, own] = shown_pose.values[1:-1], shown_pose.by_motion
-            jacobian[:, own, kept.errors] = shown_pose.d_own[1:-1][:, :, kept.of_errors]
-            moved.append((pose, kept, shown_pose))
-        lines, total = by_motion.shape[1:]
-        pointers = *(library.address(places) for places in self._all_of_motion), library.address(self._samples)
-        numbers = n, lines, total, len(state), len(self._all_of_motion[0])
-        library.call("heft_means", *numbers, *pointers, library.address(by_motion), out=jacobian)
-        told = self._of_motion, len(state)
-        bent = self._flexible.along(base, bend, x, self.period_s, *told) if self._flexible and bend else None
-        if bent is not None:
-            more = bent.added(by_motion)
-            jacobian += (more[2:] + more[:-2]) * self._samples + (1.0 - 2.0 * self._samples) * more[1:-1]
-        carried, transition, (drifts, of) = state.copy(), self._unchanged.copy(), self._drifting
-        carried[RATE] = base.rate[-2]
-        self._into(transition, base.d_rate[-2])
-        carried[drifts] += time_s[-1] * state[of]
-        transition[np.arange(RATE.stop, first := RATE.stop + len(of)), of] = time_s[-1]
-        for pose, kept, shown_pose in moved:
+            shown = predict_pose(base, self.period_s, pose.mount, x[pose.unknown], self._columns, at_joints)
+            made.values[:, own], made.by_motion[:, own] = shown.values[1:-1], shown.by_motion
+            made.jacobian[:, own, kept.errors] = shown.d_own[1:-1][:, :, kept.of_errors]
             rows = slice(first, first + MOTION.stop)
-            carried[pose.motion] = shown_pose.carried
-            transition[rows, kept.errors] = shown_pose.carried_by_own[:, kept.of_errors]
+            made.carried[pose.motion], made.transition[rows] = shown.carried, 0.0
+            made.transition[rows, kept.errors] = shown.carried_by_own[:, kept.of_errors]
             for here, there in self._of_motion:
-                transition[rows, here] = shown_pose.carried_by_motion[:, there]
-        if bent is not None:
-            bent.carry(transition, carried)
-        return TickPrediction(values, jacobian, carried, transition)
+                made.transition[rows, here] = shown.carried_by_motion[:, there]
 
     def carried(
         self,
@@ -409,10 +402,6 @@ class ImuPredictor:
         P = covariance.copy()
         P[self._walking, self._walking] += ticks * self.period_s * self._walked
         return P
-
-    def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
-        for here, there in self._of_motion:
-            transition[RATE, here] = d_rate[:, there]
 
     def chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""

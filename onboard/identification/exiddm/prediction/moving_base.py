@@ -1,4 +1,4 @@
-"""Motion of a free base from all unknowns of a flight: payload, links, the joints' errors and bends, thrusters."""
+"""Motion of a free base with joints that give way, from all unknowns of a flight; with stiff ones: :mod:`.core`."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -25,8 +25,8 @@ class MovingBase:
         layout: of all unknowns.
         links: the uncertain ones.
         columns: of payload and links.
-        joint_errors: of the joints; None: they are exact.
-        flexible: joints that give way, if there are any.
+        joint_errors: of the joints.
+        flexible: joints that give way.
         thrusters: whose forces are known.
     """
 
@@ -36,8 +36,8 @@ class MovingBase:
         layout: UnknownLayout,
         links: UncertainLinks,
         columns: Columns,
-        joint_errors: JointErrors | None,
-        flexible: FlexibleJoints | None,
+        joint_errors: JointErrors,
+        flexible: FlexibleJoints,
         thrusters: Sequence[Thruster],
     ) -> None:
         self._vehicle, self._layout, self._links = vehicle, layout, links
@@ -47,8 +47,8 @@ class MovingBase:
 
     def predict(
         self, readings: EncoderReadings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
-    ) -> tuple[BasePrediction, Bend | None]:
-        """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated; and bends of flexible joints.
+    ) -> tuple[BasePrediction, Bend]:
+        """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated; and bends of the joints.
 
         Args:
             readings: of the encoders, with the functions of :meth:`functions`.
@@ -65,30 +65,22 @@ class MovingBase:
             unknown = Push(_steady_and_growing(len(readings.q), period_s), x[at["disturbance"]])
             push = unknown if push is None else push.and_too(unknown)
         chi = self._links.chi(x[at["payload"]], self._links.basis @ x[at["links"]])
-        if self._joint_errors is None:
-            links = chain_motion(vehicle, *readings[:3]).links
-            return predict_base_from_rate(links, period_s, chi, rate, self._columns, None, push), None
-        own, bend, local = x[at["joints"]].reshape(-1, PER_JOINT), None, 0
+        own = x[at["joints"]].reshape(-1, PER_JOINT)
         told = readings.corrected(own, x[at["cyclic"]], self._joint_errors.of_cyclic)
-        corrected = plain = told[:3]
-        if flexible is not None:
-            local = len(flexible.compliance.functions)
 
-            def bent(bend: Bend) -> BentVehicle:
-                chain = chain_motion(vehicle, *flexible.compliance.added(plain, bend), own[:, :3])
-                return BentVehicle(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
+        def bent(bend: Bend) -> BentVehicle:
+            chain = chain_motion(vehicle, *flexible.compliance.added(told[:3], bend), own[:, :3])
+            return BentVehicle(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
 
-            bend = flexible.follow(x, period_s, len(readings.q), bent)
-            corrected = flexible.compliance.added(plain, bend)
+        bend = flexible.follow(x, period_s, len(readings.q), bent)
+        corrected = flexible.compliance.added(told[:3], bend)
         chain = chain_motion(vehicle, *corrected, own[:, :3])
-        errors = self._joint_errors.along(chain, told.functions, local)
+        errors = self._joint_errors.along(chain, told.functions, len(flexible.compliance.functions))
         return predict_base_from_rate(chain.links, period_s, chi, rate, self._columns, errors, push), bend
 
     def functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
         """Of the joints' errors that vary in time, (n, 3, m): cyclic ones, zero for None, then those of bends."""
-        count = 0 if self._joint_errors is None else len(self._joint_errors.of_cyclic)
-        if self._flexible is None:
-            return np.zeros((ticks, 3, count)) if cyclic is None else cyclic
+        count = len(self._joint_errors.of_cyclic)
         own = self._flexible.compliance.unit_functions(ticks)
         plain = np.zeros((ticks, 3, count - own.shape[2])) if cyclic is None else cyclic
         return np.concatenate([plain, own], axis=2)

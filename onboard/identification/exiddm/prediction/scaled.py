@@ -27,18 +27,22 @@ class Scaled:
     Args:
         at: where their errors stand in the state, (10 k,).
         drawn: d of each, (k, 10); zero: a body without mass.
+
+    Attributes:
+        at: as given.
+        drawn: as given, and by what t is made of z, (k, 10).
     """
 
     def __init__(self, at: IndexArray, drawn: FloatArray) -> None:
-        self._at = np.ascontiguousarray(at, np.int64)
-        self._drawn = library.given(drawn, len(drawn), 10)
-        squares = np.sum(drawn**2, axis=1)[:, None]
-        self._factor = np.divide(drawn, squares, out=np.zeros_like(self._drawn), where=squares > 0.0)  # t of z
+        self.at = np.ascontiguousarray(at, np.int64)
+        own, squares = library.given(drawn, len(drawn), 10), np.sum(drawn**2, axis=1)[:, None]
+        factor: FloatArray = np.divide(own, squares, out=np.zeros_like(own), where=squares > 0.0)
+        self.drawn = own, factor
 
     def linear(self, state: FloatArray) -> FloatArray:
         """The state, (p,), with s in place of z."""
-        linear, z = state.copy(), state[self._at]
-        linear[self._at] = library.call("heft_scaled", *self._given(z), out=np.empty(z.size))
+        linear, z = state.copy(), state[self.at]
+        linear[self.at] = library.call("heft_scaled", *self._given(z), out=np.empty(z.size))
         return linear
 
     def derive(self, by: FloatArray, state: FloatArray) -> None:
@@ -49,9 +53,9 @@ class Scaled:
         """
         if not by.flags.c_contiguous or by.shape[-1] != len(state):
             raise ArrayError(f"derivatives by {len(state)} unknowns are needed, row by row")
-        z = state[self._at]
-        library.call("heft_scaled_derive", *self._given(z), library.address(self._at), len(state), out=by)
+        z = state[self.at]
+        library.call("heft_scaled_derive", *self._given(z), library.address(self.at), len(state), out=by)
 
     def _given(self, z: FloatArray) -> tuple[int | None, ...]:
         """The bodies, and their errors, which the caller keeps."""
-        return len(self._drawn), *(library.address(part) for part in (self._drawn, self._factor, z))
+        return len(self.drawn[0]), *(library.address(part) for part in (*self.drawn, z))
