@@ -89,11 +89,12 @@ def _names(vehicle: str) -> "Names":
     roles, devices = roles_of(loaded), loaded.file.device
     thrusters, phases = thrusters_among(devices), loaded.file.estimation.phases
     torques = [(cell.channel, cell.keys) for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
+    gains = [(keys.gain_N_m_A, keys.relative_sigma) for _, keys in torques]
     return Names(
         tuple(imu.channels[0] for imu in roles.imus),
         tuple(joint.channel for joint in roles.joints if not joint.is_rate),
         tuple(channel for channel, _ in torques),
-        bool(torques) and all(keys.gain_N_m_A is not None for _, keys in torques),
+        tuple((gain, sigma) for gain, sigma in gains if gain) if torques and all(gain for gain, _ in gains) else (),
         BodyChannels(
             tuple(thrusters),
             any(one.reads == "on_time" for one in thrusters.values()),

@@ -9,7 +9,7 @@ import numpy as np
 
 from onboard.ground.log.bring_in import foreign, text_rows
 from onboard.ground.log.bring_in.errors import SourceError
-from onboard.ground.log.bring_in.guess import blocks, magnitudes, sniff, text
+from onboard.ground.log.bring_in.guess import blocks, gains, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
 from onboard.ground.log.bring_in.guess.clock import TimeColumn, said
 from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, best, tables
@@ -40,7 +40,7 @@ class Names(NamedTuple):
     imus: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
     torques: tuple[str, ...] = ()
-    by_current: bool = False  # the torques are read as currents
+    gains: tuple[tuple[float, float], ...] = ()  # N m in an A and relative sigma of each, where read as currents
     body: BodyChannels = BodyChannels()
     wheels: WheelChannels = WheelChannels()
 
@@ -209,7 +209,10 @@ class _Maker:
                 continue
             self._taken.add(kind)
             done.append(group)
-            self._scalars(kind, group, units.get(kind), time)
+            by_controller = ""
+            if kind == "current" or (kind == "torque" and not group.unit):
+                by_controller = gains.doubt(gains.controllers(one, group, rates), self._vehicle.gains)
+            self._scalars(kind, group, units.get(kind), time, by_controller)
         self._rest(one, done)
 
     def _rest(self, one: ColumnGroup, done: Sequence[Group]) -> None:
@@ -274,7 +277,7 @@ class _Maker:
             )
             yield from (gyro, accel)
 
-    def _scalars(self, kind: str, group: Group, unit: Unit | None, time: str) -> None:
+    def _scalars(self, kind: str, group: Group, unit: Unit | None, time: str, further: str) -> None:
         known, usual, pattern = _SCALARS.get(kind, (("rad", "deg"), "rad", "{}"))
         for k, label in enumerate(group.labels):
             column = group.columns[label]
@@ -284,13 +287,14 @@ class _Maker:
                 own_kind, own_label = ("force", "moment")[k // 3], "xyz"[k % 3]
                 known, usual, pattern = _SCALARS[own_kind]
             own = unit or magnitudes.of_others(own_kind, values, group.unit, known, usual)
-            if kind == "torque" and self._vehicle.by_current and not group.unit:
+            if kind == "torque" and self._vehicle.gains and not group.unit:
                 own = Unit("A", "as the vehicle file has gain_N_m_A")
             name = self._name(own_kind, own_label, k, group, pattern)
             first = k == 0
             own = own._replace(doubt=own.doubt if first else "")
-            settled = kind == "torque" and self._vehicle.by_current
-            doubt = group.doubt if first and not settled else ""
+            settled = kind == "torque" and self._vehicle.gains
+            doubts = ("" if settled else group.doubt, further) if first else ()
+            doubt = "; ".join(one for one in doubts if one)
             turn = magnitudes.turn_of(values[:, 0]) if kind == "angle" else 0.0
             self.parts.append(text.scalar(name, column.name, values, own, time, doubt, turn))
             self.names.append(name)
