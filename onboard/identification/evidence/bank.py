@@ -53,11 +53,21 @@ class Hypothesis(NamedTuple):
     weight: float  # probability, given that one of all hypotheses is true
     nats: float  # log of the evidence over that of "as stated", odds not counted
     size: float  # of its errors, in the sigmas of the suspect
-    slopes: FloatArray  # (k, r) U at the suspect's constants
+    of: "Root | _Alone | Changed"  # its effect follows from these
+    steps: tuple[int, ...] = ()  # numbers of these; empty: it is no step
+
+
+class Root(NamedTuple):
+    """Root of what a suspect adds to the covariance."""
+
+    slopes: FloatArray  # (k, r) U at its constants
     whiten: FloatArray  # (r, r) of which the product with its transpose is M^-1
     g: FloatArray  # (r,) its gradient, so whitened
-    moves: FloatArray | None = None  # (p, r) root of what steps add to the covariance; None: it is no step
-    steps: tuple[int, ...] = ()  # numbers of these
+
+    def root(self, one: Hypothesis, covariance: FloatArray, part: slice) -> Known:
+        """Of a part of the state: its gradient, (r,), and root, (n, r)."""
+        assert one.suspect is not None
+        return self.g, covariance[part, one.suspect.at] @ (self.slopes @ self.whiten)
 
 
 class Changed(NamedTuple):
@@ -102,6 +112,12 @@ class Changed(NamedTuple):
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
+    def root(self, one: Hypothesis, _: FloatArray, part: slice) -> Known:
+        """Of steps and a part of the state: gradient, (r,), and root of what they add to the covariance, (n, r)."""
+        (_, root), at = self.sizes(one.steps), [*one.steps]
+        D = self.D[:, at]
+        return root.T @ self.d[at], (D * root if len(at) == 1 else D @ root)[part]
+
     def hypotheses(
         self, suspects: Sequence[Suspect], *, every: bool = False, farthest: float = np.inf
     ) -> list[Hypothesis]:
@@ -114,7 +130,8 @@ class Changed(NamedTuple):
         ends, alone = list(accumulate((one.along.shape[1] for one in suspects), initial=0)), logs.diagonal()
         least = float(logs.max(initial=0.0)) + math.log(LEAST_WEIGHT)
         ones = (every | (alone > least - math.log(max(len(alone), 1)))).nonzero()[0].tolist()
-        found = [self._hypothesis(suspects[k], range(ends[k], ends[k + 1]), float(nats[k, k])) for k in ones]
+        each = nats.diagonal().tolist()
+        found = [self._hypothesis(suspects[k], range(ends[k], ends[k + 1]), each[k]) for k in ones]
         second = np.maximum(alone, alone[:, None]) + math.log(LIKELIER)
         for k, other in zip(*(part.tolist() for part in (logs > np.maximum(second, least)).nonzero()), strict=True):
             if k < other:
@@ -123,10 +140,12 @@ class Changed(NamedTuple):
         return found
 
     def _hypothesis(self, suspect: Suspect, which: Sequence[int], nats: float) -> Hypothesis:
-        (mean, root), at = self.sizes(which), [*which]
-        size, g, D = float(np.abs(mean).max()), root.T @ self.d[at], self.D[:, at]
-        moves = D * root if len(at) == 1 else D @ root
-        return Hypothesis(suspect, (), 1.0, nats, size, _NONE[0], root, g, moves, (*which,))
+        if len(which) == 1:
+            (k,) = which
+            size = abs(float(self.d[k])) / (1.0 + max(float(self.J[k, k]), 0.0))
+        else:
+            size = float(np.abs(self.sizes(which)[0]).max())
+        return Hypothesis(suspect, (), 1.0, nats, size, self, (*which,))
 
 
 def columns_of(suspects: Sequence[Suspect]) -> list[tuple[int, ...]]:
@@ -149,6 +168,14 @@ class Weighed(NamedTuple):
         shift, root = self.effect(one, part)
         return x[part] + shift, P[part, part] + root @ root.T
 
+    def across(self, one: Hypothesis, part: slice) -> FloatArray:
+        """Covariance of a part of the state with all of it, (n, p), if a hypothesis is true."""
+        P = self.stated[1]
+        if one.suspect is None:
+            return P[part]
+        root = self.effect(one)[1]
+        return P[part] + root[part] @ root.T
+
     def effect(self, one: Hypothesis, part: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
         """Of a hypothesis with a suspect on a part of the state.
 
@@ -156,11 +183,8 @@ class Weighed(NamedTuple):
             By which the mean lies off that of "as stated", (n,), and the root of what is added to its covariance,
             (n, r).
         """
-        assert one.suspect is not None
-        root = (
-            self.stated[1][part, one.suspect.at] @ (one.slopes @ one.whiten) if one.moves is None else one.moves[part]
-        )
-        return root @ one.g, root
+        g, root = one.of.root(one, self.stated[1], part)
+        return root @ g, root
 
     @property
     def of_steps(self) -> "Weighed":
@@ -319,10 +343,10 @@ class Bank:
         logs = np.concatenate([logs, of_steps])
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()
-        every = [Hypothesis(None, (), float(weights[0]), 0.0, 0.0, *_NONE)]
+        every = [Hypothesis(None, (), float(weights[0]), 0.0, 0.0, _NONE)]
         numbers = zip(*(part.tolist() for part in (weights[1 : 1 + n], found.nats, found.sizes)), strict=True)
-        for k, (one, slopes, (weight, nats, size)) in enumerate(zip(self.suspects, self._slopes, numbers, strict=True)):
-            every.append(Hypothesis(one, (k,), weight, nats, size, slopes, *found.of(k)))
+        for k, (one, (weight, nats, size)) in enumerate(zip(self.suspects, numbers, strict=True)):
+            every.append(Hypothesis(one, (k,), weight, nats, size, found))
         added = zip([*pairs, *steps], weights[1 + n :].tolist(), strict=True)
         every += [one._replace(weight=weight) for one, weight in added]
         return Weighed(stated, tuple(every))
@@ -348,7 +372,7 @@ class Bank:
         out = np.empty(end + r * len(self._inner))
         pointers = [library.address(part) for part in (*known, *(given or (None, None)))]
         library.call("heft_alone", ctypes.byref(self._compiled), *pointers[:2], first, *pointers[2:], out=out)
-        return _Alone(out[:n], out[n : 2 * n], out, self._places, out[end:].reshape(-1, r or 1))
+        return _Alone(out[:n], out[n : 2 * n], out, self._places, out[end:].reshape(-1, r or 1), self._slopes)
 
     def _log_weights(self, found: "_Alone") -> FloatArray:
         """Logarithms of the weights of suspects over that of none of them."""
@@ -376,7 +400,7 @@ class Bank:
             whiten[:r, r:] = -root @ given.onto[self._columns[k]].T @ own
             sizes = nats + float(given.nats[k]), max(size, float(given.sizes[k]))
             parts = block_diag(self._slopes[first], self._slopes[k]), whiten, np.concatenate([g, more])
-            pairs.append(Hypothesis(_both(one, other), (first, k), 1.0, *sizes, *parts))
+            pairs.append(Hypothesis(_both(one, other), (first, k), 1.0, *sizes, Root(*parts)))
             logs.append(float(weights[k]))
         return pairs, logs
 
@@ -395,12 +419,18 @@ class _Alone(NamedTuple):
     out: FloatArray  # what the compiled core has put
     places: Sequence[tuple[slice, slice]]  # there of ``whiten`` and ``g``
     onto: FloatArray  # (R, r) columns of all along those of the other one
+    slopes: Sequence[FloatArray]  # U of each at its constants
+
+    def root(self, one: Hypothesis, covariance: FloatArray, part: slice) -> Known:
+        """As :meth:`Root.root`."""
+        (which,) = one.numbers
+        return Root(self.slopes[which], *self.of(which)).root(one, covariance, part)
 
     def of(self, which: int) -> tuple[FloatArray, FloatArray]:
-        """``whiten`` and ``g`` of one."""
+        """``whiten`` and ``g`` of one, see :class:`Root`."""
         root, g = (self.out[part] for part in self.places[which])
         return root.reshape(len(g), len(g)), g
 
 
-_NONE = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+_NONE = Root(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
 _WEIGHT = attrgetter("weight")

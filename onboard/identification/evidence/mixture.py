@@ -42,6 +42,8 @@ class Mixture(NamedTuple):
         apart, sigma = self._of(along)
         share = np.asarray(below, np.float64)[:, None]
         each = apart + ndtri(share)[..., None] * sigma  # (q, k, m)
+        if len(self.weights) == 1:
+            return np.asarray(each[:, 0], np.float64)
         low, high = each.min(axis=1), each.max(axis=1)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)

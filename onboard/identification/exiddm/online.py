@@ -357,8 +357,7 @@ class ExiddmIdentifier:
             shares: of each hypothesis that counts in what lies beyond their intervals, (k, m).
         """
         weighed = self._weighed
-        _, covariance = weighed.known(weighed.likeliest)
-        effects = self._causes.effects(along @ covariance[PAYLOAD])
+        effects = self._causes.effects(along @ weighed.across(weighed.likeliest, PAYLOAD))
         effects[:, -1] = np.abs(along @ self.exiddm.correction.sigma)
         for one, share in zip(weighed.counting, shares, strict=True):
             if (

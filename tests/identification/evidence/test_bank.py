@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm
 from onboard.estimation import policy
 from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, tails
 from onboard.identification.evidence import bank as bank_module
-from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Root, Suspect, Weighed
 from onboard.identification.evidence.mixture import Mixture
 
 SIGMA = np.array([np.nan, 0.2, 0.5, 1.0, 0.1])  # of the first nothing is known
@@ -81,6 +81,8 @@ def test_a_hypothesis_is_the_same_whether_weighed_alone_or_among_many(linear: Li
         np.testing.assert_allclose(shift, shift_alone, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(root @ root.T, root_alone @ root_alone.T, rtol=1e-9, atol=1e-13)
         np.testing.assert_allclose(shift, linear.solved(suspect)[0] - stated[0], rtol=1e-6, atol=1e-9)
+        part = slice(1, 3)
+        np.testing.assert_allclose(together.across(one, part), together.known(one)[1][part], rtol=1e-12, atol=1e-15)
     assert pairs
     for one in pairs:
         first, second = (several[k] for k in one.numbers)
@@ -122,7 +124,8 @@ def weighed(*weights: float, size: float = 1.0) -> Weighed:
     names = [None, *(Suspect(name, np.zeros(1, np.intp), np.eye(1), 0.01) for name in ascii_lowercase)]
     each, small = zip(names[: len(weights)], weights, strict=True), 1e-9 * np.eye(1)  # of what is added to a covariance
     every = (
-        Hypothesis(one, (), w, 0.0, size, small, np.eye(1), np.array([1e9 * k])) for k, (one, w) in enumerate(each)
+        Hypothesis(one, (), w, 0.0, size, Root(small, np.eye(1), np.array([1e9 * k])))
+        for k, (one, w) in enumerate(each)
     )
     return Weighed((np.zeros(1), np.eye(1)), tuple(every))
 

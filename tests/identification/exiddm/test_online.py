@@ -11,7 +11,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.estimation.gates import GateReason
 from onboard.identification.corrections import DOUBTFUL, contradicted, expected_sigma
-from onboard.identification.evidence.bank import Hypothesis, Weighed
+from onboard.identification.evidence.bank import Hypothesis, Root, Weighed
 from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
@@ -24,7 +24,7 @@ from tests.identification.exiddm.recorded_flights import online, ticks_of
 
 def as_stated(state: np.ndarray, covariance: np.ndarray) -> Weighed:
     """Nothing else competes."""
-    return Weighed((state, covariance), (Hypothesis(None, (), 1.0, 0.0, 0.0, *np.zeros((2, 0, 0)), state[:0]),))
+    return Weighed((state, covariance), (Hypothesis(None, (), 1.0, 0.0, 0.0, Root(*np.zeros((2, 0, 0)), state[:0])),))
 
 
 class Once:
