@@ -16,11 +16,10 @@ import numpy as np
 
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import JointErrors
-from onboard.dynamics.kinematics import Bodies, Frames, turned
+from onboard.dynamics.kinematics import Bodies
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.dynamics.spatial import times
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray
 from onboard.native import library, structures
 
 
@@ -104,27 +103,6 @@ class CutWrench:
         own = bodies.parts, bodies.twist, base.along, base.by_rate, base.by_wrench
         R, p = library.given(frames.R, *frames.R.shape), library.given(frames.p, *frames.p.shape)
         return structures.MovingStruct(n, links, base.along.shape[2], R, p, *own, *(base.displaced or (None, None)))
-
-    def of_joint_accelerations(self, bodies: Bodies, screws: FloatArray, twist: FloatArray) -> FloatArray:
-        """The component that an acceleration of one of each joint makes, (n, joints), squares of rates neglected.
-
-        Args:
-            bodies: the links, at rest.
-            screws: of the joints, (n, joints, 6).
-            twist: acceleration of the base (linear, angular) that it makes, (n, joints, 6).
-        """
-        u = self._weights(bodies.frames)[:, None]  # (n, 1, 6)
-        own = times(self.errors.beyond(bodies).inertia, screws)
-        own += twist @ bodies.sums(self._group).inertia[:, 0].swapaxes(1, 2)
-        return np.asarray((own * u).sum(axis=2), np.float64)
-
-    def _weights(self, links: Frames) -> FloatArray:
-        """Of a wrench about the base's origin in base axes, (n, 6)."""
-        R = links.R[:, self._carried_by]
-        p = links.p[:, self._carried_by] + R @ self._p
-        force, moment = (turned(R @ self._R, part) for part in self._projection.reshape(2, 3))
-        # m . (M - p x F) = m . M - (m x p) . F
-        return np.concatenate([force - turned(hat(moment), p), moment], axis=1)
 
 
 def _moving(base: BasePrediction) -> Bodies:

@@ -45,6 +45,7 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_plus": (_INT, *[_ARRAY] * 3),
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
     "heft_moments": (_INT, _ARRAY),
+    "heft_joint_noise": (*[_ARRAY] * 3, *[_INT] * 3, *[_ARRAY] * 3),
     "heft_tick_means": (_ARRAY, _FLOAT, _FLOAT),
     "heft_under": (_ARRAY, _FLOAT, _FLOAT),
     "heft_pieces": (_ARRAY, _INT, _INT, _INT, _ARRAY, _INT),
@@ -145,6 +146,11 @@ def address(array: "FloatArray | IndexArray | ctypes.Structure | None") -> int |
         return _address_of(_char_at(array))  # type: ignore[arg-type]  # a third of the time of array.ctypes.data
     except (TypeError, ValueError):  # read-only, or empty
         return int(array.ctypes.data)
+
+
+def pointers(parts: "Sequence[FloatArray | ctypes.Structure | None]") -> Any:
+    """Where some arrays or structures lie; the caller keeps them."""
+    return (_ARRAY * len(parts))(*map(address, parts))
 
 
 def call(name: str, *arguments: Any, out: FloatArray) -> FloatArray:

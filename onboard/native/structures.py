@@ -122,6 +122,13 @@ class PredictorStruct(_Structure):
     )
 
 
+class NoiseStruct(_Structure):
+    """``heft_noise``."""
+
+    NUMBERS = 3
+    _fields_ = _fields("imus cells lines", "tree beyond frames free")
+
+
 class BankStruct(_Structure):
     """``heft_bank``."""
 

@@ -7,18 +7,21 @@ from onboard.dynamics import free_flight
 from onboard.dynamics.air_bearing import predict_planar
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
+from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.kinematics import Bodies, chain_motion
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
 from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_reading
+from onboard.identification.exiddm.prediction.joint_noise import JointNoise
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import evidence as of_evidence
 from tests.native.oracle import imu as of_imu
+from tests.native.oracle import noise as of_noise
 from tests.native.oracle import prediction as of_prediction
 from tests.native.oracle import smoothing as of_smoothing
 from tests.native.oracle import table as of_table
@@ -143,6 +146,18 @@ def test_what_instruments_show_from_a_state(seed):
         by_line = np.moveaxis(found.jacobian, 1, 0), np.moveaxis(true[1], 1, 0)
         for ours, theirs in zip(*by_line, strict=True):
             same(ours, theirs, 1e-9)  # of the largest of each instrument's
+
+
+@pytest.mark.parametrize("free", [range(6), (0, 1, 5)])
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_of_the_joints(seed, free):
+    predictor, rng = random_predictor(seed), np.random.default_rng(seed)
+    vehicle, n, joints = predictor.vehicle, 23, len(predictor.vehicle.joints)
+    q, sigma = rng.normal(size=(n, joints)), rng.uniform(0.0, 1.0, (2, n, 2, joints))
+    parts = JointErrors(vehicle), predictor._imus, [cut for _, cut in predictor._cells], predictor.lines, list(free)
+    for found, one in zip(JointNoise(vehicle, *parts).of(q, vehicle.chi, *sigma), sigma, strict=True):
+        same(found, of_noise.of(vehicle, *parts, q, vehicle.chi, one), SOLVED)
+    assert not JointNoise(vehicle, *parts).of(q, vehicle.chi, 0.0 * sigma[0])[0].any()
 
 
 def test_a_motion_of_too_few_ticks_is_refused():

@@ -1,7 +1,7 @@
 /* A component of the wrench through a cut of the arm, and its derivatives; see onboard.dynamics.cut_wrench. */
 #include "heft_native.h"
 
-static void weights(const heft_moving *b, const heft_cut *cut, i64 i, double u[6]) {
+void cut_weights(const heft_moving *b, const heft_cut *cut, i64 i, double u[6]) {
     i64 one = i * b->links + cut->carried_by;
     const double *R = b->R + 9 * one;
     double p[3], force[3], moment[3], across[3];
@@ -39,7 +39,7 @@ HEFT_API int heft_cut_wrench(const heft_moving *b, const heft_cut *cut, const he
     i64 columns = errors ? 4 * errors->joints + errors->functions : 0;
     for (i64 i = 0; i < b->n; i++) {
         double all[PARTS], u[6], *line = out + b->n + b->total * i;
-        weights(b, cut, i, u);
+        cut_weights(b, cut, i, u);
         weighted_sum(b->parts + PARTS * b->links * i, cut->group, b->links, all);
         out[i] = six(u, all + WRENCH, 1);
         slopes_of(b, cut, all, u, i, line);

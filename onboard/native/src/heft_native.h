@@ -143,6 +143,9 @@ void scaled_body(const double drawn[10], const double factor[10], const double z
 int imu_along(const heft_base *b, const double *R, const double *p, const double *errors, i64 samples, double period_s,
               double *by_motion, i64 apart, double *out);
 
+/* Of a wrench about the base's origin in base axes, (6,), those that make a cut's component of it */
+void cut_weights(const heft_moving *b, const heft_cut *cut, i64 i, double u[6]);
+
 /* What a load cell, or the torque of a joint (-1: it is none), shows of its true component, (n,), over a tick: the value,
  * and derivatives by its errors; c is the weight of the second difference, dq and ddq are of all joints */
 double cell_shows(const double *true, double period_s, const double *errors, double c, const double *dq, const double *ddq,

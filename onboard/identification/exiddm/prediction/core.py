@@ -206,10 +206,9 @@ class PredictionCore:
         shapes = (n, nj), (n, nj), (n, nj), (n, 3, self._functions), (n, self._thrusters)
         each = zip(readings, shapes, strict=True)
         given = [None if part is None else library.given(part, *shape) for part, shape in each]
-        return (ctypes.c_void_p * 5)(*map(library.address, given)), given
+        return library.pointers(given), given
 
     def _of_cuts(self, *, errors: bool) -> tuple[Any, Any]:
         """Addresses of the cells' cuts, and of the errors of joints beyond them, which the vehicle has or not."""
-        pointers = ctypes.c_void_p * len(self._cuts)
-        cuts = pointers(*(library.address(cut.compiled) for cut in self._cuts))
-        return cuts, pointers(*(library.address(cut.errors.compiled) for cut in self._cuts)) if errors else None
+        cuts = library.pointers([cut.compiled for cut in self._cuts])
+        return cuts, library.pointers([cut.errors.compiled for cut in self._cuts]) if errors else None

@@ -14,8 +14,11 @@ an error that lasts for a batch or longer changes the momentum that is carried o
 times as much as noise came of it.)
 
 An estimate is corrected by that, with the doubt in the power of stated noise as its sigma.
+
+The effect is computed in ``onboard/native/src/noise.c``, of one tick in each batch.
 """
 
+import ctypes
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,13 +27,12 @@ import numpy as np
 
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
-from onboard.dynamics.kinematics import Bodies, chain_motion, cross
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.exiddm.prediction.further import PlacedImu
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.native import library, structures
 
 NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
 
@@ -96,8 +98,11 @@ class JointNoise:
         lines: Sequence[slice],
         free: Sequence[int] = range(6),
     ) -> None:
-        self._vehicle, self._joint_errors = vehicle, joint_errors
-        self._imus, self._cells, self._lines, self._free = list(imus), list(cells), list(lines), list(free)
+        self._joints, self._links, self._lines = len(vehicle.joints), len(vehicle.links), lines[-1].stop
+        frames, moves = np.array([np.append(one.R_BS, one.p_BoSo_B) for one in imus]), np.zeros(6)
+        moves[list(free)] = 1.0
+        parts = vehicle.tree.compiled, joint_errors.beyond_links, frames, moves
+        self._compiled, self._cuts = structures.NoiseStruct(len(imus), len(cells), self._lines, *parts), list(cells)
 
     def of(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
         """One sigma of it, (n, m), for each of some sigmas of the joints.
@@ -108,23 +113,13 @@ class JointNoise:
             joint_sigma: of joint rates and accelerations, (n, 2, joints) each.
         """
         if not any(one.any() for one in joint_sigma):
-            return [np.zeros((len(q), self._lines[-1].stop)) for _ in joint_sigma]
-        squares = self.effect(q[::BATCH_TICKS], chi)[np.arange(len(q)) // BATCH_TICKS] ** 2
-        return [np.sqrt(np.einsum("njkm,nkj->nm", squares, one**2)) for one in joint_sigma]
-
-    def effect(self, q: FloatArray, chi: FloatArray) -> FloatArray:
-        """Of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
-        chain = chain_motion(self._vehicle, q, *np.zeros((2, *q.shape)))
-        bodies, S = Bodies.of(chain.links, chi), chain.screws
-        momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
-        twist, along = np.zeros_like(momenta), np.ix_(range(len(q)), self._free, self._free)
-        inverse = np.asarray(np.linalg.inv(bodies.composite[along]), np.float64).swapaxes(1, 2)
-        twist[..., self._free] = -momenta[..., self._free] @ inverse
-        effect = np.zeros((*q.shape, 2, self._lines[-1].stop))
-        for imu, own in zip(self._imus, self._lines, strict=False):
-            force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
-            effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
-            effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
-        for cut, own in zip(self._cells, self._lines[len(self._imus) :], strict=False):
-            effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
-        return effect
+            return [np.zeros((len(q), self._lines)) for _ in joint_sigma]
+        n, count, joints = len(q), len(joint_sigma), self._joints
+        sigma = [library.given(one, n, 2, joints) for one in joint_sigma]
+        given = library.given(q, n, joints), library.given(chi, 10 * self._links), np.stack(sigma)
+        cuts = library.pointers([cut.compiled for cut in self._cuts])
+        errors = library.pointers([cut.errors.compiled for cut in self._cuts])
+        numbers, pointers = (n, BATCH_TICKS, count), (library.address(part) for part in given)
+        arguments = cuts, errors, *numbers, *pointers
+        out = np.empty((count, n, self._lines))
+        return list(library.call("heft_joint_noise", ctypes.byref(self._compiled), *arguments, out=out))
