@@ -18,9 +18,8 @@ from onboard.ground.log.bring_in.guess.magnitudes import FloatArray
 
 _LEAST_N_m_A = 2.0  # of a motor with its gear; two kinds of torques make about one
 _EXPLAINED = 0.9  # of the variance of each joint's current, friction as simple as this
-_AS_MEASURED = (
-    0.3  # of a ratio of one, between the currents that were asked for and those measured: friction is a third
-)
+# of a ratio of one, between the currents that were asked for and those measured: friction is a third
+_AS_MEASURED = 0.3
 
 
 def controllers(one: ColumnGroup, measured: Group, rates: Group | None) -> tuple[FloatArray, str] | None:
