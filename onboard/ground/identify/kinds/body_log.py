@@ -12,13 +12,21 @@ from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import HALF, INTERVAL, MISFIT_DOUBTED, MISFIT_REFUSED, MOST_CONTRADICTED
+from onboard.estimation.policy import (
+    HALF,
+    INTERVAL,
+    MISFIT_DOUBTED,
+    MISFIT_REFUSED,
+    MOST_CONTRADICTED,
+    contradicted_text,
+)
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.replay.feed import PAUSE
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
+from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
@@ -43,38 +51,44 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ChannelError: commands or poses that cannot be used.
     """
     try:
-        poses, valves, known_s, unknown = _recorded(vehicle, log)
+        poses, valves, known_s, unknown, lost, moved = _recorded(vehicle, log)
         model = body_model(vehicle, build_model(vehicle), valves)
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     names = (*model.names[:BODY], "delay")
-    fit, failure = None, _misread(model, poses, known_s, unknown)
+    refused = {"jumped_and_back": lost} if lost else {}
+    fit, failure = None, contradicted_text(lost / len(poses.time_s), "poses", "the tracker loses the body")
+    failure = failure or _misread(model, poses, known_s, unknown)
     if not failure:
         try:
             fit = model.fit(poses, known_s, unknown)
         except EstimationError as error:
             failure = f"the fit failed: {error}"
     if fit is None:
-        nothing = Evidence(len(poses.time_s), {}, dict.fromkeys(names, False), None, failure=failure)
-        return Identified(log.path, "exiddm", (), len(poses.time_s), {}, log.damage, verdict(nothing))
+        nothing = Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure)
+        return Identified(log.path, "exiddm", (), len(poses.time_s), refused, log.damage, verdict(nothing))
     (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
+    findings = findings._replace(doubts=(*findings.doubts, *moved))
     evidence = Evidence(
         fit.found.rows,
-        {},
+        refused,
         {one.name: one.supported for one in answers if one.name in names},
         None,
         findings=findings,
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
-    known = log.path, "exiddm", answers, fit.found.rows, dict[str, int](), log.damage, verdict(evidence)
+    known = log.path, "exiddm", answers, fit.found.rows, refused, log.damage, verdict(evidence)
     return Identified(*known, misfit=max(fit.found.by_sensor[:2]), budget=budget, standings=standings_of(evidence))
 
 
 def _recorded(
     vehicle: config.Vehicle, log: LogReader
-) -> tuple[TrackedPoses, dict[str, Valve], tuple[float, float], list[tuple[float, float]]]:
-    """Poses, valves by thruster, from when to when these are known, and when they are not in between."""
+) -> tuple[TrackedPoses, dict[str, Valve], tuple[float, float], list[tuple[float, float]], int, tuple[str, ...]]:
+    """Poses, valves by thruster, from when to when these are known, and when they are not in between.
+
+    Then how many poses jump and come back, which are left out, and words for each jump that stays.
+    """
     name, tracker = tracker_of(vehicle)
     rows = [_usable(log.read(f"{name}_{of}")) for of in ("x", "y", "yaw")]
     common = rows[0]["host_ns"]
@@ -90,10 +104,16 @@ def _recorded(
         if (unit := one["unit"][0]) not in units:
             raise ChannelError(f"{log.path}: {name}_{of} is in {unit.decode()!r}; it needs {units[0].decode()!r}")
         values.append((one["value_raw"] * one["scale"])[np.isin(one["host_ns"], common)])
-    values[2] = np.unwrap(values[2])
     time_s, measured = 1e-9 * (common - start_ns).astype(np.float64), np.stack(values, axis=1)
+    noise = np.array([tracker.position_noise_m, tracker.position_noise_m, tracker.yaw_noise_rad])
+    found = glitches(time_s, measured, noise)
+    time_s, measured = time_s[found.good], measured[found.good]
+    measured[:, 2] = np.unwrap(measured[:, 2])
+    moved = tuple(
+        f"the tracked pose jumps at {a:.2f} s by {1e3 * far:.0f} mm and stays there" for a, _, far in found.moved
+    )
     poses = _fresh(time_s, measured) if not tracker.repeats else TrackedPoses(time_s, measured)
-    valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, list[tuple[float, float]]()
+    valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, [(a, b) for a, b, _ in found.moved]
     for thruster, own in thrusters_of(vehicle).items():
         commands = _usable(log.read(thruster))
         if not len(commands):
@@ -104,7 +124,7 @@ def _recorded(
         if own.reads == "level":
             missed = np.flatnonzero(np.diff(time_s) > PAUSE * 1e-3 * own.period_ms)
             unknown += [(float(time_s[k]), float(time_s[k + 1])) for k in missed]
-    return poses, valves, (begin_s, end_s), unknown
+    return poses, valves, (begin_s, end_s), unknown, found.lost, moved
 
 
 def _fresh(time_s: FloatArray, measured: FloatArray) -> TrackedPoses:

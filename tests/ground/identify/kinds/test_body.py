@@ -99,6 +99,44 @@ def test_a_recorder_that_repeats_poses_writes_them_late(tmp_path):
         assert found[name]["low"] < true < found[name]["high"], name
 
 
+def lost(bed, poses, values):
+    """Some poses are not of the body."""
+    changed = bed.poses.copy()
+    changed[poses] = values
+    return bed._replace(poses=changed)
+
+
+def test_poses_that_jump_and_come_back_are_left_out(tmp_path):
+    """Refused before, as slosh or a flexible joint: the marker of another body, zeros while none is seen."""
+    bed = fly(94, 30.0, delay_s=0.1)
+    other = lost(bed, [500, 1300, 1301], [0.4, -0.3, 2.0])
+    other = lost(other, slice(1700, 2000), 0.0)
+    told = identified(tmp_path, lost(other, slice(2950, None), 0.0))
+    assert told["verdict"]["level"] == "good", told["verdict"]
+    assert told["refused"] == {"jumped_and_back": 4}  # each pose once
+    for one in told["quantities"]:
+        if one["name"] in bed.truth:
+            assert one["low"] < bed.truth[one["name"]] < one["high"], one
+
+
+def test_an_origin_that_moves_is_named_and_nothing_is_predicted_across_it(tmp_path):
+    """Refused before: the body goes against its thrusters."""
+    bed = fly(95, 30.0, delay_s=0.1)
+    told = identified(tmp_path, lost(bed, slice(1400, None), bed.poses[1400:] + np.array([0.5, 0.0, 0.0])))
+    assert re.fullmatch(
+        r"weak: the tracked pose jumps at 13.99 s by (499|500|501) mm and stays there", told["verdict"]["text"]
+    )
+    found = {one["name"]: one for one in told["quantities"]}
+    assert found["I_zz"]["value"] == pytest.approx(bed.inertia_kg_m2, rel=0.03)
+
+
+def test_a_tracker_that_loses_the_body_often_is_refused(tmp_path):
+    bed = fly(96, 20.0)
+    told = identified(tmp_path, lost(bed, slice(100, 1900, 16), [0.4, -0.3, 2.0]))
+    assert told["verdict"]["level"] == "do not use"
+    assert "6% of the poses contradict the others; the tracker loses the body" in told["verdict"]["text"]
+
+
 def turned(bed, sign=(1.0, 1.0, 1.0), order=(0, 1, 2)):
     """Axes of the tracker of another sign, in another order."""
     return bed._replace(poses=(bed.poses * sign)[:, order])

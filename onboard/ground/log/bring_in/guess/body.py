@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.ground.log.bring_in.guess import heading, magnitudes, text
+from onboard.ground.log.bring_in.guess import heading, magnitudes, names, text
 from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, NumberColumn, best
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
 
@@ -62,12 +62,33 @@ def of_a_body(table: ColumnGroup, wanted: BodyChannels, time: str) -> Iterator[t
             yield name, found, text.scalar(name, found.name, _values(found), unit, time, sign=sign)
     if yaw is not None:
         unit, name = magnitudes.of_angles(_values(yaw), yaw.of.unit), f"{wanted.pose}_yaw"
-        if not yaw.of.unit and thrusters and len(way) == 2 and table.clock is not None and not wanted.on_time:
+        turn = magnitudes.turn_of(_values(yaw)[:, 0])
+        if 0.0 < turn <= 360.0 and not yaw.of.unit:
+            unit = Unit("deg" if turn == 360.0 else "rad", f"it starts again after {turn:.4g}")
+        elif not yaw.of.unit and thrusters and len(way) == 2 and table.clock is not None and not wanted.on_time:
             levels = np.hstack([_values(one) for one in thrusters.values()])
             by_way = heading.unit_of(table.clock.seconds, np.hstack(way), _values(yaw)[:, 0], levels)
             unit = Unit(by_way, "so it goes where its thrusters push it") if by_way else unit
-        turn = magnitudes.turn_of(_values(yaw)[:, 0])
         yield name, yaw, text.scalar(name, yaw.name, _values(yaw), unit, time, "", turn)
+
+
+def by_place(table: ColumnGroup, wanted: BodyChannels) -> ColumnGroup | None:
+    """A table whose columns are numbered, named as a body's: x, y, yaw and its thrusters, or these first; else None."""
+    columns = sorted(table.columns, key=lambda one: int(one.name))
+    count = len(wanted.thrusters)
+    if not wanted.pose or not count or len(columns) != count + 3:
+        return None
+    limit = np.inf if wanted.on_time else _PER_CENT
+    commanded = [bool(np.nanmin(_values(one)) >= 0.0 and np.nanmax(_values(one)) <= limit) for one in columns]
+    pose = ("x", "y", "yaw")
+    if all(commanded[3:]):
+        called = (*pose, *wanted.thrusters)
+    elif all(commanded[:count]):
+        called = (*wanted.thrusters, *pose)
+    else:
+        return None
+    named = (one._replace(of=names.Name((_plain(name),), "", "")) for one, name in zip(columns, called, strict=True))
+    return table._replace(groups=(), rest=tuple(named))
 
 
 def _w_first(attitude: Group) -> list[int]:

@@ -24,6 +24,7 @@ _EXACT = 1e12  # counts, of which a float still has three decimals
 _TURN = 2.0 * np.pi
 _OF_A_TURN = 0.2  # that a joint turns from one sample to the next
 _FEWEST_COUNTS, _FEWEST_BITS = 360.0, 10  # of an encoder's: less could be degrees; a turn of 1024
+_NEARLY_ALL = 0.99  # of the values; of the rest some may be what a tracker writes where it sees nothing
 DEG = 180.0 / np.pi
 
 
@@ -220,7 +221,7 @@ def of_others(kind: str, values: FloatArray, named: str, known: tuple[str, ...],
     if named in known:
         return Unit(named, "by its name")
     largest = float(np.nanmax(np.abs(values), initial=0.0))
-    if kind == "position" and largest > 20.0:
+    if kind == "position" and float(np.nanquantile(np.abs(values), _NEARLY_ALL)) > 20.0:
         return Unit("mm", f"up to {largest:.4g}", f"up to {largest:.4g}: m if it went so far")
     if kind == "current" and float(np.nanmedian(np.abs(values))) > 100.0:
         return Unit("mA", f"up to {largest:.4g}", f"up to {largest:.4g}: A would be much for an arm")
@@ -231,6 +232,8 @@ def count_of(values: FloatArray) -> float:
     """A size of counts that loses nothing: the decimals that are written, and a millionth of the rms or less."""
     good = values[np.isfinite(values)]
     some = good[:: max(1, len(good) // 20_000)]
+    common = float(np.quantile(np.abs(some), _NEARLY_ALL)) if len(some) else 0.0
+    some = np.clip(some, -common, common) if common > 0.0 else some
     most = float(np.abs(some).max(initial=0.0))
     size = most * float(np.sqrt(np.mean((some / most) ** 2))) if most else 0.0
     if not size > 0.0:

@@ -11,6 +11,7 @@ from onboard.ground.log.bring_in import foreign, text_rows
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess import blocks, gains, magnitudes, sniff, text
 from onboard.ground.log.bring_in.guess.body import BodyChannels, of_a_body
+from onboard.ground.log.bring_in.guess.body import by_place as by_place_of_a_body
 from onboard.ground.log.bring_in.guess.clock import TimeColumn, said
 from onboard.ground.log.bring_in.guess.groups import ColumnGroup, Group, best, tables
 from onboard.ground.log.bring_in.guess.magnitudes import Unit
@@ -73,8 +74,9 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     made = _Maker(vehicle)
     some = tables(kind, columns, units, vehicle.angles)
     numbered = layout is not None and not layout.csv.header
+    by_place = [by_place_of_a_body(one, vehicle.body) for one in some] if numbered else []
     if numbered:
-        some = [blocks.recognised(one, len(vehicle.angles)) for one in some]
+        some = [own or blocks.recognised(one, len(vehicle.angles)) for own, one in zip(by_place, some, strict=True)]
     main = max(some, key=lambda one: sum(len(g.columns) for g in one.groups), default=None)
     if main is None:
         raise SourceError(f"{path} has no columns of two numbers or more")
@@ -89,6 +91,10 @@ def propose(path: Path, vehicle: Names) -> Proposal:
     notes = [truncated] if truncated else []
     notes += layout.notes if layout is not None else ()
     notes += [f"{_of(one)}{said(made.clocks[one.name])}" for one in some if one.name in made.clocks]
+    if any(by_place):
+        notes.append(
+            "doubtful: columns without names are taken by their places: x, y, yaw, and the thrusters in their order"
+        )
     if lacking := [name for name in vehicle.imus if name not in made.names]:
         needs = "gyro and accelerometer are needed of each; an attitude stands for neither"
         notes.append(

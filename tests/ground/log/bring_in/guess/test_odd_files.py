@@ -5,8 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from onboard.cli import BAD_INPUT, main
+from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.log.bring_in.errors import SourceError
+from onboard.ground.log.bring_in.guess.body import BodyChannels
 from onboard.ground.log.bring_in.guess.propose import Names, propose
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
@@ -327,3 +328,47 @@ def test_yaml_is_refused_with_what_to_do(tmp_path):
     path.write_text("poses:\n" + "".join(f"- {{t: {k}, q: [1, 0, 0, 0]}}\n" for k in range(30)))
     with pytest.raises(SourceError, match="YAML, which is not read here: save it as JSON"):
         propose(path, Names())
+
+
+def test_one_number_that_is_absurd_decides_neither_unit_nor_scale(tmp_path, capsys):
+    """It made mm of m, and a scale by which nothing else was kept."""
+    place = np.sin(T)
+    place[7] = 1e30
+    path = made.text(tmp_path / "a.csv", ["t", "x", "y", "yaw", "t1"], [T, place, np.cos(T), 0.1 * T, T > 1.0])
+    proposed = propose(path, Names(body=BodyChannels(("t1",), pose="pose")))
+    assert 'unit = "mm"' not in proposed.text
+    (tmp_path / "a.toml").write_text(proposed.text)
+    assert main(["import", str(tmp_path / "a.toml"), str(path), "-o", str(tmp_path / "logs")]) != OK
+    assert "'x' is no usable number in row 8; remove the row" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("turn", "unit"), [(2.0 * np.pi, "rad"), (360.0, "deg")])
+def test_a_heading_that_starts_again_says_its_unit_where_a_tracker_writes_zeros(tmp_path, turn, unit):
+    yaw = (turn * 0.4 * T + 0.5 * turn) % turn - 0.5 * turn
+    lost = slice(320, None)
+    columns = [T, np.sin(T), np.cos(T), yaw, T > 1.0]
+    for one in columns[1:4]:
+        one[lost] = 0.0
+    path = made.text(tmp_path / "a.csv", ["t", "x", "y", "yaw", "t1"], columns)
+    proposed = propose(path, Names(body=BodyChannels(("t1",), pose="pose")))
+    assert f'unit = "{unit}"    # it starts again after {turn:.4g}' in proposed.text
+
+
+@pytest.mark.parametrize("pose_first", [True, False])
+def test_a_body_without_names_by_the_places_of_its_columns(tmp_path, pose_first):
+    place, levels = [np.sin(T), -np.cos(T), 0.5 * np.sin(T)], [(T > 1.0) * 1.0, (T < 2.0) * 1.0]
+    columns = [T, *(place + levels if pose_first else levels + place)]
+    path = made.text(tmp_path / "a.csv", [], columns)
+    wanted = BodyChannels(("valve_x_left", "t2"), pose="pose")
+    proposed = propose(path, Names(body=wanted))
+    assert (
+        "columns without names are taken by their places: x, y, yaw, and the thrusters in their order"
+        in proposed.doubts
+    )
+    (tmp_path / "m.toml").write_text(proposed.text)
+    [log] = import_recordings(tmp_path / "m.toml", path, tmp_path / "logs")
+    own = dict(zip(("pose_x", "pose_y", "pose_yaw", "valve_x_left", "t2"), place + levels, strict=True))
+    held(LogReader(log.path), own)
+    made.text(path, [], [*columns[:-1], T - 1.0] if pose_first else [T, T - 1.0, *columns[2:]])
+    with pytest.raises(SourceError, match="no name or number says what its columns are"):
+        propose(path, Names(body=wanted))
