@@ -94,14 +94,6 @@ class FreeFlightSignals(NamedTuple):
     wheel_rad_s: FloatArray  # (n, w) of the reaction wheels against the base
 
 
-class IsotropicSlosh(NamedTuple):
-    """A part of the base's mass that swings about the base's centre of mass along all axes."""
-
-    mass_kg: float
-    frequency_Hz: float  # noqa: N815
-    damping_ratio: float = 0.005
-
-
 class CaptureJump(NamedTuple):
     """Step changes at a capture, in the IMU's axes and the last link's."""
 
@@ -135,21 +127,12 @@ def arm_xml(held: str, arm: Sequence[Body] = ARM, offsets_m: FloatArray = AS_DRA
     return held
 
 
-def _slosh_xml(slosh: IsotropicSlosh, centre_m: FloatArray) -> str:
-    rate = 2.0 * np.pi * slosh.frequency_Hz
-    spring = f'stiffness="{slosh.mass_kg * rate**2!r}" damping="{2.0 * slosh.damping_ratio * slosh.mass_kg * rate!r}"'
-    slides = "".join(f'<joint type="slide" axis="{axis}" {spring}/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-    small = 1e-4 * slosh.mass_kg * np.eye(3)
-    return body_xml("slosh", Body(slosh.mass_kg, np.zeros(3), small), centre_m, slides)
-
-
 def world(
     payload: Body | None,
     base: Body = BASE,
     arm: Sequence[Body] = ARM,
     step_s: float = 2e-3,
     offsets_m: FloatArray = AS_DRAWN,
-    slosh: IsotropicSlosh | None = None,
     wheels: Sequence[Wheel] = (),
 ) -> mujoco.MjModel:
     """MuJoCo model of the vehicle: a free base with its wheels, five hinges, the payload welded to the last link."""
@@ -158,9 +141,6 @@ def world(
     for wheel in wheels:  # after the arm, so that the joints' places among the degrees of freedom do not change
         hinge = f'<joint name="{wheel.name}" type="hinge" axis="{_numbers(wheel.axis)}"/>'
         inner += body_xml(wheel.name, wheel.body, wheel.position_m, hinge)
-    if slosh is not None:
-        base = Body(base.mass_kg - slosh.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
-        inner += _slosh_xml(slosh, base.centre_of_mass_m)
     site = f'<site name="imu" pos="{_numbers(IMU_POSITION_m)}" quat="{_numbers(IMU_QUATERNION)}"/>'
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
