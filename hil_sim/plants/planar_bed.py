@@ -1,27 +1,21 @@
-"""The free-flyer on an air-bearing table: x, y and yaw are free; table tilt and drag of three pucks.
-
-MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint torques of the prescribed accelerations
-and applies each puck's drag at its place: a viscous part and a Coulomb part (rounded within 2 mm/s).
-"""
+"""The free-flyer on an air-bearing table: x, y and yaw are free; table tilt and drag of three pucks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import free_flyer
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY
-from hil_sim.plants.parts.pucks import AirPuck, drag_wrench
+from hil_sim.plants.parts.pucks import AirPuck
+from hil_sim.plants.urdf_model import UrdfModel
+from hil_sim.plants.vehicle_flight import FlownJoints, VehicleFlight
 
 PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
-_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
 
 
-@dataclass(frozen=True)
-class Drag:
+class Drag(NamedTuple):
     """Drag coefficients of one puck."""
 
     viscous_N_s_m: float = 0.0  # noqa: N815
@@ -44,28 +38,15 @@ def world(
     base: free_flyer.Body = free_flyer.BASE,
     arm: Sequence[free_flyer.Body] = free_flyer.ARM,
     tilt_m_s2: Sequence[float] | FloatArray = (0.0, 0.0),
-) -> mujoco.MjModel:
+) -> UrdfModel:
     """The vehicle on its table; ``tilt_m_s2``: gravity along the table, table axes."""
-    held = free_flyer.body_xml("payload", payload, free_flyer.GRASP_m)
-    slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
-    place, turn = (
-        " ".join(repr(float(v)) for v in values) for values in (free_flyer.IMU_POSITION_m, free_flyer.IMU_QUATERNION)
-    )
-    imu = f'<site name="imu" pos="{place}" quat="{turn}"/>'
-    on_base = slides + imu + free_flyer.arm_xml(held, arm)
-    x, y = (float(value) for value in tilt_m_s2)
-    return mujoco.MjModel.from_xml_string(
-        '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
-        f'<option gravity="{x!r} {y!r} {-STANDARD_GRAVITY}" integrator="RK4" timestep="0.002">'
-        '<flag contact="disable"/></option>'
-        f"<worldbody>{free_flyer.body_xml('base', base, (0.0, 0.0, 0.0), on_base)}</worldbody>"
-        '<sensor><gyro site="imu"/><accelerometer site="imu"/></sensor></mujoco>'
-    )
+    gravity = (float(tilt_m_s2[0]), float(tilt_m_s2[1]), -STANDARD_GRAVITY)
+    return free_flyer.world(payload, base, arm, kind="planar", gravity_m_s2=gravity)
 
 
 def fly(
-    model: mujoco.MjModel,
-    motion: free_flyer.JointPath,
+    model: UrdfModel,
+    motion: FlownJoints,
     velocity: Sequence[float] | FloatArray,
     drags: Sequence[Drag],
     duration_s: float,
@@ -77,35 +58,16 @@ def fly(
         motion: of the joints.
         velocity: of the base at the start: x, y, m/s, and yaw, rad/s, (3,).
         drags: of the three pucks.
-        duration_s: of the run; samples at the model's step.
+        duration_s: of the run.
     """
-    data = mujoco.MjData(model)
-    samples, half_s = round(duration_s / model.opt.timestep), 0.5 * model.opt.timestep
-    q, dq, ddq = motion.at(half_s * np.arange(2 * samples + 1))  # the stages of RK4 lie on half steps
-    data.qpos[3:], data.qvel[3:], data.qvel[:3] = q[0], dq[0], velocity
-    M = np.zeros((model.nv, model.nv))
-    each = zip(PUCKS_m, drags, strict=True)
-    pucks = [AirPuck(np.array([*place, 0.0]), drag.viscous_N_s_m, drag.coulomb_N) for place, drag in each]
-
-    def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        stage = round(data.time / half_s)
-        joints = ddq[stage] + _STIFFNESS * (q[stage] - data.qpos[3:]) + _DAMPING * (dq[stage] - data.qvel[3:])
-        mujoco.mj_fullM(model, data, M)
-        drag = drag_wrench(pucks, float(data.qpos[2]), data.qvel[:3])
-        base = np.linalg.solve(M[:3, :3], drag - data.qfrc_bias[:3] - M[:3, 3:] @ joints)
-        data.qfrc_applied[:3] = drag
-        data.qfrc_applied[3:] = data.qfrc_bias[3:] + M[3:, :3] @ base + M[3:, 3:] @ joints
-
-    flight = PlanarFlight(*(np.empty((samples, width)) for width in (1, free_flyer.JOINTS, free_flyer.JOINTS, 3, 3, 3)))
-    mujoco.set_mjcb_control(torque)
-    try:
-        for k in range(samples):
-            flight.time_s[k], flight.q_rad[k], flight.dq_rad_s[k] = data.time, data.qpos[3:], data.qvel[3:]
-            c, s = np.cos(data.qpos[2]), np.sin(data.qpos[2])
-            vx, vy, w = data.qvel[:3]
-            flight.velocity[k] = c * vx + s * vy, c * vy - s * vx, w
-            mujoco.mj_step(model, data)  # its sensors are those of the state before the step
-            flight.rate_rad_s[k], flight.specific_force_m_s2[k] = data.sensordata[:3], data.sensordata[3:]
-    finally:
-        mujoco.set_mjcb_control(None)
-    return flight._replace(time_s=flight.time_s[:, 0])
+    pucks = [AirPuck(np.array([*place, 0.0]), *drag) for place, drag in zip(PUCKS_m, drags, strict=True)]
+    start = np.asarray(velocity, np.float64)
+    flight = VehicleFlight(model, motion, free_flyer.PLACES, "payload", free_flyer.STEP_s, start, pucks=pucks)
+    rows, moves = [], []
+    for _ in range(round(duration_s / free_flyer.STEP_s)):
+        flight.show()
+        (vx, vy, w), yaw = flight.data.qvel[:3], flight.data.qpos[2]
+        moves.append((np.cos(yaw) * vx + np.sin(yaw) * vy, np.cos(yaw) * vy - np.sin(yaw) * vx, w))
+        rows.append(flight.advance(1))
+    flown = free_flyer.signals(model, type(rows[0])(*(np.concatenate(part) for part in zip(*rows, strict=True))))
+    return PlanarFlight(*flown[:5], np.array(moves))

@@ -1,9 +1,11 @@
 """A known wrench on a free-floating base: against MuJoCo, and its derivatives against differences."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from hil_sim.plants import free_flyer
-from hil_sim.plants.parts.actuators import Actuators, Pulse
+from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.dynamics.free_flight import Push, predict_base_from_rate, sensor_in_base
 from onboard.dynamics.kinematics import chain_motion
 from tests.dynamics.derivatives import FIELDS, derivative
@@ -11,10 +13,34 @@ from tests.dynamics.free_flyer_twin import twin
 
 STEP_s, EVERY = 2e-3, 5
 PERIOD_s = EVERY * STEP_s
+
+
+class Pulse(NamedTuple):
+    """A force at a place of the base, base axes, that begins and ends at once."""
+
+    from_s: float
+    to_s: float
+    force_n: np.ndarray
+    position_m: np.ndarray
+
+
 PULSES = (
     Pulse(0.6, 1.3, np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.2, 0.05])),
     Pulse(1.0, 1.8, np.array([0.0, 0.0, -0.5]), np.array([0.25, -0.1, 0.0])),
 )
+
+
+class Thrusters:
+    """As ``Jets`` push: force in world axes, moment in the base's."""
+
+    any = True
+
+    def push(self, time_s, turn):
+        out = np.zeros(6)
+        for pulse in PULSES:
+            if pulse.from_s <= time_s < pulse.to_s:
+                out += np.concatenate([turn @ pulse.force_n, np.cross(pulse.position_m, pulse.force_n)])
+        return out
 
 
 def wrenches(time_s):
@@ -28,10 +54,9 @@ def wrenches(time_s):
 
 def test_thrusters_are_predicted_as_mujoco_moves_the_base():
     known = twin(0.1)
-    thrusters = Actuators(pulses=PULSES)
-    flight = free_flyer.FreeFlight(known.motion, (0.05, -0.04, 0.03), step_s=STEP_s, actuators=thrusters)
-    flight.advance(round(3.0 / STEP_s))
-    seen, chi = flight.history, known.chi.copy()
+    model, velocity = free_flyer.world(None), np.array([0.0, 0.0, 0.0, 0.05, -0.04, 0.03])
+    flight = VehicleFlight(model, known.motion, free_flyer.PLACES, None, STEP_s, velocity, jets=Thrusters())
+    seen, chi = free_flyer.signals(model, flight.advance(round(3.0 / STEP_s))), known.chi.copy()
     chi[known.vehicle.payload_columns()] = 0.0
     ticks = slice(None, None, EVERY)
     chain = chain_motion(known.vehicle, *known.motion.at(seen.time_s[ticks]))

@@ -103,10 +103,14 @@ def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
     assert not found.usable
 
 
-def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: SampledSignals, tmp_path: Path) -> None:
-    (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, 5.0)]).logs
+@pytest.mark.parametrize(("imu_until_s", "why"), [(5.02, "more"), (5.0, "of which the IMU has no reading")])
+def test_an_answer_that_half_of_the_run_cannot_check_is_weak(
+    read: SampledSignals, tmp_path: Path, imu_until_s: float, why: str
+) -> None:
+    (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, imu_until_s)]).logs
     assert found.verdict.level is Level.WEAK
-    assert "not checked on motion that was not used: half of the run determines too little (more" in found.verdict.text
+    assert "not checked on motion that was not used" in found.verdict.text
+    assert f"half of the run determines too little ({why}" in found.verdict.text
     left = np.array(list(found.residuals.values()))  # (6, ticks)
     assert np.isfinite(left).all(axis=0).sum() == found.rows_used // 6
     assert np.nanmean(left**2) == pytest.approx(1.0, abs=0.1)

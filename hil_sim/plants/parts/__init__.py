@@ -1,1 +1,1 @@
-"""What acts on the bodies of a plant: jets, pucks, contact, soft parts, actuators."""
+"""What acts on the bodies of a plant: jets, pucks, contact and soft parts."""

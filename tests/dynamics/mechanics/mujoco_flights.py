@@ -35,7 +35,8 @@ def spline(time_s: np.ndarray, q: np.ndarray) -> Callable[[float], tuple[np.ndar
 
 def fly(motion, duration_s, step_s=2e-3, rate=(0.0, 0.0, 0.0), base_moment=None) -> Flown:
     """Joints as ``motion(t)`` says, base let go with a rate; ``base_moment(t)``, base axes, acts on the base."""
-    model = free_flyer.world(None, step_s=step_s)
+    model = free_flyer.world(None).model
+    model.opt.timestep, model.opt.integrator = step_s, mujoco.mjtIntegrator.mjINT_RK4
     data = mujoco.MjData(model)
     data.qpos[7:], data.qvel[6:], _ = motion(0.0)
     data.qvel[3:6] = rate
@@ -59,10 +60,10 @@ def fly(motion, duration_s, step_s=2e-3, rate=(0.0, 0.0, 0.0), base_moment=None)
     try:
         for k in range(steps + 1):
             mujoco.mj_forward(model, data)
-            out.R_WB[k] = data.body("base").xmat.reshape(3, 3)
-            out.tip[k] = data.site("wrist").xpos
+            out.R_WB[k] = data.body("l.base").xmat.reshape(3, 3)
+            out.tip[k] = data.site("at link_5").xpos
             twist = np.zeros(6)
-            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, data.site("wrist").id, twist, 0)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, data.site("at link_5").id, twist, 0)
             out.tip_velocity[k] = twist[3:]
             mujoco.mj_step(model, data)
     finally:

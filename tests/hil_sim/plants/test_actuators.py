@@ -1,4 +1,4 @@
-"""Reaction wheels and thrusters of the simulated free-flyer: laws of momentum, and what the estimator's model says."""
+"""Reaction wheels of a simulated free-flyer: laws of momentum, and what the estimator's model says."""
 
 from pathlib import Path
 
@@ -10,7 +10,6 @@ import onboard
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import free_flyer, urdf_drawing
 from hil_sim.plants.motions.attitude import Wheels
-from hil_sim.plants.parts.actuators import Actuators, Hold, Pulse, Wheel
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.plants.vehicle_plant import VehiclePlant
@@ -22,12 +21,8 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 
 URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex_wheels" / "dymaflex.urdf"
-PLACES_m = ((0.1, 0.1, -0.1), (-0.1, 0.1, -0.1), (0.0, -0.1, -0.1))
-WHEELS = tuple(
-    Wheel.of(f"wheel_{x}", axis, place, 0.6, (0.0025, 0.0014), 100.0)
-    for x, axis, place in zip("xyz", np.eye(3).tolist(), PLACES_m, strict=True)
-)
-HOLD = Hold(0.1, 0.5, 0.1)
+HOLD = AttitudeTable(spring_N_m_rad=0.1, damper_N_m_s=0.5, torque_N_m=0.1, start_rad_s=100.0)
+IDLE = HOLD.model_copy(update={"spring_N_m_rad": 0.0, "damper_N_m_s": 0.0})
 RATE = (0.05, -0.04, 0.03)
 STEP_s, EVERY = 2e-3, 5
 SHORT = {
@@ -35,66 +30,6 @@ SHORT = {
     "capture": {"earliest_s": 0.1, "latest_s": 0.1},
     "burn": [],
 }
-
-
-def flown(actuators, seconds=3.0):
-    motion = free_flyer.JointMotion.draw(np.random.default_rng(4))
-    flight = free_flyer.FreeFlight(motion, RATE, step_s=STEP_s, actuators=actuators)
-    flight.advance(round(seconds / STEP_s))
-    return motion, flight
-
-
-def momentum(flight):
-    """Of everything: linear, and angular about the centre of mass, world axes."""
-    mujoco.mj_subtreeVel(flight.model, flight.data)
-    base = flight.model.body("base").id
-    whole = float(flight.model.body_subtreemass[base])
-    return whole * flight.data.subtree_linvel[base], flight.data.subtree_angmom[base].copy()
-
-
-def test_wheels_exchange_momentum_and_calm_the_base():
-    before = momentum(flown(Actuators(WHEELS, HOLD), STEP_s)[1])
-    _, held = flown(Actuators(WHEELS, HOLD))
-    after = momentum(held)
-    spun = held.history.wheel_rad_s
-    assert np.abs(spun[-1] - 100.0).max() > 5.0  # they have worked
-    a_millionth = 1e-6 * np.linalg.norm(before[1])
-    np.testing.assert_allclose(after[1], before[1], atol=a_millionth)
-    np.testing.assert_allclose(after[0], before[0], atol=1e-9)
-    _, idle = flown(Actuators(WHEELS))
-    assert np.abs(idle.history.wheel_rad_s - 100.0).max() < 1.0  # by the base's own motion alone
-    rms = [np.sqrt(np.mean(one.history.rate_rad_s**2)) for one in (held, idle)]
-    assert rms[0] < 0.9 * rms[1]
-
-
-def test_a_thruster_gives_its_impulse():
-    pulse = Pulse(1.0, 1.5, np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.2, 0.0]))
-    _, free = flown(Actuators(), 2.0)
-    _, pushed = flown(Actuators(pulses=(pulse,)), 2.0)
-    change = momentum(pushed)[0] - momentum(free)[0]
-    of_all = np.linalg.norm(pulse.force_n) * 0.5
-    assert 0.98 * of_all < np.linalg.norm(change) <= 1.0001 * of_all  # the base turns a little meanwhile
-    assert np.linalg.norm(momentum(pushed)[1] - momentum(free)[1]) > 0.02
-
-
-@pytest.mark.parametrize("wheels", [True, False])
-def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(wheels):
-    motion, flight = flown(Actuators(WHEELS, HOLD))
-    seen, ticks = flight.history, slice(None, None, EVERY)
-    time_s = seen.time_s[ticks]
-    spin = seen.wheel_rad_s[ticks] if wheels else np.zeros((len(time_s), 3))
-    q, dq, ddq = motion.at(time_s)
-    still, change = np.zeros_like(spin), np.gradient(spin, EVERY * STEP_s, axis=0, edge_order=2)
-    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
-    chi = vehicle.chi.copy()
-    chi[vehicle.payload_columns()] = 0.0
-    chain = chain_motion(vehicle, *(np.hstack(two) for two in ((q, still), (dq, spin), (ddq, change))))
-    R, _ = vehicle.pose_in_base("imu_base")
-    rate = seen.rate_rad_s[ticks]
-    base = predict_base_from_rate(chain.links, EVERY * STEP_s, chi, R @ rate[0], ())
-    off = np.abs(base.rate @ R - rate).max()
-    a_hundredth_of_the_gyros_noise = 2e-5
-    assert off < a_hundredth_of_the_gyros_noise if wheels else off > 1e3 * a_hundredth_of_the_gyros_noise
 
 
 class WithWheels:
@@ -107,26 +42,55 @@ class WithWheels:
         return tuple(np.hstack([of_arm, np.zeros((len(time_s), 3))]) for of_arm in self.motion.at(time_s))
 
 
-def test_the_world_of_the_urdf_turns_its_wheels_as_the_one_written_by_hand():
-    motion, flight = flown(Actuators(WHEELS, HOLD), 2.0)
-    places = Places(("imu_base",), ())
+def flown(law, seconds=3.0):
+    """The arm's motion, the flight, rates of the base at the IMU, speeds of the wheels."""
+    motion, places = free_flyer.JointMotion.draw(np.random.default_rng(4)), Places(("imu_base",), ())
     model = UrdfModel(urdf_drawing.read(URDF.read_text(), URDF.name), "free", (0.0, 0.0, 0.0), places)
     assert model.joints[5:] == ("wheel_x", "wheel_y", "wheel_z")
-    law = AttitudeTable(
-        spring_N_m_rad=HOLD.spring_n_m_rad,
-        damper_N_m_s=HOLD.damper_n_m_s,
-        torque_N_m=HOLD.torque_n_m,
-        start_rad_s=100.0,
-    )
-    wheels = Wheels(np.arange(5, 8), np.eye(3), law)
-    velocity = np.array([0.0, 0.0, 0.0, *RATE])
-    ours = VehicleFlight(model, WithWheels(motion), places, None, STEP_s, velocity, wheels=wheels)
-    rows, theirs = ours.advance(round(2.0 / STEP_s)), flight.history
-    assert np.ptp(theirs.wheel_rad_s) > 5.0
-    np.testing.assert_allclose(rows.rates[:, 5:], theirs.wheel_rad_s, rtol=0, atol=1e-4)
-    of_imu = [rows.sensors[:, model.sensor(kind, "imu_base")] for kind in ("gyro", "accelerometer")]
-    for mine, other in zip(of_imu, (theirs.rate_rad_s, theirs.specific_force_m_s2), strict=True):
-        np.testing.assert_allclose(mine, other, rtol=0, atol=2e-6 * np.abs(other).max())
+    wheels, velocity = Wheels(np.arange(5, 8), np.eye(3), law), np.array([0.0, 0.0, 0.0, *RATE])
+    flight = VehicleFlight(model, WithWheels(motion), places, None, STEP_s, velocity, wheels=wheels)
+    rows = flight.advance(round(seconds / STEP_s))
+    flight.show()
+    return motion, flight, rows.sensors[:, model.sensor("gyro", "imu_base")], rows.rates[:, 5:]
+
+
+def momentum(flight):
+    """Of everything: linear, and angular about the centre of mass, world axes."""
+    mujoco.mj_subtreeVel(flight.model, flight.data)
+    base = flight.vehicle.body("base")
+    whole = float(flight.model.body_subtreemass[base])
+    return whole * flight.data.subtree_linvel[base], flight.data.subtree_angmom[base].copy()
+
+
+def test_wheels_exchange_momentum_and_calm_the_base():
+    before = momentum(flown(HOLD, STEP_s)[1])
+    _, flight, rate, spun = flown(HOLD)
+    after = momentum(flight)
+    assert np.abs(spun[-1] - 100.0).max() > 5.0  # they have worked
+    a_millionth = 1e-6 * np.linalg.norm(before[1])
+    np.testing.assert_allclose(after[1], before[1], atol=a_millionth)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-9)
+    *_, idle, by_itself = flown(IDLE)
+    assert np.abs(by_itself - 100.0).max() < 1.0  # by the base's own motion alone
+    rms = [np.sqrt(np.mean(one**2)) for one in (rate, idle)]
+    assert rms[0] < 0.9 * rms[1]
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(wheels):
+    motion, _, rate, speeds = flown(HOLD)
+    rate, spin = rate[::EVERY], speeds[::EVERY] if wheels else np.zeros((len(speeds[::EVERY]), 3))
+    q, dq, ddq = motion.at(EVERY * STEP_s * np.arange(len(rate)))
+    still, change = np.zeros_like(spin), np.gradient(spin, EVERY * STEP_s, axis=0, edge_order=2)
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    chi = vehicle.chi.copy()
+    chi[vehicle.payload_columns()] = 0.0
+    chain = chain_motion(vehicle, *(np.hstack(two) for two in ((q, still), (dq, spin), (ddq, change))))
+    R, _ = vehicle.pose_in_base("imu_base")
+    base = predict_base_from_rate(chain.links, EVERY * STEP_s, chi, R @ rate[0], ())
+    off = np.abs(base.rate @ R - rate).max()
+    a_hundredth_of_the_gyros_noise = 2e-5
+    assert off < a_hundredth_of_the_gyros_noise if wheels else off > 1e3 * a_hundredth_of_the_gyros_noise
 
 
 def test_wheels_as_built_and_what_they_cannot_be():

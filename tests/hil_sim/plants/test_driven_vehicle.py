@@ -28,7 +28,8 @@ def drivable():
     joints = tuple(f"joint_{k}" for k in range(1, 6))
     drives, efforts = dict.fromkeys(joints, Losses(0.2, 0.3, 0.01)), dict.fromkeys(joints, 20.0)
     velocity = np.array([0.0, 0.0, 0.0, 0.03, -0.02, 0.05])
-    return Drivable(free_flyer.world(None), free_flyer.world(box), joints, drives, efforts, np.full(5, 0.4), velocity)
+    worlds = (free_flyer.world(held).model for held in (None, box))
+    return Drivable(*worlds, joints, drives, efforts, np.full(5, 0.4), velocity)
 
 
 def momentum(vehicle):

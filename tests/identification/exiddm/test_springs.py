@@ -27,7 +27,7 @@ def flown(frequency_Hz):
     n = len(rows.joints)
     gyro, accelerometer = (rows.sensors[:, model.sensor(kind, "imu_base")] for kind in ("gyro", "accelerometer"))
     still = np.zeros((n, 3))
-    seen = STEP_s * np.arange(n), rows.joints, rows.rates, gyro, accelerometer, still, still, rows.torques, still[:, :0]
+    seen = STEP_s * np.arange(n), rows.joints, rows.rates, gyro, accelerometer, still, still, rows.torques
     return recorded(free_flyer.FreeFlightSignals(*seen), rng)
 
 

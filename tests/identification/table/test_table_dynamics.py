@@ -19,7 +19,7 @@ IMU = ImuPrior(0.01, 1e-4, 0.003, 0.003, 0.1, 1e-3, 0.003, 0.003, 1e-4)
 
 
 def test_three_rows_are_mujocos_generalised_forces(rng):
-    model, truth = vehicle(), planar_bed.world(BOX)
+    model, truth = vehicle(), planar_bed.world(BOX).model
     chi = model.chi.copy()
     chi[model.payload_columns()] = standard_of(PAYLOAD)
     rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])

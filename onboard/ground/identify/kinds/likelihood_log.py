@@ -90,7 +90,8 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         judge: what the kind of base says of the fit.
     """
     ticks = kept.ticks
-    used = 6 * int(np.isfinite(ticks.measured).all(axis=1).sum())
+    seen = np.asarray(np.isfinite(ticks.measured).all(axis=1), np.bool_)
+    used = 6 * int(seen.sum())
     if len(ticks.time_s) * kept.period_s < SHORTEST_S or not used:
         return no_answer(kept, 0)
     try:
@@ -102,7 +103,9 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     wider = max(1.0, stated.misfit)  # the residual is not below the noise
     judged = judge(corrected, wider)
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
-    if not judged.reason and middle * kept.period_s >= SHORTEST_S:
+    if not (seen[:middle].any() and seen[middle:].any()):
+        unchecked = half_too_short("of which the IMU has no reading")
+    elif not judged.reason and middle * kept.period_s >= SHORTEST_S:
         try:
             earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
             halves = held_out(exiddm, earlier, later, found)
@@ -119,7 +122,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     return identified_of(kept, fit)
 
 
-def half_too_short(error: Exception) -> str:
+def half_too_short(error: Exception | str) -> str:
     """Why nothing was held out."""
     return f"not checked on motion that was not used: half of the run determines too little ({error})"
 

@@ -26,7 +26,7 @@ def springy():
     (q, dq, _), shown, springs = flown(20.0, STEP_s, SECONDS, tick_s=SHOWN_s)
     still = np.zeros((len(q), 3))
     time_s = SHOWN_s * np.arange(len(q))
-    seen = time_s, q, dq, shown[:, :3], shown[:, 3:], still, still, np.zeros_like(q), still[:, :0]
+    seen = time_s, q, dq, shown[:, :3], shown[:, 3:], still, still, np.zeros_like(q)
     return recorded(free_flyer.FreeFlightSignals(*seen), np.random.default_rng(1)), springs
 
 

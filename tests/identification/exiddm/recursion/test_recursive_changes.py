@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
+from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
@@ -54,12 +55,20 @@ def test_a_light_payload_is_not_taken_for_a_push(rng):
     assert abs(found.body.mass_kg - 0.2) < 4.0 * np.sqrt(found.covariance[0, 0]) < 0.2
 
 
+class Bump:
+    """Somebody turns the base, within 4 ms; as ``Jets`` push."""
+
+    any = True
+
+    def push(self, time_s, turn):
+        return np.array([0.0, 0.0, 0.0, 7.0, -10.0, 3.0]) if 5.0 <= time_s < 5.004 else np.zeros(6)
+
+
 def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
-    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
-    flight.advance(2500)
-    flight.data.qvel[3:6] += [0.02, -0.03, 0.01]
-    flight.advance(1500)
-    signals = recorded(flight.history, rng)
+    motion, model = free_flyer.JointMotion.draw(rng), free_flyer.world(BOX)
+    velocity = np.concatenate([np.zeros(3), rng.uniform(-0.05, 0.05, 3)])
+    flight = VehicleFlight(model, motion, free_flyer.PLACES, "payload", free_flyer.STEP_s, velocity, jets=Bump())
+    signals = recorded(free_flyer.signals(model, flight.advance(4000)), rng)
     recursive, ticks = online(signals), ticks_of(signals)
     push = int(np.searchsorted(ticks.time_s, 5.0))
     recursive.update(ticks.part(slice(0, push)))
