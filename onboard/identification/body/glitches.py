@@ -11,7 +11,7 @@ pose. A pose that repeats the one before is not looked at: it is left out with t
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import MOSTLY, READING, sigmas
@@ -51,7 +51,8 @@ def _among(time_s: FloatArray, measured: FloatArray, noise: FloatArray, repeated
         return Glitches(good, (), 0)
     lasted = np.diff(time_s)[:, None]
     steps = _turned(np.diff(measured, axis=0))
-    rates = median_filter(steps / lasted, size=(_BESIDE, 1), mode="reflect")
+    beside = np.pad(steps / lasted, ((_BESIDE // 2, _BESIDE // 2), (0, 0)), "symmetric")
+    rates = np.median(sliding_window_view(beside, _BESIDE, axis=0), axis=-1)
     off = steps - rates * lasted
     sigma = np.maximum(np.sqrt(2.0) * noise, _OF_MEDIAN * np.median(np.abs(off), axis=0))
     jumps = np.flatnonzero(np.abs(off / sigma).max(axis=1) > sigmas(READING)).tolist()
