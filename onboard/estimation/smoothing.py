@@ -177,7 +177,7 @@ class SmoothingWindow:
         count = high - low
         self.valid: BoolArray = count * kernel.reach >= _MIN_SAMPLES  # (n,)
         length = max(int(count.max(initial=1)), 1)
-        self._index = np.minimum(low[:, None] + np.arange(length), max(times.size - 1, 0))  # (n, l)
+        self._low, self._length = np.ascontiguousarray(low, np.int64), length
         if not self.valid.any():  # it changes below
             return
         given = library.given(times, times.size), library.given(at, at.size), low, high
@@ -194,61 +194,30 @@ class SmoothingWindow:
         Kernel values times trapezoidal cells, plus the smallest correction (weighted with B about its middle) that
         makes the derivative of quadratic polynomials equal to the kernel's, for any sample times.
         """
-        return self._of_orders((derivative,))[:, 0]
-
-    def _of_orders(self, orders: Sequence[int]) -> FloatArray:
-        """:meth:`weights` of some derivatives, (n, o, l)."""
-        for derivative in orders:
-            if derivative not in (0, 1, 2):
-                raise RowError(f"derivative {derivative} is not 0, 1 or 2")
-        leading = tuple(orders) == (0, 1, 2)[: len(orders)]  # a view where it can be
-        return self._weights[:, : len(orders)] if leading else self._weights[:, list(orders)]
+        return np.asarray(self._weights[0][:, derivative], np.float64)
 
     @cached_property
-    def _weights(self) -> FloatArray:
-        """:meth:`weights` of the three derivatives, (n, 3, l)."""
+    def _weights(self) -> tuple[FloatArray, FloatArray]:
+        """:meth:`weights` of the three derivatives, (n, 3, l), and the roots of their sums of squares, (3, n)."""
+        n, length = self.valid.size, self._length
         if not self._some:
-            return np.zeros((self._index.shape[0], 3, self._index.shape[1]))
-        kernels, powers, correctors = self.correction
-        targets = self.kernel.of_powers - kernels @ powers  # (v, 3, 3)
-        raw = kernels + targets @ correctors.swapaxes(1, 2)
-        raw /= self.width_s ** np.arange(3.0)[:, None]
-        if not self._whole:
-            made, raw = raw, np.zeros((len(self.valid), *raw.shape[1:]))
-            raw[self.valid] = made
-        return raw
-
-    @cached_property
-    def _some(self) -> bool:
-        """Whether any tick is valid."""
-        return bool(self.valid.any())
-
-    @cached_property
-    def _whole(self) -> bool:
-        """Whether every tick is valid."""
-        return bool(self.valid.all())
-
-    @cached_property
-    def correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """For the v valid windows.
-
-        Returns:
-            The kernel and its derivatives with quadrature weights (v, 3, l), powers of the samples' places (v, l, 3),
-            weights per moment error (v, l, 3).
-        """
-        u, cell = (self._u, self._cell) if self._whole else (self._u[self.valid], self._cell[self.valid])
+            return np.zeros((n, 3, length)), np.full((3, n), np.nan)
+        u = self._u
         if self.kernel is SPLINE:
             shapes = SPLINE_TOGETHER(u)
         else:
             about = (u - self.kernel.first_moment) / self.kernel.reach
             near = BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else BASE(about)
             shapes = np.stack([near, *(part(u) for part in self.kernel.parts)])
-        n, length = u.shape
-        given = (library.address(part) for part in (u, cell, shapes))
-        out = library.call("heft_kernels", n, length, *given, out=np.empty(9 * u.size))
-        kernels, powers, weighted = library.carved(out, [(n, 3, length), (n, length, 3), (n, length, 3)])
-        correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
-        return kernels, powers, correctors
+        given = u, self._cell, shapes, self.valid.astype(np.float64), self.kernel.of_powers
+        pointers, out = (library.address(part) for part in given), np.empty(3 * n * (length + 1))
+        library.call("heft_weights", n, length, *pointers, self.width_s, out=out)
+        return out[: 3 * n * length].reshape(n, 3, length), out[3 * n * length :].reshape(3, n)
+
+    @cached_property
+    def _some(self) -> bool:
+        """Whether any tick is valid."""
+        return bool(self.valid.any())
 
     def apply(self, values: ArrayLike, derivative: int = 0) -> Smoothed:
         """The ``derivative``-th derivative of the smoothed ``values`` at every tick: :meth:`derivatives`."""
@@ -276,15 +245,16 @@ class SmoothingWindow:
             raise RowError(f"{columns.shape[0]} values for {self.samples} sample times; give as many")
         if not np.isfinite(columns).all():
             raise RowError("values must be finite; drop invalid samples first, the hole counts as a gap")
-        if not self._some:
-            n = len(orders), self.valid.size
-            return np.full((*n, columns.shape[1]), np.nan), np.full(n, np.nan)
-        weights = self._of_orders(orders)
-        values_at = weights @ columns[self._index]  # (n, o, c)
-        gains = np.sqrt((weights * weights).sum(axis=2))
-        if not self._whole:
-            values_at[~self.valid] = gains[~self.valid] = np.nan
-        return values_at.swapaxes(0, 1), gains.T
+        n, (weights, gains), leading = self.valid.size, self._weights, tuple(orders) == (0, 1, 2)[: len(orders)]
+        if any(order not in (0, 1, 2) for order in orders):
+            raise RowError(f"of derivatives {[*orders]} one is not 0, 1 or 2")
+        most, given = max(orders, default=-1) + 1, library.given(columns, *columns.shape)
+        numbers = n, self._length, most, *columns.shape
+        pointers = (library.address(part) for part in (weights, self._low, given))
+        values_at = library.call("heft_weighed", *numbers, *pointers, out=np.empty((most, n, columns.shape[1])))
+        if not self.valid.all():
+            values_at[:, ~self.valid] = np.nan
+        return (values_at, gains[:most]) if leading else (values_at[list(orders)], gains[list(orders)])
 
 
 def smooth(times_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, width_s: float, derivative: int = 0) -> Smoothed:
@@ -325,8 +295,9 @@ def smooth(times_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, width_s: floa
 def _gains_of_unit_width(kernel: Kernel) -> tuple[FloatArray, list[FloatArray]]:
     """Phases over the kernel's width, far beyond any kernel's pass band, and the gain at each, of each derivative."""
     u, phases = np.linspace(-0.5, 0.5, 1001), np.arange(0.0, 60.0, 0.1)
-    waves = np.exp(1j * phases[:, None] * u)
-    return phases, [np.abs(waves @ part(u)) * (u[1] - u[0]) for part in kernel.parts]
+    turns = phases[:, None] * u
+    shapes = np.stack([part(u) for part in kernel.parts], axis=1)
+    return phases, list(np.hypot(np.cos(turns) @ shapes, np.sin(turns) @ shapes).T * (u[1] - u[0]))
 
 
 class Response:

@@ -1,4 +1,6 @@
 /* Samples under a smoothing kernel, and what the kernel makes of them; see onboard.estimation.smoothing. */
+#include <math.h>
+
 #include "heft_native.h"
 
 typedef struct {
@@ -57,20 +59,63 @@ HEFT_API int heft_pieces(const double *coefficients, i64 powers, i64 functions, 
     return HEFT_OK;
 }
 
-/* Of shapes, (4, ticks, length): a function that weights corrections, the kernel and its two derivatives. Results: the
- * latter three with quadrature weights (ticks, 3, length), the first one by parts; powers of the places (ticks, length, 3);
- * and these weighted with the first shape. */
-HEFT_API int heft_kernels(i64 ticks, i64 length, const double *u, const double *cell, const double *shapes, double *out,
-                          i64 size) {
+/* Kernel or derivative of it at a sample, with its quadrature weight */
+static double kernel_at(const double *shapes, i64 cells, i64 i, i64 order, double cell) {
+    return shapes[(order + 1) * cells + i] * (order == 1 ? -cell : cell);
+}
+
+/* Of shapes, (4, ticks, length): a function that weights corrections, the kernel and its two derivatives. Results: weights
+ * (ticks, 3, length), the kernel's and the smallest correction that makes of 1, u and u^2 what it makes, of_powers (3, 3);
+ * roots of the sums of their squares (3, ticks). Zeros and NaN for a tick that is not valid. */
+HEFT_API int heft_weights(i64 ticks, i64 length, const double *u, const double *cell, const double *shapes,
+                          const double *valid, const double *of_powers, double width_s, double *out, i64 size) {
     i64 cells = ticks * length;
-    if (size != 9 * cells) return HEFT_SIZE;
-    double *powers = out + 3 * cells, *weighted = powers + 3 * cells;
-    for (i64 i = 0; i < cells; i++) {
-        double *kernel = out + i / length * 3 * length + i % length, near = shapes[i] * cell[i], square = u[i] * u[i];
-        for (i64 order = 0; order < 3; order++)
-            kernel[order * length] = shapes[(order + 1) * cells + i] * (order == 1 ? -cell[i] : cell[i]);
-        powers[3 * i] = 1.0, powers[3 * i + 1] = u[i], powers[3 * i + 2] = square;
-        weighted[3 * i] = near, weighted[3 * i + 1] = u[i] * near, weighted[3 * i + 2] = square * near;
+    if (size != 3 * cells + 3 * ticks) return HEFT_SIZE;
+    double *gains = out + 3 * cells;
+    for (i64 i = 0; i < ticks; i++) {
+        double G[9] = {0.0}, by[9], scale = 1.0;
+        const double *place = u + i * length, *weight = cell + i * length;
+        memcpy(by, of_powers, sizeof by);    /* (3, 3): rows are orders */
+        for (i64 k = 0; k < length; k++) {
+            double near = shapes[i * length + k] * weight[k], powers[3] = {1.0, place[k], place[k] * place[k]};
+            for (i64 a = 0; a < 9; a++) G[a] += near * powers[a / 3] * powers[a % 3];
+            for (i64 a = 0; a < 9; a++)
+                by[a] -= kernel_at(shapes, cells, i * length + k, a / 3, weight[k]) * powers[a % 3];
+        }
+        for (i64 a = 0; a < 3; a++)
+            for (i64 b = 0; b < a; b++) {
+                double other = by[3 * a + b];
+                by[3 * a + b] = by[3 * b + a], by[3 * b + a] = other;
+            }
+        solve3(G, by, 3);    /* rows are powers now */
+        for (i64 order = 0; order < 3; order++) {
+            double sum = 0.0, *row = out + (3 * i + order) * length;
+            for (i64 k = 0; k < length; k++) {
+                double near = shapes[i * length + k] * weight[k];
+                double more = by[order] + place[k] * by[3 + order] + place[k] * place[k] * by[6 + order];
+                row[k] = (kernel_at(shapes, cells, i * length + k, order, weight[k]) + near * more) / scale;
+                if (valid[i] == 0.0) row[k] = 0.0;
+                sum += row[k] * row[k];
+            }
+            gains[order * ticks + i] = valid[i] == 0.0 ? NAN : sqrt(sum);
+            scale *= width_s;
+        }
+    }
+    return HEFT_OK;
+}
+
+/* Results: sums (orders, ticks, columns) of values (samples, columns), from the sample low (ticks,) of each tick on, with
+ * weights (ticks, 3, length) of the first orders */
+HEFT_API int heft_weighed(i64 ticks, i64 length, i64 orders, i64 samples, i64 columns, const double *weights,
+                          const i64 *low, const double *values, double *out, i64 size) {
+    if (orders < 0 || orders > 3 || size != orders * ticks * columns) return HEFT_SIZE;
+    memset(out, 0, (size_t)size * sizeof(double));
+    for (i64 i = 0; i < ticks; i++) {
+        if (low[i] < 0) return HEFT_SIZE;
+        for (i64 order = 0; order < orders; order++)
+            for (i64 k = 0; k < length && low[i] + k < samples; k++)
+                add_times(out + (order * ticks + i) * columns, weights[(3 * i + order) * length + k],
+                          values + (low[i] + k) * columns, columns);
     }
     return HEFT_OK;
 }

@@ -34,3 +34,11 @@ def kernels(u, cell, shapes):
     powers = np.stack([np.ones_like(u), u, u * u], axis=2)
     signs = np.array([1.0, -1.0, 1.0])[:, None]
     return np.stack(of_kernel, axis=1) * (signs * cell[:, None]), powers, powers * (near * cell)[..., None]
+
+
+def weights(u, cell, shapes, of_powers, width_s):
+    """Weights of value and two derivatives, (n, 3, l): the kernel's with the smallest correction of its moments."""
+    of_kernel, powers, weighted = kernels(u, cell, shapes)
+    correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
+    raw = of_kernel + (of_powers - of_kernel @ powers) @ correctors.swapaxes(1, 2)
+    return raw / width_s ** np.arange(3.0)[:, None]

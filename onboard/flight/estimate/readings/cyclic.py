@@ -23,6 +23,7 @@ class Cyclic(NamedTuple):
     periods: FloatArray  # (m,) per radian
     rms: FloatArray  # (m,)
     ends: list[int]  # of each channel's errors
+    rounds: list[NDArray[np.intp]]  # numbers of errors, of different columns in each
 
 
 @lru_cache(maxsize=64)
@@ -32,4 +33,6 @@ def cyclic_of(ripples: tuple[tuple[tuple[float, float], ...], ...], widths: tupl
     errors = [(column, *error) for column, ripple in zip(first.tolist(), ripples, strict=False) for error in ripple]
     columns, periods, rms = zip(*errors, strict=True) if errors else ((), (), ())
     ends = np.cumsum([len(ripple) for ripple in ripples]).tolist()
-    return Cyclic(np.array(columns, np.intp), np.array(periods), np.array(rms), ends)
+    before = [columns[:k].count(column) for k, column in enumerate(columns)]
+    rounds = [np.flatnonzero(np.array(before) == k) for k in range(max(before, default=-1) + 1)]
+    return Cyclic(np.array(columns, np.intp), np.array(periods), np.array(rms), ends, rounds)

@@ -283,17 +283,18 @@ class SignalSmoother:
             rate: of each, (n, columns) rad/s.
             sigma: (orders, n, columns), which changes.
         """
-        columns, periods, rms, ends = self._errors(group)
+        columns, periods, rms, ends, rounds = self._errors(group)
         if not columns.size:
             return
         # those of an encoder that has jumped begin elsewhere, or turn at another rate, under all hypotheses
         lost = [name in self._jumps and self._jumps[name].jumped for name in group]
         fitted = self._cyclic_fitted & ~np.repeat(lost, np.diff([0, *ends]))
         left = rms * np.where(fitted, CYCLIC_LEFT, 1.0)
-        for order in range(len(sigma)):
-            passed = left * self._response.gain(periods * rate[:, columns], order)
-            for k, column in enumerate(columns.tolist()):
-                sigma[order, :, column] = np.hypot(sigma[order, :, column], passed[:, k])
+        turning = periods * rate[:, columns]
+        passed = np.stack([left * self._response.gain(turning, order) for order in range(len(sigma))])
+        for each in rounds:
+            own = columns[each]
+            sigma[:, :, own] = np.hypot(sigma[:, :, own], passed[:, :, each])
 
     def _errors(self, group: Mapping[str, "_Recent"]) -> Cyclic:
         """Cyclic errors of a group's channels."""
@@ -311,7 +312,7 @@ class SignalSmoother:
             window: of their samples.
             derivatives: that are wanted.
         """
-        columns, periods, _, ends = self._errors(group)
+        columns, periods, _, ends, _ = self._errors(group)
         if not (derivatives and self._cyclic_fitted and columns.size):
             return {}
         smoothed = window.derivatives(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
