@@ -205,7 +205,8 @@ class Descent:
     def _back(self) -> None:
         """Take the step from the best point back, and try a shorter one."""
         scale = self._scale(self._now)
-        least = np.linalg.eigvalsh(self._now.information / np.outer(scale, scale))[0]
+        scaled = self._now.information / np.outer(scale, scale)
+        least = np.linalg.eigvalsh(scaled)[0] if self._damping < 1.0 else 1.0  # at most: ones are on the diagonal
         self._damping = max(self._damping * 10.0, 10.0 * float(least))
         self.at, self._beyond, self._wall = self.best, 0, np.inf
         if self._damping > _HEAVIEST:

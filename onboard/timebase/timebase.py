@@ -233,9 +233,13 @@ class Timebase:
             case _:
                 return len(rows) > 0 and source.take(rows)
 
-    def _clock(self, channel: str) -> tuple[DeviceClock | ArrivalClock | None, float]:
+    def clock_of(self, channel: str) -> str:
+        """The channel whose clock a channel's samples are timed by: itself, or what it follows."""
         spec = self._specs[channel]
-        name = spec.sync if isinstance(spec, FollowerChannel) else channel
+        return spec.sync if isinstance(spec, FollowerChannel) else channel
+
+    def _clock(self, channel: str) -> tuple[DeviceClock | ArrivalClock | None, float]:
+        name = self.clock_of(channel)
         source = self._sources[name]
         clock = None if source.clock.contradicted else source.best
         return clock, source.delay_ns if isinstance(source, marking.SyncSource) and name != channel else 0.0

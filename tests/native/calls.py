@@ -49,7 +49,8 @@ def outcomes(seed):
     errors, flyer = 0.2 * rng.normal(size=SIZE), PREDICTORS[seed % len(PREDICTORS)]
     given = predicted_from(flyer, seed)
     predicted, sigma = flyer.predict(*given), rng.uniform(0.0, 1.0, (len(given[0]), 2, given[0].shape[1]))
-    noise = flyer.joint_noise(given[0], sigma, given[3])
+    noise, x = flyer.joint_noise(given[0], sigma, given[3]), given[3]
+    later = flyer.carried(predicted, x, x, np.eye(len(x)))
     read = imu_reading(*rng.normal(size=(2, n, 6)), np.arange(float(n)), errors)
     joint, cyclic = case.vehicle.joints[-1].name, case.errors.of_cyclic.tolist()
     cut = CutWrench(case.vehicle, joint, rng.normal(size=6), case.free, cyclic).predict(base)
@@ -73,7 +74,7 @@ def outcomes(seed):
     steps = Changed(np.zeros((1, m)), rng.normal(size=m), seen.T @ seen, np.zeros((1, 0)))
     weighed = alone.out, bank.alone(known, 0, alone.of(0)).out, *steps.evidence(suspects)
     slid = table.velocity, table.base.specific_force, table.base.along
-    parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *predicted, noise, *read)
+    parts = (*chain[0], *chain[1], *chain[2:], *base[:8], *sensor_in_base(base, R, p), *predicted, noise, *later, *read)
     return [
         *parts,
         gain_of(errors),
@@ -151,6 +152,9 @@ def fuzz_once(seed):
     )
     attempt(flyer.predict, *(None if part is None else spoiled(part) for part in wrong))
     attempt(flyer.joint_noise, spoiled(wrong[0]), spoiled(np.ones((len(wrong[0]), 2, 5))), spoiled(wrong[3]))
+    parts = [spoiled(np.ones(shape)) for shape in ((2, 13), (2, 13, 200), 200, (len(flyer.changing), 200), 200)]
+    told, state = TickPrediction(*parts[:4]), np.ones(len(flyer.names))
+    attempt(flyer.carried, told, state, parts[4], spoiled(np.eye(len(state))))
     attempt(flyer._core.begin_from, base, PERIOD_s, [spoiled(part) for part in wrong[:3]], spoiled(wrong[3]))
     attempt(imu_reading, lines[..., :1], lines[..., :1], np.ones(3), own)
     attempt(imu_reading, *(spoiled(np.ones((5, 6))) for _ in range(2)), spoiled(np.ones(5)), own)

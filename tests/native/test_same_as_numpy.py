@@ -160,6 +160,27 @@ def test_noise_of_the_joints(seed, free):
     assert not JointNoise(vehicle, *parts).of(q, vehicle.chi, 0.0 * sigma[0])[0].any()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_covariance_some_ticks_later(seed):
+    predictor, rng = random_predictor(seed), np.random.default_rng(seed)
+    *given, cyclic, thrust = predicted_from(predictor, seed)
+    predicted, p, c = predictor.predict(*given, cyclic, thrust), len(predictor.names), predictor.changing
+    root, state = rng.normal(size=(p, p)), rng.normal(size=p)
+    whole, after_s = np.eye(p), len(predicted.values) * PERIOD_s
+    whole[c] = predicted.transition
+    left = np.ones(p)
+    for at, memory_s in predictor.fading:
+        left[at] = np.exp(-after_s / memory_s)
+    covariance, start = root @ root.T, given[-1]
+    found, later = predictor.carried(predicted, start, state, covariance)
+    aged = predictor.aged(np.diag(left) @ whole @ covariance @ whole.T @ np.diag(left), len(predicted.values))
+    same(later, aged, 1e-12)
+    assert (later == later.T).all()
+    expected = predicted.state + state - start
+    expected[c] = predicted.state[c] + predicted.transition @ (state - start)
+    same(found, expected * left, 1e-12)
+
+
 def test_a_motion_of_too_few_ticks_is_refused():
     predictor = random_predictor(1)
     q, dq, ddq, state, *_ = predicted_from(predictor, 1)

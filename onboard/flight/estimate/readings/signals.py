@@ -171,8 +171,9 @@ class SignalSmoother:
         """As :meth:`at`, for several channels: those that were sampled together are smoothed together."""
         found: dict[str, ChannelAtTicks] = {}
         groups: list[dict[str, _Recent]] = []
+        seen: dict[str, _Timed] = {}
         for name in names:
-            recent = self._recent(name, timebase, at_ns)
+            recent = self._recent(name, timebase, at_ns, seen)
             if isinstance(recent, GateReason):
                 found[name] = nothing(len(self._signals[name].noise), len(at_ns), derivatives, recent)
                 continue
@@ -199,32 +200,48 @@ class SignalSmoother:
             return nothing(0, len(at_ns), 0, GateReason.OK)
         return side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
 
-    def _recent(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64]) -> "_Recent | GateReason":
-        """What of a channel can be under the kernel at any of ``at_ns``."""
+    def _recent(
+        self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], seen: "dict[str, _Timed] | None" = None
+    ) -> "_Recent | GateReason":
+        """What of a channel can be under the kernel at any of ``at_ns``; ``seen``: of channels before, by clock."""
         history = self._histories[name]
         # a sample is taken before it arrives: what arrived long before the window is not under it
         recent = slice(int(history.stamps["host_ns"].searchsorted(at_ns[0] - self._reach_ns)), None)
         stamps = history.stamps[recent]
         if len(stamps) < 2:
             return GateReason.GAP
+        clock = timebase.clock_of(name)
+        timed = None if seen is None else seen.get(clock)
+        if timed is None or not np.array_equal(timed.ticks, stamps["tick"]):
+            found = self._timed(name, timebase, stamps, at_ns)
+            if isinstance(found, GateReason):
+                return found
+            timed = found
+            if seen is not None:
+                seen[clock] = timed
+        values, wrong = history.values[recent], history.wrong[recent]
+        if timed.kept is not None:
+            values, wrong = values[timed.kept], wrong[timed.kept]
+        gap_s = (4.5 if timed.late else 3.5) * self._signals[name].period_s
+        return _Recent(timed.times_s, values[timed.near], wrong[timed.near], gap_s, timed.timing_s)
+
+    def _timed(self, name: str, timebase: Timebase, stamps: Rows, at_ns: NDArray[np.int64]) -> "_Timed | GateReason":
         times_ns = timebase.time_ns(name, stamps)
         if times_ns is None:
             return GateReason.NOT_SYNCHRONISED
-        times_s = (times_ns - at_ns[0]) * 1e-9
-        values, wrong = history.values[recent], history.wrong[recent]
+        times_s, kept = (times_ns - at_ns[0]) * 1e-9, None
         waited = timebase.waited(name, stamps)
         late = waited is not None and bool(waited.any())
         if late or not (times_s[1:] > times_s[:-1]).all():
             later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
             kept = np.append(True, later) & (True if waited is None else ~waited)
-            times_s, values, wrong = times_s[kept], values[kept], wrong[kept]
+            times_s = times_s[kept]
         last_s = (at_ns[-1] - at_ns[0]) * 1e-9
         near = slice(*times_s.searchsorted((-self.width_s, last_s + self.width_s)).tolist())
         if near.stop - near.start < 2:
             return GateReason.GAP
         timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9
-        gap_s = (4.5 if late else 3.5) * self._signals[name].period_s
-        return _Recent(times_s[near], values[near], wrong[near], gap_s, timing_s)
+        return _Timed(stamps["tick"], times_s[near], kept, near, late, timing_s)
 
     def _smooth(
         self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
@@ -350,7 +367,19 @@ class _Recent(NamedTuple):
 
     def is_with(self, other: "_Recent") -> bool:
         """Whether both were sampled at the same times, as well known."""
-        return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
+        same = self.times_s is other.times_s or np.array_equal(self.times_s, other.times_s)
+        return same and self[3:] == other[3:]
+
+
+class _Timed(NamedTuple):
+    """Times of samples, of all channels with the same clock and ticks."""
+
+    ticks: NDArray[np.generic]  # of the device
+    times_s: FloatArray  # (k,) of what is near the estimator's ticks
+    kept: NDArray[np.bool_] | None  # which have a time of their own; None: all
+    near: slice  # of these
+    late: bool  # some were taken later than their ticks say
+    timing_s: float
 
 
 def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:

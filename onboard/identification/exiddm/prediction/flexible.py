@@ -117,16 +117,15 @@ class FlexibleJoints:
         """In the state: of the bends and their rates, of stiffness and damping."""
         return self.bends, self._layout.estimated("stiffness", "damping")
 
-    def drive(self, covariance: FloatArray, joint_sigma: FloatArray, period_s: float) -> None:
-        """Add what the noise of the joints' accelerations as they are read does to the rates of the bends.
+    def driven(self, joint_sigma: FloatArray, period_s: float) -> FloatArray:
+        """What the noise of the joints' accelerations as they are read adds to variances of the bends' rates, (f,).
 
         Args:
-            covariance: of the state, (p, p); changed.
             joint_sigma: of joint rates and accelerations, (n, 2, joints).
             period_s: between ticks.
         """
-        rates, each = self.bends[self.compliance.count :], joint_sigma[:, 1, self.compliance.joints]
-        covariance[rates, rates] += _COLOURED * period_s**2 * (each**2).sum(axis=0)
+        each = joint_sigma[:, 1, self.compliance.joints]
+        return np.asarray(_COLOURED * period_s**2 * (each**2).sum(axis=0), np.float64)
 
     def springs(self, x: FloatArray) -> Springs:
         """With the errors among all unknowns."""

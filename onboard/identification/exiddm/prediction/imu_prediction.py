@@ -34,7 +34,7 @@ from onboard.identification.exiddm.prediction.further import (
     Thruster,
     blocks_of,
     cuts_of,
-    fade,
+    left_of,
 )
 from onboard.identification.exiddm.prediction.imu_errors import (
     SIZE,
@@ -57,6 +57,7 @@ from onboard.identification.exiddm.prediction.parameters import (
 )
 from onboard.identification.exiddm.prediction.scaled import Scaled
 from onboard.identification.exiddm.prediction.ticks import TickPrediction, Ticks
+from onboard.native import library
 
 UNDISTURBED = DisturbancePrior()
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
@@ -223,6 +224,7 @@ class ImuPredictor:
         ]
         drifting, by = self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T
         self.changing = np.concatenate([np.arange(3), drifting, self.anew_at])
+        self._changes = self.changing.astype(np.int64)
         self.stated = self.sigma.copy()
         self.stated[drifting] = np.hypot(self.sigma[drifting], DRIFT_MEMORY_s * self.sigma[by])
         self.stated[self.anew_at] = np.nan
@@ -249,6 +251,11 @@ class ImuPredictor:
         rates = [np.arange(own.start, own.start + 3) for own in self.lines[: len(self._imus)]]
         poses = [np.arange(own.start, own.stop) for own in self.lines[self._of_poses]]
         return np.setdiff1d(np.arange(self.lines[-1].stop), np.concatenate([*rates, *poses])).astype(np.intp)
+
+    @cached_property
+    def of_delays(self) -> IndexArray:
+        """Places of delays in the state."""
+        return np.flatnonzero(["delay" in name for name in self.names])
 
     @property
     def no_ticks(self) -> Ticks:
@@ -368,7 +375,7 @@ class ImuPredictor:
         covariance: FloatArray,
         joint_sigma: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """State, (p,), and covariance, (p, p), at the last predicted tick.
+        """State, (p,), and covariance, (p, p), exactly symmetric, at the last predicted tick.
 
         Args:
             predicted: the batch.
@@ -378,15 +385,17 @@ class ImuPredictor:
             joint_sigma: of the batch's joint rates and accelerations, (b + 2, 2, joints): bends are driven by the
                 latter as they are read; None: they are exact.
         """
-        c, F, P = self.changing, predicted.transition, covariance.copy()
-        P[c] = F @ covariance
-        P[:, c] = P @ F.T
-        carried = predicted.state + (state - start)
+        c, F, p = self.changing, predicted.transition, len(state)
+        carried, ticks, more = predicted.state + (state - start), len(predicted.values), np.zeros(p)
         carried[c] = predicted.state[c] + F @ (state - start)
+        left = left_of(self.fading, ticks * self.period_s, p)
         if self._flexible is not None and joint_sigma is not None:
-            self._flexible.drive(P, joint_sigma[1:-1], self.period_s)
-        fade(self.fading, len(predicted.values) * self.period_s, carried, P)
-        return carried, self.aged(P, len(predicted.values))
+            rates = self.bends[self._flexible.compliance.count :]
+            more[rates] = self._flexible.driven(joint_sigma[1:-1], self.period_s)
+        more[self._walking] += ticks * self.period_s * self._walked
+        given = library.given(F, len(c), p), library.given(covariance, p, p), left, more
+        pointers = (library.address(part) for part in (self._changes, *given))
+        return carried * left, library.call("heft_carried", p, len(c), *pointers, out=np.empty((p, p)))
 
     def anew(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A mean, (p,), and covariance, (p, p), with nothing known of a tracker's pose and of bends."""

@@ -75,4 +75,5 @@ def added_by_line(
     if right is None:
         right = predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
     added = np.einsum("bm,bmp->mp", weight * (wrong.values - right.values), wrong.jacobian - right.jacobian)
-    return np.where(["delay" in name for name in predictor.names], 0.0, added), right.state
+    added[:, predictor.of_delays] = 0.0
+    return added, right.state

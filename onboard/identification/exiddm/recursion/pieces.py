@@ -116,8 +116,9 @@ class Pieces:
         gyro = predicted.jacobian[:, :3].copy() if self.steps.times else _NO_SIZES
         jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
         piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
-        changing = predictor.changing
-        of_state = changing, ~np.isin(self._active, changing), np.setdiff1d(self._taken.at, changing)
+        changing, stays = predictor.changing, np.ones(len(self.state), np.bool_)
+        stays[changing] = False
+        of_state = changing, stays[self._active], self._taken.at[stays[self._taken.at]]
         half = self._by_first(piece.information, *of_state)
         by_first = self._by_first(half.T, *of_state), self._by_first(piece.gradient, *of_state)
         self.normal = self.normal.plus(Normal(*by_first, piece.squares))

@@ -240,8 +240,8 @@ class RecursiveExiddm(Windowed):
             self.ticks_used += int(there[:, own.start].sum())
             seen = np.isfinite(self.fusion.without(self.fusion.left_out, batch.measured))
             self._noise_of(ticks, of_samples, batch.sigma, there & seen)
-        self.state, P = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
-        self.covariance = 0.5 * (P + P.T)  # else what rounding leaves of P - P' grows until S is not positive definite
+        # symmetric, else what rounding leaves of P - P' grows until S is not positive definite
+        self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self.rivals.steps.step(innovation.first(used), predicted.transition, self.state)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from onboard.estimation.policy import AGAIN
 from onboard.identification.evidence.mixture import Known
-from onboard.identification.exiddm.prediction.further import fade
+from onboard.identification.exiddm.prediction.further import left_of
 from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.trials import WindowProblem
@@ -136,8 +136,8 @@ def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:
         mean[bias_at] += after_s * mean[drift_at]
         covariance[bias_at] += after_s * covariance[drift_at]
         covariance[:, bias_at] += after_s * covariance[:, drift_at]
-    fade(predictor.fading, after_s, mean, covariance)
-    return mean, predictor.aged(covariance, ticks)
+    left = left_of(predictor.fading, after_s, len(mean))
+    return mean * left, predictor.aged(left[:, None] * covariance * left, ticks)
 
 
 def _knows_zeros(predictor: ImuPredictor, known: Known) -> bool:
