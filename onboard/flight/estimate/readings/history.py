@@ -1,9 +1,12 @@
 """The last few seconds of a channel as arrays, with amortised shifts."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
+from onboard.estimation.arrays import FloatArray
 
 STAMPS = np.dtype([("tick", "<i8"), ("host_ns", "<i8")])
 
@@ -70,3 +73,29 @@ class History:
     def wrong(self) -> NDArray[np.int64]:
         """Why each sample may not be used (n,); 0 where it may."""
         return self._wrong[: self._end]
+
+
+class RecentSamples(NamedTuple):
+    """Samples of one channel that a step may need."""
+
+    times_s: FloatArray  # (k,) since the first tick, the filter's delay not removed
+    values: FloatArray  # (k, columns)
+    wrong: NDArray[np.int64]  # (k,) GateReason
+    gap_s: float  # longer ones between samples are gaps
+    timing_s: float  # sigma of the times, common to all
+
+    def is_with(self, other: "RecentSamples") -> bool:
+        """Whether both were sampled at the same times, as well known."""
+        same = self.times_s is other.times_s or np.array_equal(self.times_s, other.times_s)
+        return same and self[3:] == other[3:]
+
+
+class SampleTimes(NamedTuple):
+    """Times of samples, of all channels with the same clock and ticks."""
+
+    ticks: NDArray[np.generic]  # of the device
+    times_s: FloatArray  # (k,) of what is near the estimator's ticks
+    kept: NDArray[np.bool_] | None  # which have a time of their own; None: all
+    near: slice  # of these
+    late: bool  # some were taken later than their ticks say
+    timing_s: float

@@ -6,7 +6,6 @@ clock solution shifts all samples of a window consistently.
 
 import ctypes
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks, nothing, side_by_side
 from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cyclic_of
-from onboard.flight.estimate.readings.history import History
+from onboard.flight.estimate.readings.history import History, RecentSamples, SampleTimes
 from onboard.flight.estimate.readings.jumps import JumpWatch, jumped_text
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
@@ -170,8 +169,8 @@ class SignalSmoother:
     ) -> list[ChannelAtTicks]:
         """As :meth:`at`, for several channels: those that were sampled together are smoothed together."""
         found: dict[str, ChannelAtTicks] = {}
-        groups: list[dict[str, _Recent]] = []
-        seen: dict[str, _Timed] = {}
+        groups: list[dict[str, RecentSamples]] = []
+        seen: dict[str, SampleTimes] = {}
         for name in names:
             recent = self._recent(name, timebase, at_ns, seen)
             if isinstance(recent, GateReason):
@@ -201,8 +200,8 @@ class SignalSmoother:
         return side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
 
     def _recent(
-        self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], seen: "dict[str, _Timed] | None" = None
-    ) -> "_Recent | GateReason":
+        self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], seen: dict[str, SampleTimes] | None = None
+    ) -> RecentSamples | GateReason:
         """What of a channel can be under the kernel at any of ``at_ns``; ``seen``: of channels before, by clock."""
         history = self._histories[name]
         # a sample is taken before it arrives: what arrived long before the window is not under it
@@ -223,9 +222,9 @@ class SignalSmoother:
         if timed.kept is not None:
             values, wrong = values[timed.kept], wrong[timed.kept]
         gap_s = (4.5 if timed.late else 3.5) * self._signals[name].period_s
-        return _Recent(timed.times_s, values[timed.near], wrong[timed.near], gap_s, timed.timing_s)
+        return RecentSamples(timed.times_s, values[timed.near], wrong[timed.near], gap_s, timed.timing_s)
 
-    def _timed(self, name: str, timebase: Timebase, stamps: Rows, at_ns: NDArray[np.int64]) -> "_Timed | GateReason":
+    def _timed(self, name: str, timebase: Timebase, stamps: Rows, at_ns: NDArray[np.int64]) -> SampleTimes | GateReason:
         times_ns = timebase.time_ns(name, stamps)
         if times_ns is None:
             return GateReason.NOT_SYNCHRONISED
@@ -241,10 +240,10 @@ class SignalSmoother:
         if near.stop - near.start < 2:
             return GateReason.GAP
         timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9
-        return _Timed(stamps["tick"], times_s[near], kept, near, late, timing_s)
+        return SampleTimes(stamps["tick"], times_s[near], kept, near, late, timing_s)
 
     def _smooth(
-        self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
+        self, group: Mapping[str, RecentSamples], at_ns: NDArray[np.int64], derivatives: int
     ) -> dict[str, ChannelAtTicks]:
         """Channels sampled together, with the same delays."""
         one = next(iter(group.values()))
@@ -292,7 +291,7 @@ class SignalSmoother:
             self._noises[names] = np.hstack([self._signals[name].noise for name in names]), which
         return self._noises[names]
 
-    def _ripple(self, group: Mapping[str, "_Recent"], rate: FloatArray, sigma: FloatArray) -> None:
+    def _ripple(self, group: Mapping[str, RecentSamples], rate: FloatArray, sigma: FloatArray) -> None:
         """Add what the kernel passes of the encoders' cyclic errors to the noise.
 
         Args:
@@ -313,13 +312,13 @@ class SignalSmoother:
             own = columns[each]
             sigma[:, :, own] = np.hypot(sigma[:, :, own], passed[:, :, each])
 
-    def _errors(self, group: Mapping[str, "_Recent"]) -> Cyclic:
+    def _errors(self, group: Mapping[str, RecentSamples]) -> Cyclic:
         """Cyclic errors of a group's channels."""
         ripples = tuple(self._signals[name].ripple for name in group)
         return cyclic_of(ripples, tuple(recent.values.shape[1] for recent in group.values()))
 
     def _cyclic(
-        self, group: Mapping[str, "_Recent"], values: FloatArray, window: SmoothingWindow, derivatives: int
+        self, group: Mapping[str, RecentSamples], values: FloatArray, window: SmoothingWindow, derivatives: int
     ) -> dict[str, FloatArray]:
         """Functions of the cyclic errors of the channels that have some, see :class:`ChannelAtTicks`.
 
@@ -354,32 +353,6 @@ class SignalSmoother:
         library.call("heft_tick_means", ctypes.byref(samples), half_s, half_s / channel.period_s, out=out)
         values, sigma, refused = library.carved(out, [(n, columns), (n, columns), (n,)])
         return ChannelAtTicks((values,), (sigma,), refused.astype(np.int64), of_samples=(np.ones_like(values),))
-
-
-class _Recent(NamedTuple):
-    """Samples of one channel that a step may need."""
-
-    times_s: FloatArray  # (k,) since the first tick, the filter's delay not removed
-    values: FloatArray  # (k, columns)
-    wrong: NDArray[np.int64]  # (k,) GateReason
-    gap_s: float  # longer ones between samples are gaps
-    timing_s: float  # sigma of the times, common to all
-
-    def is_with(self, other: "_Recent") -> bool:
-        """Whether both were sampled at the same times, as well known."""
-        same = self.times_s is other.times_s or np.array_equal(self.times_s, other.times_s)
-        return same and self[3:] == other[3:]
-
-
-class _Timed(NamedTuple):
-    """Times of samples, of all channels with the same clock and ticks."""
-
-    ticks: NDArray[np.generic]  # of the device
-    times_s: FloatArray  # (k,) of what is near the estimator's ticks
-    kept: NDArray[np.bool_] | None  # which have a time of their own; None: all
-    near: slice  # of these
-    late: bool  # some were taken later than their ticks say
-    timing_s: float
 
 
 def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
