@@ -118,7 +118,7 @@ class PredictorStruct(_Structure):
         "states unknowns joints links thrusters disturbed imus cells lines motion changing drifting pushes "
         "links_at joints_at cyclic_at thrusters_at",
         "tree columns errors estimated bodies chi drawn factor wrenches frames imu cell own own_here own_there "
-        "here there samples changes drifts of push",
+        "runs samples changes drifts of push",
     )
 
 

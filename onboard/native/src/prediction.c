@@ -4,7 +4,7 @@
 
 #include "heft_native.h"
 
-enum { PAYLOAD = 3, PUSHES = 12 };
+enum { PAYLOAD = 3, PUSHES = 12, HERE = 0, THERE = 1, LENGTH = 2, RUN = 3 };
 /* of an instrument: its errors among all unknowns; its place there, or the joint whose torque it is, -1 for none */
 enum { ERRORS_AT = 0, PLACE_AT = 1, OF_JOINT = 1, SAMPLES = 2, NUMBERS = 3 };
 
@@ -19,7 +19,7 @@ typedef struct {
     const double *wrenches, *frames;            /* (6, thrusters); (imus, 12) axes and place of each */
     const i64 *imu, *cell;                      /* (imus, NUMBERS), (cells, NUMBERS) */
     const i64 *own, *own_here, *own_there;      /* (imus + cells,) how many; places in the state, and of their errors */
-    const i64 *here, *there;                    /* (motion,) in the state, and of what the motion depends on */
+    const i64 *runs;                            /* (motion, RUN): neighbours in the state, and of what the motion depends on */
     const double *samples;                      /* (lines,) weight of the second difference */
     const i64 *changes, *drifts, *of, *push;    /* (changing,); (drifting,) what drifts, and by what; (pushes,) */
 } heft_predictor;
@@ -131,6 +131,12 @@ static int moved(const heft_predictor *m, i64 n, double period_s, const double *
 
 static double weight_of(i64 samples) { return (1.0 - 1.0 / ((double)samples * (double)samples)) / 24.0; }
 
+static int within(const heft_predictor *m, i64 total) {
+    for (const i64 *run = m->runs; run < m->runs + RUN * m->motion; run += RUN)
+        if (run[LENGTH] < 0 || run[THERE] < 0 || run[THERE] + run[LENGTH] > total) return 0;
+    return 1;
+}
+
 /* What changes with time: the rate, of the last tick but one, and what drifts; the others stay */
 static void changed(const heft_predictor *m, const heft_base *b, double period_s, shown *out) {
     i64 p = m->states, last = b->n - 2;
@@ -140,8 +146,9 @@ static void changed(const heft_predictor *m, const heft_base *b, double period_s
     for (i64 k = 0; k < m->changing; k++) out->transition[p * k + m->changes[k]] = 1.0;
     for (i64 axis = 0; axis < 3; axis++) {
         out->carried[axis] = b->rate[3 * last + axis];
-        for (i64 k = 0; k < m->motion; k++)
-            out->transition[p * axis + m->here[k]] = d_rate[b->total * axis + m->there[k]];
+        for (const i64 *run = m->runs; run < m->runs + RUN * m->motion; run += RUN)
+            memcpy(out->transition + p * axis + run[HERE], d_rate + b->total * axis + run[THERE],
+                   (size_t)run[LENGTH] * sizeof(double));
     }
     for (i64 k = 0; k < m->drifting; k++) {
         out->carried[m->drifts[k]] += last_s * out->carried[m->of[k]];
@@ -154,8 +161,7 @@ static int lines_of(const heft_predictor *m, const heft_base *b, const heft_movi
                     const heft_errors *const *errors, double period_s, const double *const readings[5], const double *x,
                     double *work, shown *out) {
     i64 inner = b->n - 2, p = m->states, total = b->total, own = 0;
-    for (i64 k = 0; k < m->motion; k++)
-        if (m->there[k] < 0 || m->there[k] >= total) return HEFT_SIZE;
+    if (!within(m, total)) return HEFT_SIZE;
     changed(m, b, period_s, out);
     memset(out->jacobian, 0, (size_t)(inner * m->lines * p) * sizeof(double));
     for (i64 k = 0; k < m->imus; own += m->own[k++]) {
@@ -257,15 +263,15 @@ HEFT_API int heft_predict(const heft_predictor *m, const heft_cut *const *cuts, 
 HEFT_API int heft_linked(const heft_predictor *m, i64 n, i64 total, const double *state, double *out, i64 size) {
     shown to;
     if (n < 4 || size < shown_in(m, n, total, out, &to)) return HEFT_SIZE;
-    for (i64 k = 0; k < m->motion; k++)
-        if (m->there[k] < 0 || m->there[k] >= total) return HEFT_SIZE;
+    if (!within(m, total)) return HEFT_SIZE;
     i64 p = m->states, uncertain = m->columns->count - 1, values = (n - 2) * m->lines, apart = m->lines * total;
     for (i64 i = 0; i < values; i++) {
         const double *at = to.lines + apart + total * i;
         double *row = to.jacobian + p * i, c = m->samples[i % m->lines];
-        for (i64 k = 0; k < m->motion; k++) {
-            const double *one = at + m->there[k];
-            row[m->here[k]] += (one[apart] + one[-apart]) * c + (1.0 - 2.0 * c) * one[0];
+        for (const i64 *run = m->runs; run < m->runs + RUN * m->motion; run += RUN) {
+            const double *now = at + run[THERE];
+            double *to = row + run[HERE];
+            for (i64 k = 0; k < run[LENGTH]; k++) to[k] += (now[apart + k] + now[k - apart]) * c + (1.0 - 2.0 * c) * now[k];
         }
     }
     double *linear = malloc((size_t)(2 * p + 10 * uncertain) * sizeof(double)), *more = linear + p, *z = more + p;

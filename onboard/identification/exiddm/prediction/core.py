@@ -93,15 +93,15 @@ class PredictionCore:
         self._changing = len(changing.every)
         instruments = self._instruments(layout, imus, cells)
         own_lists = self._own(own[: len(imus) + len(cells)], len(imus), p)
-        here, there = library.indices(of_motion[0], p), np.ascontiguousarray(of_motion[1], np.int64)
-        counts = len(imus), len(cells), len(samples), len(here), self._changing, len(changing.drifting)
+        runs = _runs(library.indices(of_motion[0], p), np.ascontiguousarray(of_motion[1], np.int64))
+        counts = len(imus), len(cells), len(samples), len(runs), self._changing, len(changing.drifting)
         places = [layout[name].start for name in ("links", "joints", "cyclic", "thrusters")]
         wrenches: FloatArray = np.ascontiguousarray(np.array([one.wrench for one in thrusters]).reshape(-1, 6).T)
         self.compiled = structures.PredictorStruct(
             *(p, layout.size, joints, links, self._thrusters, int(disturbed), *counts, len(changing.pushes), *places),
             *(vehicle.tree.compiled, columns.compiled(links), None if errors is None else errors.compiled),
             *(library.indices(layout.kept, layout.size), library.indices(scaled.at, p)),
-            *(library.given(vehicle.chi, 10 * links), *scaled.drawn, wrenches, *instruments, *own_lists, here, there),
+            *(library.given(vehicle.chi, 10 * links), *scaled.drawn, wrenches, *instruments, *own_lists, runs),
             library.given(weight_of(samples), len(samples)),
             *(library.indices(part, p) for part in changing),
         )
@@ -212,3 +212,10 @@ class PredictionCore:
         """Addresses of the cells' cuts, and of the errors of joints beyond them, which the vehicle has or not."""
         cuts = library.pointers([cut.compiled for cut in self._cuts])
         return cuts, library.pointers([cut.errors.compiled for cut in self._cuts]) if errors else None
+
+
+def _runs(here: IndexArray, there: IndexArray) -> IndexArray:
+    """Places that follow on each other in both, (k, 3): the first of each run in both, and its length."""
+    first = np.flatnonzero(np.append(True, (np.diff(here) != 1) | (np.diff(there) != 1)))
+    lengths = np.diff(np.append(first, len(here)))
+    return np.ascontiguousarray(np.stack([here[first], there[first], lengths], axis=1), np.int64)
