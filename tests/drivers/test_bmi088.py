@@ -191,10 +191,3 @@ def test_an_accelerometer_that_stands_still_is_set_up_again(flight):
     flight.fly(1.0)
     assert codes(flight.batches) == ["started", "no_samples", "started"]
     assert len(flight.rows()) > 300
-
-
-def test_it_is_put_to_rest_in_the_end(clock, flight):
-    flight.fly(1.0)
-    flight.batches += flight.device.stop(clock())
-    assert flight.chip.transfers[-1] == ("write", 0, 0x7D, 0x00)
-    assert codes(flight.batches) == ["started", "stopped"]

@@ -6,7 +6,16 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.drivers import test_as5048, test_as5600, test_bmi088, test_bmi088_spi, test_icm20948, test_nau7802
+from drivers.records import SampleStatus
+from tests.drivers import (
+    test_as5048,
+    test_as5600,
+    test_bmi088,
+    test_bmi088_spi,
+    test_hx711,
+    test_icm20948,
+    test_nau7802,
+)
 from tests.drivers.batches import codes, of, texts
 from tests.drivers.chip_flight import MS, ChipFlight
 from tests.drivers.i2c_model import Chip
@@ -219,3 +228,99 @@ def test_rows_and_gaps_add_up_through_stops_and_starts(clock, sensor):
     flight.batches += flight.device.stop(clock())
     assert len(flight.rows()) > 80
     assert codes(flight.batches)[-1] == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("flight_of", "asleep"),
+    [
+        (test_bmi088.Flight, lambda chip: chip.transfers[-1] == ("write", 0, 0x7D, 0x00)),
+        (test_icm20948.Flight, lambda chip: chip.registers[0x006] == 0x41 and not chip.fifo),
+        (test_nau7802.Flight, lambda chip: chip.registers[0] & 0x06 == 0),
+        (test_hx711.Flight, lambda chip: chip.high),
+    ],
+    ids=["bmi088", "icm20948", "nau7802", "hx711"],
+)
+def test_it_is_put_to_rest_in_the_end(clock, flight_of, asleep):
+    flight = flight_of(clock)
+    flight.fly(1.0)
+    flight.batches += flight.device.stop(clock())
+    assert asleep(flight.chip)
+    assert codes(flight.batches) == ["started", "stopped"]
+
+
+@pytest.mark.parametrize(
+    ("flight_of", "hz", "known_s", "also"),
+    [(test_icm20948.Flight, 562.5, 20.0, ["fifo_overflow"]), (test_nau7802.Flight, 80 / 1.004, 30.0, [])],
+    ids=["icm20948", "nau7802"],
+)
+def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(clock, flight_of, hz, known_s, also):
+    flight = flight_of(clock)
+    flight.fly(known_s)
+    flight.chip.fail = lambda number: errno.ENXIO
+    flight.fly(10.0)
+    flight.chip.fail = lambda number: 0
+    flight.fly(4.0)
+    assert codes(flight.batches) == ["started", "bus_error", "bus_recovered", *also]
+    assert flight.worst() <= 1 + len(also)
+    (gap,) = of(flight.batches, "gap")
+    assert gap["cause"] == b"bus_error"
+    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * hz, abs=1.1 * hz)  # and the back-off
+
+
+@pytest.mark.parametrize(
+    ("flight_of", "runs", "rows"),
+    [(test_icm20948.Flight, "runs", 1500), (test_nau7802.Flight, "converts", 200)],
+    ids=["icm20948", "nau7802"],
+)
+def test_a_chip_that_stops_sampling_is_reset(clock, flight_of, runs, rows):
+    flight = flight_of(clock)
+    flight.fly(2.0)
+    setattr(flight.chip, runs, False)
+    flight.fly(1.0)
+    assert codes(flight.batches)[1] == "no_samples"
+    setattr(flight.chip, runs, True)
+    flight.fly(2.0)
+    assert len(flight.rows()) > rows
+
+
+CONVERTERS = pytest.mark.parametrize("flight_of", [test_nau7802.Flight, test_hx711.Flight], ids=["nau7802", "hx711"])
+
+
+@pytest.mark.parametrize("rail", [0x7FFFFF, -0x800000])
+@CONVERTERS
+def test_a_sample_at_the_rail_is_saturated(clock, flight_of, rail):
+    flight = flight_of(clock)
+    flight.chip.values = lambda number: rail if number > 30 else number
+    flight.fly(1.5)
+    rows = flight.rows()[-10:]
+    assert set(rows["status"]) == {SampleStatus.SATURATED}
+    assert set(rows["value_raw"]) == {rail}
+
+
+@CONVERTERS
+def test_late_polls_lose_what_they_lose_and_count_it(clock, rng, flight_of):
+    flight = flight_of(clock)
+    flight.fly(2.0)
+    for _ in range(40):
+        clock.advance(int(rng.uniform(1.0, 90.0) * MS))
+        flight.fly(0.2)
+    gaps = of(flight.batches, "gap")
+    assert len(gaps) > 10
+    assert set(gaps["cause"]) == {b"missed"}
+    assert flight.worst() == 0
+
+
+@pytest.mark.parametrize(
+    ("flight_of", "calls", "most"),
+    [
+        (test_nau7802.Flight, lambda chip: len(chip.transfers), 6.0),
+        (test_hx711.Flight, lambda chip: chip.calls, 75 + 8),
+    ],
+    ids=["nau7802", "hx711"],
+)
+def test_it_looks_when_a_conversion_is_due_and_hardly_before(clock, flight_of, calls, most):
+    flight = flight_of(clock)
+    flight.fly(1.0)
+    before, rows = calls(flight.chip), len(flight.rows())
+    flight.fly(4.0)
+    assert (calls(flight.chip) - before) / (len(flight.rows()) - rows) < most

@@ -152,16 +152,6 @@ def test_a_digitiser_that_is_away_is_told_and_found_again(flight):
     assert len(rows) > 50
 
 
-@pytest.mark.parametrize("most", [1, 4])
-def test_an_answer_in_pieces_is_put_together(clock, most):
-    flight = Flight(clock)
-    flight.port.most = most
-    flight.start()
-    flight.fly(100)
-    assert len(flight.rows()) > 5
-    assert codes(flight.batches) == ["started"]
-
-
 def test_it_works_on_a_pty_that_waits():
     dsc = DscModel()
     pty = Pty(dsc.receive)

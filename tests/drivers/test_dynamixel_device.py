@@ -264,26 +264,6 @@ def test_a_spoilt_answer_costs_what_comes_after_it(flight):
         flight.rows(channel)
 
 
-@pytest.mark.parametrize("most", [1, 5])
-def test_an_answer_in_pieces_is_put_together(clock, most):
-    flight = Flight(clock, timeout_ms=200.0)
-    flight.port.most = most
-    flight.start()
-    flight.fly(2000)
-    assert len(flight.rows("wrist")) > 20
-    assert "bad_frame" not in codes(flight.batches)
-
-
-def test_an_adapter_that_hears_itself(clock):
-    flight = Flight(clock, delay_ns=0)
-    receive = flight.chain.receive
-    flight.chain.receive = lambda request: request + receive(request)
-    flight.start()
-    flight.fly(100)
-    assert len(flight.rows("wrist")) > 15
-    assert "bad_frame" not in codes(flight.batches)
-
-
 def test_a_port_that_is_unplugged_and_returns(flight):
     flight.fly(100)
     flight.port.broken = True

@@ -131,32 +131,6 @@ def test_input_and_gain_are_chosen_by_the_number_of_pulses(clock, gain, pulses):
     assert not (rows["status"][2:] & AFTER_RESET).any()  # how many it hides while it settles is not sure
 
 
-def test_it_looks_when_a_conversion_is_due_and_hardly_before(flight):
-    flight.fly(1.0)
-    before, rows = flight.chip.calls, len(flight.rows())
-    flight.fly(4.0)
-    assert (flight.chip.calls - before) / (len(flight.rows()) - rows) < 75 + 8
-
-
-def test_a_sample_at_the_rail_is_saturated(flight):
-    flight.chip.values = lambda number: -0x800000 if number > 30 else number
-    flight.fly(1.5)
-    rows = flight.rows()
-    assert set(rows["status"][-10:]) == {SATURATED}
-    assert set(rows["value_raw"][-10:]) == {-0x800000}
-
-
-def test_late_polls_lose_what_they_lose_and_count_it(flight, rng):
-    flight.fly(2.0)
-    for _ in range(40):
-        flight.clock.advance(int(rng.uniform(1.0, 90.0) * MS))
-        flight.fly(0.2)
-    gaps = of(flight.batches, "gap")
-    assert len(gaps) > 10
-    assert set(gaps["cause"]) == {b"missed"}
-    np.testing.assert_array_equal(flight.true_numbers(), flight.rows()["tick"])
-
-
 # Pulses that last too long
 
 

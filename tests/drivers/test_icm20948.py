@@ -167,19 +167,6 @@ def test_a_count_beyond_the_data_sheets_size_is_an_overflow(flight, count):
     assert flight.worst() <= 1
 
 
-def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
-    flight.fly(20.0)
-    flight.chip.fail = lambda number: errno.ENXIO
-    flight.fly(10.0)
-    flight.chip.fail = lambda number: 0
-    flight.fly(3.0)
-    assert codes(flight.batches) == ["started", "bus_error", "bus_recovered", "fifo_overflow"]
-    assert flight.worst() <= 2
-    (gap,) = of(flight.batches, "gap")
-    assert gap["cause"] == b"bus_error"
-    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 562.5, abs=600)  # and the back-off
-
-
 def test_a_brown_out_is_found_and_it_is_set_up_again(flight):
     flight.fly(4.0)
     flight.chip.reset()
@@ -192,26 +179,8 @@ def test_a_brown_out_is_found_and_it_is_set_up_again(flight):
     assert flight.chip.registers[0x252] == 1
 
 
-def test_a_chip_that_stops_sampling_is_reset(flight):
-    flight.fly(2.0)
-    flight.chip.runs = False
-    flight.fly(1.0)
-    assert codes(flight.batches)[1] == "no_samples"
-    flight.chip.runs = True
-    flight.fly(2.0)
-    assert len(flight.rows()) > 1500
-
-
 def test_samples_that_repeat_are_not_valid(flight):
     flight.chip.values = lambda number: [7, 1, 2, 3, 4, 5, 100]
     flight.fly(2.0)
     assert "stuck" in codes(flight.batches)
     assert set(flight.rows()["status"][-100:]) == {int(SampleStatus.NOT_VALID)}
-
-
-def test_it_is_put_to_rest_in_the_end(clock, flight):
-    flight.fly(1.0)
-    flight.batches += flight.device.stop(clock())
-    assert flight.chip.registers[0x006] == 0x41
-    assert not flight.chip.fifo
-    assert codes(flight.batches) == ["started", "stopped"]

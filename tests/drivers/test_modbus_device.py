@@ -187,26 +187,6 @@ def test_each_bad_answer_counts(flight):
     assert len(flight.rows()) > 15
 
 
-@pytest.mark.parametrize("most", [1, 5])
-def test_an_answer_in_pieces_is_put_together(clock, most):
-    flight = Flight(clock)
-    flight.port.most = most
-    flight.start()
-    flight.fly(300)
-    assert len(flight.rows()) > 5
-    assert codes(flight.batches) == ["scale", "started"]
-
-
-def test_an_adapter_that_hears_itself(clock):
-    flight = Flight(clock, delay_ns=0, echo=True)
-    receive = flight.cell.receive
-    flight.cell.receive = lambda request: request + receive(request)
-    flight.start()
-    flight.fly(50)
-    assert len(flight.rows()) > 20
-    assert codes(flight.batches) == ["scale", "started"]
-
-
 def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
     flight.fly(60)
     flight.port.broken = True

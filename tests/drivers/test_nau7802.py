@@ -13,7 +13,7 @@ from drivers.i2c.nau7802 import OSCILLATOR, Nau7802, Nau7802Config, decode_sampl
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts
 from tests.drivers.chip_flight import ConverterFlight
-from tests.drivers.i2c_model import MS, Nau7802Model
+from tests.drivers.i2c_model import Nau7802Model
 
 NAME = "cell"
 SATURATED, NOT_VALID, AFTER_RESET = map(int, (SampleStatus.SATURATED, SampleStatus.NOT_VALID, SampleStatus.AFTER_RESET))
@@ -184,46 +184,6 @@ def test_every_conversion_is_a_row_with_its_number(clock, error):
     assert np.abs(spacing - 12.5e6 * (1.0 + error)).max() <= 1e6
 
 
-def test_it_looks_when_a_conversion_is_due_and_hardly_before(flight):
-    flight.fly(1.0)
-    before, rows = len(flight.chip.transfers), len(flight.rows())
-    flight.fly(4.0)
-    assert (len(flight.chip.transfers) - before) / (len(flight.rows()) - rows) < 6.0
-
-
-def test_a_sample_at_the_rail_is_saturated(flight):
-    flight.chip.values = lambda number: 0x7FFFFF if number > 30 else number
-    flight.fly(1.5)
-    rows = flight.rows()
-    assert set(rows["status"][-10:]) == {SATURATED}
-    assert set(rows["value_raw"][-10:]) == {0x7FFFFF}
-
-
-def test_late_polls_lose_what_they_lose_and_count_it(flight, rng):
-    flight.fly(2.0)
-    for _ in range(40):
-        flight.clock.advance(int(rng.uniform(1.0, 90.0) * MS))
-        flight.fly(0.2)
-    rows = flight.rows()
-    gaps = of(flight.batches, "gap")
-    assert len(gaps) > 10
-    assert set(gaps["cause"]) == {b"missed"}
-    np.testing.assert_array_equal(flight.true_numbers(), rows["tick"])
-
-
-def test_unplugged_for_ten_seconds_it_goes_on_with_the_number_that_is_due(flight):
-    flight.fly(30.0)
-    flight.chip.fail = lambda number: errno.ENXIO
-    flight.fly(10.0)
-    flight.chip.fail = lambda number: 0
-    flight.fly(5.0)
-    assert codes(flight.batches) == ["started", "bus_error", "bus_recovered"]
-    assert flight.worst() <= 1
-    (gap,) = of(flight.batches, "gap")
-    assert gap["cause"] == b"bus_error"
-    assert gap["last_missing"] - gap["first_missing"] == pytest.approx(10 * 80 / 1.004, abs=90)  # and the back-off
-
-
 def test_a_brown_out_is_found_and_the_zero_is_put_back(flight):
     flight.fly(2.0)
     calibrated = [flight.chip.registers[place] for place in (3, 4, 5)]
@@ -241,16 +201,6 @@ def test_a_brown_out_is_found_and_the_zero_is_put_back(flight):
     assert len(rows) + gap["last_missing"] - gap["first_missing"] + 1 == pytest.approx(80 * due, abs=8)
 
 
-def test_a_chip_that_stops_converting_is_reset(flight):
-    flight.fly(2.0)
-    flight.chip.converts = False
-    flight.fly(1.0)
-    assert codes(flight.batches)[1] == "no_samples"
-    flight.chip.converts = True
-    flight.fly(2.0)
-    assert len(flight.rows()) > 200
-
-
 def test_a_data_ready_bit_that_hangs_makes_no_rows_of_nothing(flight):
     flight.fly(2.0)
     before = len(flight.rows())
@@ -261,13 +211,6 @@ def test_a_data_ready_bit_that_hangs_makes_no_rows_of_nothing(flight):
     del flight.chip.stuck[0]
     flight.fly(2.0)
     assert codes(flight.batches)[-1] == "started"
-
-
-def test_it_is_put_to_rest_in_the_end(clock, flight):
-    flight.fly(1.0)
-    flight.batches += flight.device.stop(clock())
-    assert flight.chip.registers[0] & 0x06 == 0
-    assert codes(flight.batches) == ["started", "stopped"]
 
 
 def test_an_outage_longer_than_the_period_is_known_for_begins_its_clock_anew(flight):

@@ -1,6 +1,7 @@
 """What holds of every driver on a serial line or a network: a fault at any call of its port, the sum of its rows."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import pytest
@@ -19,7 +20,7 @@ from tests.drivers import (
     test_pose_tracker,
     test_robotous_rft,
 )
-from tests.drivers.batches import whole
+from tests.drivers.batches import codes, whole
 from tests.drivers.serial_script import SerialFlight, fault_at_any_call
 
 
@@ -75,3 +76,38 @@ def test_a_fault_at_any_call_is_told_and_loses_no_count(line):
         for channel in flight.device.channels:
             if not channel.endswith("_mark"):
                 assert len(whole(flight.batches, channel)) >= line.rows
+
+
+@pytest.mark.parametrize("most", [1, 4, 5])
+@pytest.mark.parametrize(
+    ("flight_of", "pumps", "said"),
+    [
+        (test_dsc.Flight, 100, ["started"]),
+        (test_modbus_device.Flight, 300, ["scale", "started"]),
+        (partial(test_dynamixel_device.Flight, timeout_ms=200.0), 2000, None),
+    ],
+    ids=["dsc", "modbus", "dynamixel"],
+)
+def test_an_answer_in_pieces_is_put_together(clock, flight_of, pumps, said, most):
+    flight = flight_of(clock)
+    flight.port.most = most
+    flight.start()
+    flight.fly(pumps)
+    assert all(len(whole(flight.batches, channel)) > 5 for channel in flight.device.channels)
+    assert said in (None, codes(flight.batches))
+    assert "bad_frame" not in codes(flight.batches)
+
+
+@pytest.mark.parametrize(
+    ("flight_of", "pumps", "rows"),
+    [(partial(test_modbus_device.Flight, echo=True), 50, 20), (test_dynamixel_device.Flight, 100, 15)],
+    ids=["modbus", "dynamixel"],
+)
+def test_an_adapter_that_hears_itself(clock, flight_of, pumps, rows):
+    flight = flight_of(clock, delay_ns=0)
+    receive = flight.model.receive
+    flight.model.receive = lambda request: request + receive(request)
+    flight.start()
+    flight.fly(pumps)
+    assert all(len(whole(flight.batches, channel)) > rows for channel in flight.device.channels)
+    assert "bad_frame" not in codes(flight.batches)

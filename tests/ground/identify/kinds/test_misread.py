@@ -93,42 +93,33 @@ def test_a_recording_that_determines_too_little_is_said_nothing_of(urdf, flight,
     assert (_misread(urdf, t, angles, np.degrees(rate), force) is not None) == named
 
 
-def test_heft_identify_says_it_and_fits_nothing(tmp_path, flight):
-    """By the commands of the page; the columns are called as the axes that they are not."""
+def verdict_of(tmp_path, t, force, rate, angles):
+    """What heft identify says, by the commands of the page, of columns that are called as if they were right."""
     lab, table = tmp_path / "lab", tmp_path / "flight.csv"
     asked = ["--base", "free", "--joints", ",".join(JOINTS), "--imu", "recorded", "--encoder", "recorded"]
     assert main(["init", str(lab), *asked]) == OK
-    t, angles, rate, force = (one[::5] for one in flight)
     names = ["t", *(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_rad_s" for axis in "xyz"), *JOINTS]
-    columns = np.column_stack([t, force, rate @ _FLIPPED_x, angles])
-    np.savetxt(table, columns, "%.6f", ",", header=",".join(names), comments="")
-    mapping, answer = tmp_path / "m.toml", tmp_path / "answer.json"
-    assert main(["import", "--guess", str(table), "--vehicle", str(lab / "vehicle.toml"), "-o", str(mapping)]) == OK
-    assert main(["import", str(mapping), str(table), "-o", str(tmp_path)]) == OK
+    np.savetxt(table, np.column_stack([t, force, rate, angles]), "%.6f", ",", header=",".join(names), comments="")
+    mapping, answer, vehicle = str(tmp_path / "m.toml"), tmp_path / "answer.json", str(lab / "vehicle.toml")
+    assert main(["import", "--guess", str(table), "--vehicle", vehicle, "-o", mapping]) == OK
+    assert main(["import", mapping, str(table), "-o", str(tmp_path)]) == OK
     begun_s = time.process_time()
-    command = ["identify", "--vehicle", str(lab / "vehicle.toml"), str(tmp_path / "flight.mcap")]
-    assert main([*command, "--json", str(answer)]) == 1
+    assert main(["identify", "--vehicle", vehicle, str(tmp_path / "flight.mcap"), "--json", str(answer)]) == 1
     assert time.process_time() - begun_s < 30.0
     (log,) = json.loads(answer.read_text())["logs"]
-    assert log["verdict"]["level"] == "do not use"
-    assert "if the gyro's x counts the other way: correct the mapping" in log["verdict"]["text"]
+    return log["verdict"]
+
+
+def test_heft_identify_says_it_and_fits_nothing(tmp_path, flight):
+    t, angles, rate, force = (one[::5] for one in flight)
+    verdict = verdict_of(tmp_path, t, force, rate @ _FLIPPED_x, angles)
+    assert verdict["level"] == "do not use"
+    assert "if the gyro's x counts the other way: correct the mapping" in verdict["text"]
 
 
 def test_what_no_mistake_explains_is_refused_with_what_to_check(tmp_path, flight):
     """A gyro that reads ten times as much, which no unit makes: the fit fails, and no reason is claimed."""
-    lab, table, answer = tmp_path / "lab", tmp_path / "flight.csv", tmp_path / "answer.json"
-    asked = ["--base", "free", "--joints", ",".join(JOINTS), "--imu", "recorded", "--encoder", "recorded"]
-    assert main(["init", str(lab), *asked]) == OK
     t, angles, rate, force = (one[:2200:10] for one in flight)
-    names = ["t", *(f"acc_{axis}_m_s2" for axis in "xyz"), *(f"gyro_{axis}_rad_s" for axis in "xyz"), *JOINTS]
-    np.savetxt(
-        table, np.column_stack([t, force, 10.0 * rate, angles]), "%.6f", ",", header=",".join(names), comments=""
-    )
-    mapping = str(tmp_path / "m.toml")
-    assert main(["import", "--guess", str(table), "--vehicle", str(lab / "vehicle.toml"), "-o", mapping]) == OK
-    assert main(["import", mapping, str(table), "-o", str(tmp_path)]) == OK
-    command = ["identify", "--vehicle", str(lab / "vehicle.toml"), str(tmp_path / "flight.mcap")]
-    assert main([*command, "--json", str(answer)]) == 1
-    (log,) = json.loads(answer.read_text())["logs"]
-    assert "the fit failed" in log["verdict"]["text"]
-    assert "check axes and units of the IMU, signs, units, order and zeros of the joints" in log["verdict"]["text"]
+    verdict = verdict_of(tmp_path, t, force, 10.0 * rate, angles)
+    assert "the fit failed" in verdict["text"]
+    assert "check axes and units of the IMU, signs, units, order and zeros of the joints" in verdict["text"]
