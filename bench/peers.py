@@ -10,6 +10,7 @@ from collections.abc import Callable
 from cobs import cobs
 
 from drivers.ports import CanFrame, Edge, I2cReply
+from tests.drivers.dynamixel_model import crc
 
 QSB_TICK_NS = 1_953_125
 NIMU_HEADER = b"\xff\xff\xff\xff\x26"
@@ -257,13 +258,6 @@ def mpu6050_packets(first: int, count: int) -> bytes:
     )
 
 
-def nimu_packet(number: int, period_ticks: int = 3072) -> bytes:
-    """Packet ``number``, its checksum over everything before it."""
-    words = (number % 1000, -7, 0, 5, -100, 10922, 5, -6, -1, -1, -1, number % 100)
-    head = NIMU_HEADER + struct.pack(">BBHHH", 0xFF, 0x14, number * period_ticks & 0xFFFF, 0, 0x1234)
-    return nimu_summed(head + struct.pack(">12h", *words) + b"\0")
-
-
 def nimu_summed(packet: bytes, first: int = 0) -> bytes:
     """A packet with its checksum put right; it sums from byte ``first`` on."""
     return packet[:37] + bytes([sum(packet[first:37]) % 256]) + packet[38:]
@@ -282,33 +276,10 @@ def qsb_answer(command: bytes, tick: int) -> bytes:
     return qsb_line(text[0].lower(), register, data, tick)
 
 
-def modbus_crc(data: bytes) -> bytes:
-    """CRC-16/MODBUS, bit by bit, as sent."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc.to_bytes(2, "little")
-
-
-def modbus_answer(request: bytes, gross: int) -> bytes:
-    """A Laumas transmitter's answer to a read from 40007 on: division 0.001, kg."""
-    count = int.from_bytes(request[4:6], "big")
-    registers = [0x80 if gross < 0 else 0, *divmod(abs(gross), 1 << 16), *divmod(abs(gross), 1 << 16), 0, 0, 15, 0]
-    body = bytes([request[0], 3, 2 * count]) + b"".join(word.to_bytes(2, "big") for word in registers[:count])
-    return body + modbus_crc(body)
-
-
 def dynamixel_packet(head: str, data: bytes) -> bytes:
     """A packet of DYNAMIXEL protocol 2.0, or the next part of one: bytes in hex, data, CRC over all of it."""
     packet = bytes.fromhex(head) + data
-    crc = 0
-    for byte in packet:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return packet + crc.to_bytes(2, "little")
+    return packet + crc(packet)
 
 
 def node_framed(payload: bytes) -> bytes:

@@ -29,6 +29,7 @@ from drivers.ports import CanFrame, Edge
 from drivers.serial_line.scalars import WrenchChannel
 from drivers.sync_pulse import SyncPulse
 from drivers.transports.can.can_slcan import SlcanDecoder, decode_line, encode_line
+from tests.drivers.modbus_model import framed
 
 TRANSFER_NS = 100_000  # three bytes at 400 kHz: no bus is faster, and no two stamps are the same
 ERRNOS = (5, 6, 121, 110, 11)  # EIO, ENXIO, EREMOTEIO, ETIMEDOUT, EAGAIN
@@ -178,7 +179,7 @@ def modbus(data: bytes) -> None:
     (how, which, fail_at), body = leading(data, 3)
     answers = list(split(body))
     if which & 0x80:
-        answers = [said[:-2] + peers.modbus_crc(said[:-2]) for said in answers]
+        answers = [framed(said[:-2]) for said in answers]
     config = modbus_load_cell.ModbusLoadCellConfig(
         values=(("gross",), ("gross", "net"), ("net",))[which % 3],
         sign=("status", "twos_complement", "positive")[which // 3 % 3],

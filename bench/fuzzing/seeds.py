@@ -9,6 +9,8 @@ from drivers.bota_ft.frame import crc
 from drivers.canopen_pdo import CanopenBus, SyncConfig
 from drivers.modbus_load_cell.frame import read_request
 from drivers.transports.can.can_slcan import encode_line
+from tests.drivers.modbus_model import TransmitterModel, framed
+from tests.drivers.nimu_model import NimuModel
 
 
 def _canopen_seeds() -> list[bytes]:
@@ -83,14 +85,15 @@ def _bota_seeds() -> list[bytes]:
 
 def seeds() -> dict[str, list[bytes]]:
     """Seeds by target."""
-    packets = b"".join(peers.nimu_packet(at) for at in range(14))
+    imu = NimuModel()
+    packets = b"".join(imu.packet() for _ in range(14))
     start = 10_000_000_000 // peers.QSB_TICK_NS
     lines = b"".join(peers.qsb_line("s", 0x0E, 1000 * at, start + at) for at in range(20))
     edges = peers.qsb_line("s", 0x05, 77, start + 21) + peers.qsb_line("s", 0x01, 1, start + 21)
     odd = b"s0E00000001!\r\ne 03 !\nQSB-D  0E!"
     asked = [read_request(1, 6, count) for count in (8, 9)]
-    weights = [peers.modbus_answer(asked[0], gross) for gross in (5, -5, 70_000)]
-    refused = b"\x01\x83\x02" + peers.modbus_crc(b"\x01\x83\x02")
+    weights = [TransmitterModel(gross=one, net=one).receive(asked[0]) for one in (5, -5, 70_000)]
+    refused = framed(b"\x01\x83\x02")
     numbers = [b"+123.45\r", b"-000.10\r", b"?\r", b"+1.2\r"]
     can = b"".join(encode_line(identifier, payload) for at in range(8) for identifier, payload in peers.can_round(at))
     return {
@@ -106,7 +109,8 @@ def seeds() -> dict[str, list[bytes]]:
         "qsb": [b"\0\2\0" + lines + edges, b"\2\x0d\x1f" + odd + lines, b"\1\x80\0" + lines + odd],
         "modbus": [
             b"\1\x01\0" + joined(*weights, refused),
-            b"\x19\x81\x09" + joined(weights[0], weights[1][:9], refused, peers.modbus_answer(asked[1], 9)),
+            b"\x19\x81\x09"
+            + joined(weights[0], weights[1][:9], refused, TransmitterModel(gross=9, net=9).receive(asked[1])),
             b"\1\x40\0" + joined(asked[0] + weights[0], weights[1]),
         ],
         "dsc": [b"\1\0\0" + joined(*numbers), b"\x19\1\x09" + joined(*numbers[::-1], b"+1\r+2\r", b"1" * 40)],

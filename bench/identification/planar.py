@@ -58,7 +58,7 @@ def priors(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
         for k, link in enumerate(model.links[:-1])
     }
     pucks = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
-    return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, IMU_PRIOR)
+    return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu=IMU_PRIOR)
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
