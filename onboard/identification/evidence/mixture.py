@@ -48,7 +48,7 @@ class Mixture(NamedTuple):
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             less = np.einsum("k,qkm->qm", self.weights, ndtr((middle[:, None] - apart) / sigma)) < share
-            low, high = np.where(less, [middle, high], [low, middle])
+            low, high = np.where(less, middle, low), np.where(less, high, middle)
         return np.asarray(np.where(share < 0.5, low, high), np.float64)
 
     def covering(self, along: FloatArray) -> FloatArray:

@@ -261,7 +261,7 @@ class Steps:
             self.suspects[own] = [one._replace(odds=one.odds * times) for one in self._what]
         steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
         new = now.about(state).changed(len(D))
-        d, J = np.append(d[steps], np.zeros(each)), np.pad(J[np.ix_(steps, steps)], (0, each))
+        d, J = np.append(d[steps], np.zeros(each)), np.pad(J.take(steps, 0).take(steps, 1), (0, each))
         self.changed = Changed(np.hstack([D[:, steps], new]), d, J, self._of_each)
         self._stands = np.append(self._stands[kept], 1.0)
         self._begun = np.append(self._begun[kept], self._batches)

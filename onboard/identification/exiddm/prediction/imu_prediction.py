@@ -283,6 +283,8 @@ class ImuPredictor:
         fit them, and all of them is noise.
         """
         noise, off = ticks.joint_sigma, {self.names[at] for at in wrong}
+        if not any(name.startswith("scale_") for name in off):
+            return noise
         every = [name for name in self._layout.every if name.startswith("cyclic_")]
         for k, joint in enumerate(self.vehicle.joints):
             ends = tuple(f"_{wave}_{joint.name}" for wave in ("cos", "sin"))
