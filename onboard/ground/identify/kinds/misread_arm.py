@@ -39,7 +39,8 @@ class ArmReading(NamedTuple):
     shift_rad: FloatArray  # (joints,) added
     torque_order: tuple[int, ...]  # of each torque
     torque_factor: FloatArray  # (joints,) of these
-    mistakes: int = 1
+    mistakes: int
+    held_before: bool = False  # the payload is held in the recording that is said to be without it
 
 
 class _MotionRecorder(TableRun):
@@ -91,11 +92,17 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     if recording.ticks < SHORTEST:
         return ""
     least = recording.left(stated)
-    ways = sorted((recording.left(way) * MISFIT_REFUSED**way.mistakes, way.said) for way in _others(stated, joints))
-    best, said = ways[0]
+    ways = [
+        (recording.left(way) * MISFIT_REFUSED**way.mistakes, way)
+        for way in _others(stated, joints)
+        if not way.held_before or recording.both
+    ]
+    best, best_way = min(ways, key=lambda one: one[0])
     if best >= least:
         return ""
-    return f"much less would be left over if {said}: correct the mapping, or the URDF"
+    said = best_way.said
+    what = "merge them in their order" if best_way.held_before else "correct the mapping, or the URDF"
+    return f"much less would be left over if {said}: {what}"
 
 
 class _ArmRecording:
@@ -105,6 +112,7 @@ class _ArmRecording:
         self._rows, self._root = rows, prior_root[:, prior_root.any(axis=0)]
         self._q, self._dq, self._ddq, self._measured, self._held = signals
         self.ticks = len(self._q)
+        self.both = bool(self._held.any() and not self._held.all())  # with the payload and without
 
     def left(self, way: ArmReading) -> float:
         """Squares that are left over, of each torque as a share that is refused, and of what is stated, in sigmas."""
@@ -115,7 +123,7 @@ class _ArmRecording:
             way.factor * self._ddq[:, at],
         )
         measured = way.torque_factor * self._measured[:, list(way.torque_order)]
-        held = np.asarray(self._held, np.bool_)
+        held = np.asarray(self._held != way.held_before, np.bool_)
         Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held)
         size = measured.std(axis=0)
         weight = 1.0 / (MOST_UNEXPLAINED * np.where(size > 0.0, size, np.inf))
@@ -128,7 +136,8 @@ class _ArmRecording:
 
 def _others(stated: ArmReading, names: Sequence[str]) -> Iterator[ArmReading]:
     """With a mistake."""
-    n = len(names)
+    n, stated = len(names), stated._replace(mistakes=1)
+    yield stated._replace(said="what is held is in the recording before, and not in the other one", held_before=True)
     for k, name in enumerate(names):
         turned = np.where(np.arange(n) == k, -1.0, 1.0)
         yield stated._replace(said=f"the angle of {name} counts the other way", factor=turned)
@@ -147,7 +156,8 @@ def _others(stated: ArmReading, names: Sequence[str]) -> Iterator[ArmReading]:
         yield stated._replace(said=f"the angles of {pair} are exchanged", order=swapped)
         yield stated._replace(said=f"the torques of {pair} are exchanged", torque_order=swapped)
         yield stated._replace(said=f"{pair} are exchanged", order=swapped, torque_order=swapped)
-    yield stated._replace(said="all torques count the other way", torque_factor=-np.ones(n))
+    # bodies of negative mass explain it as well, and cost little where masses are hardly known: no price of a mistake
+    yield stated._replace(said="all torques count the other way", torque_factor=-np.ones(n), mistakes=0)
     for factor, said in (
         (1e-3, "thousandths of what they are read as"),
         (1e3, "a thousand times what they are read as"),

@@ -27,11 +27,14 @@ def lab(tmp_path_factory):
 @pytest.fixture(scope="module")
 def moved(lab):
     """Time (n,), angles and torques (n, 3) of the arm with 1 kg in its hand."""
+    return _moved(lab, 1.0)
+
+
+def _moved(lab, held_kg):
     model = pin.buildModelFromXML((lab / "vehicle.urdf").read_text())
     hand = model.frames[model.getFrameId("payload")]
-    model.appendBodyToJoint(
-        hand.parentJoint, pin.Inertia(1.0, np.array([0.02, 0.03, 0.05]), 2e-3 * np.eye(3)), hand.placement
-    )
+    held = pin.Inertia(held_kg, np.array([0.02, 0.03, 0.05]), 2e-3 * held_kg * np.eye(3))
+    model.appendBodyToJoint(hand.parentJoint, held, hand.placement)
     data, t = model.createData(), 0.01 * np.arange(3000)
     rate = 2.0 * np.pi * np.array([0.23, 0.31, 0.17])
     turns = rate * t[:, None] + [0.0, 1.0, 2.0]
@@ -41,13 +44,13 @@ def moved(lab):
     return t, q, torque + friction + np.random.default_rng(3).normal(0.0, _NOISE_N_m, torque.shape)
 
 
-def _log(lab, directory, t, q, torque):
+def _log(lab, directory, t, q, torque, name="run"):
     """Imported by the mapping that heft init writes."""
-    table = directory / "run.csv"
+    table = directory / f"{name}.csv"
     names = ["t", *_JOINTS, *(f"{name}_torque" for name in _JOINTS)]
     np.savetxt(table, np.column_stack([t, q, torque]), "%.9f", ",", header=",".join(names), comments="")
     assert main(["import", str(lab / "import.toml"), str(table), "-o", str(directory)]) == OK
-    return directory / "run.mcap"
+    return directory / f"{name}.mcap"
 
 
 _MISTAKES = {
@@ -85,3 +88,25 @@ def test_heft_identify_says_it_where_it_refuses(lab, moved, tmp_path):
     assert main(["identify", "--vehicle", str(lab / "vehicle.toml"), str(log), "--json", str(answer)]) == 1
     (found,) = json.loads(answer.read_text())["logs"]
     assert found["verdict"]["reasons"][0].startswith("much less would be left over if the torque of elbow counts")
+
+
+def _in_turn(lab, directory, *moved):
+    """Reasons of heft identify for recordings that are merged in turn."""
+    logs = [str(_log(lab, directory, *one, name=f"part_{k}")) for k, one in enumerate(moved)]
+    both, answer = directory / "both.mcap", directory / "answer.json"
+    assert main(["merge", "--in-turn", "recording", *logs, "-o", str(both)]) == OK
+    assert main(["identify", "--vehicle", str(lab / "vehicle.toml"), str(both), "--json", str(answer)]) == 1
+    (found,) = json.loads(answer.read_text())["logs"]
+    return found["verdict"]["reasons"]
+
+
+def test_a_payload_that_is_in_the_first_recording_is_named(lab, moved, tmp_path):
+    """All torques were said to be thousandths of what they are read as."""
+    said = "much less would be left over if what is held is in the recording before, and not in the other one"
+    assert _in_turn(lab, tmp_path, moved, _moved(lab, 0.0))[0] == f"{said}: merge them in their order"
+
+
+def test_a_mistake_that_leaves_a_little_less_is_none(lab, tmp_path):
+    """Nothing is held in either recording: a wrist that counts the other way was named."""
+    empty = _moved(lab, 0.0)
+    assert not [one for one in _in_turn(lab, tmp_path, empty, empty) if "left over if" in one]
