@@ -89,7 +89,7 @@ class Twins:
         clocks: Every oscillator, by name.
         faults: Gives the faults of a device.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
-        seed: Of what a twin draws for itself.
+        seed: Of what the twins draw for themselves, each with its name: two of a kind draw other numbers.
         axes: Joints of the drives that the flight computer commands, by device.
 
     Attributes:
@@ -119,7 +119,8 @@ class Twins:
         for name, table in devices.items():
             place = None if table.bus is None else scenario.bus[table.bus]
             try:
-                bench = Bench(name, sensors, clocks, faults(name), start_ns, seed, place, axes.get(name))
+                own_seed = int(np.random.SeedSequence([seed, *name.encode()]).generate_state(1)[0])
+                bench = Bench(name, sensors, clocks, faults(name), start_ns, own_seed, place, axes.get(name))
                 twins[name] = table.build(bench)
                 self._plug(table, twins[name])
             except FaultError:

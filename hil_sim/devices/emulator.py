@@ -45,7 +45,7 @@ class Bench(NamedTuple):
         clocks: Every oscillator, by name.
         faults: What breaks in it.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
-        seed: Of what it draws for itself.
+        seed: Of what it draws for itself, of this device alone.
         bus: The table of its bus.
         axis: The joint that it turns, where it is a drive that the flight computer commands.
     """

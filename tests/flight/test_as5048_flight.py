@@ -2,6 +2,7 @@
 
 import tomllib
 
+import numpy as np
 import pytest
 
 from drivers.records import SampleStatus
@@ -10,6 +11,7 @@ from tests.flight.test_i2c_devices import codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
 ARM = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802", "--encoder"]
+JOINTS = "joint_1", "joint_2"
 KINDS = pytest.mark.parametrize("kind", ["as5048a", "as5048b"])
 
 
@@ -18,12 +20,14 @@ def test_an_arm_of_magnets_is_weighed_with(tmp_path, kind):
     result, log, _ = rehearsed(tmp_path, [*ARM, kind], swing=8.0, seed=6)
     honest(answers(result))
     assert answers(result)["MY_payload"]["supported"]
-    for joint in ("joint_1", "joint_2"):
+    for joint in JOINTS:
         rows = log.read(joint)
         assert len(rows) > 10.5 * 200
         assert set(rows["status"]) == {0}
         assert set(rows["device_status"]) == {0x01}
         assert result["channels"][joint]["missing"] == 0
+    noise = [np.diff(np.unwrap(log.read(joint)["value_raw"].astype(float), period=2**14)[:1900], 3) for joint in JOINTS]
+    assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # two chips have noise of their own
 
 
 @KINDS

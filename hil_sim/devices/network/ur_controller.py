@@ -246,7 +246,7 @@ class UrJointTable(_UrTable, JointEmulator):
         angle = FaultyScalar(bench.sensor(EncoderSensor), bench.faults, bench.start_ns)
         turning = rate(bench.sensor(EncoderSensor))
         torque = bench.sensor(MotorTorqueSensor, "torque")
-        rng = np.random.default_rng([bench.seed, *bench.name.encode()])
+        rng = np.random.default_rng(bench.seed)
         at = self.number - 1
         inputs: dict[tuple[str, int], Input] = {
             ("actual_q", at): lambda t: (

@@ -202,7 +202,7 @@ class PoseTrackerTable(MeasuringEmulator):
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
-        rng = np.random.default_rng([bench.seed, *bench.name.encode()])
+        rng = np.random.default_rng(bench.seed)
         latency_ms = max(0.0, self.latency_ms + self.latency_sigma_ms * float(rng.standard_normal()))
         tracker = PoseTrackerTwin(
             bench.sensor(PoseSensor),

@@ -50,7 +50,7 @@ from onboard.estimation.recursive.blocks import TimeBlocks
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
 _FEWEST = 3  # blocks in a period: neighbours are alike for other reasons, and two phases have no scatter
-_MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
+MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
 NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -424,7 +424,7 @@ def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
     T, R = T @ V, V.T @ R
     prior_information, prior_right = rls.prior_equations()
     A0 = T.T @ prior_information @ T
-    signal = noise < _MOST_NOISE
+    signal = noise < MOST_NOISE
     noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
     keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), _TINY))
     shared = T.T @ blocks.noise_moment

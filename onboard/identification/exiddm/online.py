@@ -343,7 +343,7 @@ class ExiddmIdentifier:
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
-        noise = self.exiddm.correction  # which the misfit does not widen
+        noise = self.exiddm.correction.part(PAYLOAD)  # which the misfit does not widen
         self._mixed = weighed, mixture.wider(noise.covariance / misfit), misfit
         return self._mixed[1:]
 
@@ -358,7 +358,7 @@ class ExiddmIdentifier:
         """
         weighed = self._weighed
         effects = self._causes.effects(along @ weighed.across(weighed.likeliest, PAYLOAD))
-        effects[:, -1] = np.abs(along @ self.exiddm.correction.sigma)
+        effects[:, -1] = np.abs(along @ self.exiddm.correction.sigma[PAYLOAD])
         for one, share in zip(weighed.counting, shares, strict=True):
             if (
                 one.suspect is None

@@ -12,7 +12,8 @@ from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.exiddm.misfit import beyond_chance
 from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.joint_noise import NoiseCorrection
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded, NoiseCorrection
+from onboard.identification.exiddm.prediction.ticks import TickPrediction
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 _PATIENCE = 6  # predictions by whose gain the rest is judged
@@ -31,6 +32,38 @@ def instruments_of(predictor: ImuPredictor) -> list[Instrument]:
     first = [Instrument(name, 0, slice(3 * k, 3 * k + 3)) for k, name in enumerate(INSTRUMENTS)]
     further = zip(predictor.further, predictor.lines[1:], strict=True)
     return [*first, *(Instrument(one.name, device, own) for device, (one, own) in enumerate(further, 1))]
+
+
+class Along(NamedTuple):
+    """Prediction of b ticks of a segment."""
+
+    ticks: slice
+    values: FloatArray  # (b, lines)
+    predicted: TickPrediction  # without the biases
+    state: FloatArray  # (predictor's p,) there
+    d_rate: FloatArray  # (3, predictor's p) of the rate there by the state at the segment's start
+    lines: FloatArray  # (b, 2 + kinks)
+
+
+class BlockNoise(NamedTuple):
+    """What noise of the joints' samples adds to a block, at an estimate."""
+
+    of_constants: NoiseAdded  # of the predictor, (c,)
+    by_x: FloatArray  # (c, p) these by the parameters
+
+    def at(self, by: FloatArray) -> FloatArray:
+        """To the gradient at parameters that are so far from the estimate, (p,)."""
+        gradient, information = self.of_constants
+        return np.asarray((gradient + information @ (self.by_x @ by)) @ self.by_x, np.float64)
+
+
+def sum_of(noise: Sequence[BlockNoise], parameters: int) -> NoiseAdded:
+    """What noise adds to all blocks together."""
+    found = NoiseAdded(np.zeros(parameters), np.zeros((parameters, parameters)))
+    for of_constants, by_x in noise:
+        found.gradient[:] += of_constants.gradient @ by_x
+        found.information[:] += by_x.T @ of_constants.information @ by_x
+    return found
 
 
 class NormalEquations(NamedTuple):

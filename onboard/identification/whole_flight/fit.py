@@ -33,9 +33,11 @@ from onboard.identification.exiddm.guesses import first_rate
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.prediction.joint_noise import correction_of
 from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, TickPrediction
+from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.steps import OtherError
 from onboard.identification.whole_flight.blocks import (
+    Along,
+    BlockNoise,
     FlightFit,
     Instrument,
     NormalEquations,
@@ -43,6 +45,7 @@ from onboard.identification.whole_flight.blocks import (
     give_up,
     instruments_of,
     misfit_by_instrument,
+    sum_of,
     total_of,
 )
 from onboard.identification.whole_flight.segments import Segment, divided, others_in
@@ -60,17 +63,6 @@ class _Minimum(NamedTuple):
     fit: Fit
     blocks: tuple[NormalEquations, ...]  # there
     promised: float  # decrease of the residual sum by the last step, whose end was not predicted
-
-
-class _Along(NamedTuple):
-    """Prediction of b ticks of a segment."""
-
-    ticks: slice
-    values: FloatArray  # (b, lines)
-    predicted: TickPrediction  # without the biases
-    state: FloatArray  # (predictor's p,) there
-    d_rate: FloatArray  # (3, predictor's p) of the rate there by the state at the segment's start
-    lines: FloatArray  # (b, 2 + kinks)
 
 
 class WholeFlight:
@@ -216,35 +208,39 @@ class WholeFlight:
 
     def _found(self, minimum: _Minimum) -> FlightFit:
         found, blocks, added = minimum.fit, minimum.blocks, self._noise_added(minimum.fit.x)
-        correction = correction_of(found.covariance, sum(added, np.zeros(len(self.names))))
-        if added:  # in one step: anew at its end, it is not sure to be smaller along what is hardly known
-            found = found._replace(x=found.x + correction.shift)
-            blocks = tuple(b.moved(correction.shift).without(n) for b, n in zip(blocks, added, strict=True))
-        chi, covariance = found.x[:10], found.covariance[:10, :10] + correction.covariance[:10, :10]
+        whole = sum_of(added, len(self.names))
+        correction = correction_of(found.covariance, whole, self.sigma)
+        if (
+            added
+        ):  # in one step: what noise adds at its end is as far from linear as the gradient, which is not made anew
+            shift = correction.shift
+            found = found._replace(x=found.x + shift)
+            blocks = tuple(b.moved(shift).without(n.at(shift)) for b, n in zip(blocks, added, strict=True))
+        chi, covariance = found.x[:10], found.covariance[:10, :10] + correction.part(slice(10)).covariance
         freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
         told = found, self.names, chi, covariance, correction, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), self._glitches)
 
-    def _noise_added(self, x: FloatArray) -> list[FloatArray]:
-        """What noise of the joints' samples adds to the gradient of each block, (p,) each, at x; empty for nothing."""
-        found, rest = list[FloatArray](), len(self.names) - self.constants
+    def _noise_added(self, x: FloatArray) -> list[BlockNoise]:
+        """What noise of the joints' samples adds to each block at x; empty for nothing."""
+        found, c = list[BlockNoise](), self.constants
         widths = [own.stop - own.start for own in self.predictor.lines]
         each = [(np.repeat(use, widths, axis=1), sigma) for use, sigma in zip(self._use, self._sigma, strict=True)]
         ticks_of = ((one.ticks, self.state(x, k)) for k, one in enumerate(self.segments))
         noise = (self.predictor.joint_noise(ticks.q, ticks.sample_sigma, state) for ticks, state in ticks_of)
         noisy = any(is_noisy(one[1:-1], sigma[1:-1], use[1:-1]) for one, (use, sigma) in zip(noise, each, strict=True))
         for k, (one, (use, sigma)) in enumerate(zip(self.segments, each, strict=True) if noisy else ()):
+            by_x = np.zeros((c, len(self.names)))  # of the predictor's constants
+            by_x[:, :c], by_x[:, len(self.names) - self._other.shape[2] :] = np.eye(c), self._other[k, RATE.stop :]
+            by_x[:10] *= one.held
             for along in self._along(x, k, np.inf):
                 here, before = along.ticks, along.ticks.start - 1
                 known = one.ticks.part(slice(before, here.stop + 1)), sigma[here], use[here], along.state
-                lines, _ = added_by_line(self.predictor, *known, before // BATCH_TICKS, along.predicted)
-                lines[:, PAYLOAD] *= one.held
+                of_lines = added_by_line(self.predictor, *known, before // BATCH_TICKS, along.predicted)
                 for own in self.instruments:
                     if use[here, own.lines].any():
-                        by_state = lines[own.lines, RATE.stop :].sum(axis=0)
-                        by_others = by_state @ self._other[k, RATE.stop :]
-                        found.append(np.concatenate([by_state, np.zeros(rest - by_others.size), by_others]))
+                        found.append(BlockNoise(of_lines.of(own.lines, slice(RATE.stop, None)), by_x))
         return found
 
     def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[NormalEquations]:
@@ -336,7 +332,7 @@ class WholeFlight:
             state[bias_at] = state[drift_at] = 0.0
         return np.asarray(state + self._other[segment] @ x[len(x) - self._other.shape[2] :], np.float64)
 
-    def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[_Along]:
+    def _along(self, x: FloatArray, segment: int, length_s: float) -> Iterator[Along]:
         """Block by block along a segment."""
         ticks, p = self.segments[segment].ticks, len(self.predictor.names)
         last = min(len(ticks.time_s), max(SHORTEST, round(min(length_s, 1e6) / self.predictor.period_s)))
@@ -349,7 +345,7 @@ class WholeFlight:
             lines, values = self._lines(ticks.time_s[here]), predicted.values
             for at, (bias_at, _) in zip(self._of_lines, self.predictor.biases, strict=True):
                 values = values + (lines @ x[at])[:, None] * predicted.jacobian[:, :, bias_at]
-            yield _Along(here, values, predicted, state, d_rate, lines)
+            yield Along(here, values, predicted, state, d_rate, lines)
             transition = predicted.transition[RATE].copy()
             transition[:, RATE] = 0.0
             d_rate = predicted.transition[RATE, RATE] @ d_rate + transition
@@ -362,7 +358,7 @@ class WholeFlight:
         return np.column_stack([np.ones_like(t), t, np.maximum(0.0, t[:, None] - self._kinks_s)])
 
     def _whitened(
-        self, along: _Along, segment: int, instrument: Instrument, use: BoolArray
+        self, along: Along, segment: int, instrument: Instrument, use: BoolArray
     ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray] | None]:
         """Residuals of the ticks to use, (u,), their sigmas, (t, lines), and what the delay's wander does to rows."""
         own, device, one = instrument.lines, instrument.device, self.segments[segment]
@@ -376,7 +372,7 @@ class WholeFlight:
         return split(r[:, None])[:, 0], sigma, split
 
     def _rows(
-        self, along: _Along, segment: int, instrument: Instrument, use: BoolArray
+        self, along: Along, segment: int, instrument: Instrument, use: BoolArray
     ) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Whitened residuals of the ticks to use, (u,), their derivatives, (u, k), and by which parameters, (k,)."""
         r, sigma, split = self._whitened(along, segment, instrument, use)

@@ -101,7 +101,7 @@ def fitted(
 
 def _mixed(found: FlightFit, weighed: Weighed) -> FlightFit:
     """The payload of a fit under all hypotheses that count."""
-    mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD)).wider(found.correction.covariance[PAYLOAD, PAYLOAD])
+    mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD)).wider(found.correction.part(PAYLOAD).covariance)
     chi, covariance = mixture.known
     return found._replace(payload=body_estimate(chi, covariance), chi=chi, chi_covariance=covariance)
 

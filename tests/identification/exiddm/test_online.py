@@ -17,7 +17,7 @@ from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.prediction.joint_noise import correction_of
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.regressor.signals import Signals
 from tests.identification.exiddm.recorded_flights import online, ticks_of
 
@@ -107,7 +107,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
             covariance=covariance,
             lines=quiet,
             misfit=quiet,
-            correction=correction_of(np.zeros((10, 1)), np.zeros(1)),
+            correction=correction_of(np.eye(13), NoiseAdded.none(13), np.ones(13)),
             rivals=SimpleNamespace(spanned=NONE),
         )
     )
@@ -147,7 +147,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             state=state,
             lines=quiet,
             misfit=quiet,
-            correction=correction_of(np.zeros((10, 1)), np.zeros(1)),
+            correction=correction_of(np.eye(13), NoiseAdded.none(13), np.ones(13)),
             corrected=lambda known: known,  # exact joints
             rivals=SimpleNamespace(weighed=Once(), spanned=NONE),
             held=True,

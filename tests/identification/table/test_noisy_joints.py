@@ -72,7 +72,7 @@ def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
         motion[:, 1] += 0.006 * functions[:, order, 0]
     signals = clean._replace(q=read[0], dq=read[1], ddq=read[2], cyclic=functions).coarser(2)
     joint = vehicle().joints[1].name
-    prior = PRIOR._replace(geometry=GeometryPrior(0.0, {joint: JointPrior(cyclic=(0.006,))}))
+    prior = PRIOR._replace(geometry=GeometryPrior(0.0, {joint: JointPrior(cyclic=((1.0, 0.006),))}))
     exiddm = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior)
     plain = exiddm.near(_truth(signals))
     corrected = step(exiddm, plain.fit)

@@ -76,7 +76,7 @@ def test_with_the_error_that_is_named_nothing_else_contradicts_the_run(signals):
     q, dq, ddq = motions
     functions, joint = once_a_turn(q[:, 4], dq[:, 4], ddq[:, 4]), vehicle().joints[4].name
     exact = JointPrior(2e-4, 1e-3, 2e-4, 2e-4)
-    errors = {one.name: exact for one in vehicle().joints} | {joint: exact._replace(cyclic=(1e-3,))}
+    errors = {one.name: exact for one in vehicle().joints} | {joint: exact._replace(cyclic=((1.0, 1e-3),))}
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, errors))
     told, off, _ = found(signals._replace(q=q, dq=dq, ddq=ddq, cyclic=functions), prior)
     assert "scale_joint_5" in told.findings.doubts[0]

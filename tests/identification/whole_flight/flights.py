@@ -17,7 +17,7 @@ CAPTURE_s, END_s = 6.0, 14.0
 
 
 def predictor_of(cyclic=()):
-    """Of the twin; rms of the cyclic errors of each joint."""
+    """Of the twin; cyclic errors of each joint."""
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
     chi = {name: vehicle.chi[10 * k : 10 * k + 10] for k, name in enumerate(vehicle.links)}
     links = {name: standard_covariance(chi[name], 0.03, 2e-3, 0.01) for name in ("base", "link_2")}

@@ -86,10 +86,10 @@ def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predi
     sigma = np.sqrt(np.diag(found.fit.covariance))
     added = np.zeros(len(found.names))
     for block in found.blocks:
-        assert block.noise.any() == (block.instrument == "accelerometer")
+        assert block.noise.any()
         added[block.columns] += block.noise
     assert found.correction.shift[0] > 0.5 * sigma[0]  # the payload was light by so much
-    np.testing.assert_allclose(found.correction.shift, found.fit.covariance @ added)
+    np.testing.assert_allclose(found.correction.shift / sigma, found.fit.covariance @ added / sigma, atol=0.02)
     left = total_of(found.blocks, len(added)).gradient + flight.prior_information @ found.fit.x
     assert np.abs(left * sigma).max() < 0.02
 
@@ -165,7 +165,7 @@ def test_a_flight_is_fitted_as_a_whole_where_an_encoder_jumps(ticks, predictor, 
 
 
 def test_cyclic_errors_are_noise_after_a_jump_that_may_have_changed_a_scale(ticks):
-    predictor = predictor_of((1e-3,))
+    predictor = predictor_of(((1.0, 1e-3),))
     functions = np.random.default_rng(2).normal(size=(len(ticks.time_s), 3, 10)) * [[1.0], [10.0], [100.0]]
     joint = JumpedJoint(predictor, "joint_2", EncoderJump(0, 0.004, 0.3, 0.2))
     squares = []

@@ -126,7 +126,7 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
             joints[name] = JointPrior(0.0, 0.0, rotor.scale_sigma, rotor.delay_sigma_s, ())
             continue
         own = stated.get(name, config.JointKeys())
-        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
+        cyclic = ripple.get(name, ())
         delay_s = hypot(own.delay_s, late_s.get(name, 0.0))
         joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, delay_s, cyclic, _spring(model, name, own))
     return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)

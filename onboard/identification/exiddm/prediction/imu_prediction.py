@@ -20,7 +20,7 @@ from onboard.dynamics.joint_errors import EncoderReadings, JointErrors
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.exiddm.prediction.core import Changing, PredictionBegun, PredictionCore
 from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
 from onboard.identification.exiddm.prediction.further import (
@@ -102,6 +102,7 @@ class ImuPredictor:
         moving: where these last stand; empty without a tracker.
         bends: where the bends of flexible joints and their rates stand, which change, too.
         anew_at: ``moving`` and ``bends``: what a window knows nothing of.
+        cyclic_slopes: see :meth:`GeometryPrior.cyclic_slopes`.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -147,6 +148,7 @@ class ImuPredictor:
         self._in_push = layout.estimated("disturbance")
         self.pushes: list[tuple[int, int]] = list(zip(*self._in_push.reshape(2, -1).tolist(), strict=True))
         self.fading = [one for at, of in self.pushes for one in ((at, disturbance.memory_s), (of, DRIFT_MEMORY_s))]
+        self.cyclic_slopes = geometry.cyclic_slopes(vehicle)
         of_functions = geometry.cyclic_joints(vehicle) if self._flexible is None else self._flexible.placed(layout)
         errors = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE)
         self._imus = [PlacedImu(*vehicle.pose_in_base(imu_frame), samples, errors, layout["imu_place"])]
@@ -246,11 +248,9 @@ class ImuPredictor:
         return PlacedPose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
 
     @cached_property
-    def of_forces(self) -> IndexArray:
-        """Lines of accelerometers and cells."""
-        rates = [np.arange(own.start, own.start + 3) for own in self.lines[: len(self._imus)]]
-        poses = [np.arange(own.start, own.stop) for own in self.lines[self._of_poses]]
-        return np.setdiff1d(np.arange(self.lines[-1].stop), np.concatenate([*rates, *poses])).astype(np.intp)
+    def of_poses(self) -> BoolArray:
+        """Lines of trackers, (m,)."""
+        return np.arange(self.lines[-1].stop) >= min((own.start for own in self.lines[self._of_poses]), default=np.inf)
 
     @cached_property
     def of_delays(self) -> IndexArray:

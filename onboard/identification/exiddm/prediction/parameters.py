@@ -44,7 +44,8 @@ class JointPrior(NamedTuple):
     zero: float = 0.0  # of its encoder, rad or m
     scale: float = 0.0  # of its encoder, relative
     delay_s: float = 0.0  # of its encoder
-    cyclic: tuple[float, ...] = ()  # rms of each of its encoder's cyclic errors, of a cosine and a sine each
+    # Of each of its encoder's cyclic errors, a cosine and a sine each: periods in a radian, times 2 pi, and rms.
+    cyclic: tuple[tuple[float, float], ...] = ()
     spring: SpringPrior | None = None  # None: it is stiff
 
 
@@ -69,7 +70,7 @@ class GeometryPrior(NamedTuple):
             names += [f"{kind}_{joint.name}" for kind in JOINT_ERRORS]
             sigma += [*[own.place_m] * 3, own.zero, own.scale, own.delay_s]
             cyclic += [f"cyclic_{k}_{wave}_{joint.name}" for k in range(len(own.cyclic)) for wave in ("cos", "sin")]
-            rms += [one for one in own.cyclic for _ in range(2)]
+            rms += [one for _, one in own.cyclic for _ in range(2)]
         return {
             "imu_place": Unknowns(tuple(f"place_{axis}_imu" for axis in "xyz"), np.full(3, self.imu_place_m)),
             "joints": Unknowns(tuple(names), np.array(sigma, np.float64)),
@@ -85,6 +86,16 @@ class GeometryPrior(NamedTuple):
         """The joint of each unknown of ``cyclic``, by its place in the vehicle's joints."""
         each = [len(self.joints.get(joint.name, JointPrior()).cyclic) for joint in vehicle.joints]
         return [index for index, count in enumerate(each) for _ in range(2 * count)]
+
+    def cyclic_slopes(self, vehicle: VehicleModel) -> FloatArray:
+        """Slope of each function of ``cyclic`` by each joint's angle, over the other function of its pair, (joints, m).
+
+        Of a cosine it is less its periods in a radian, times 2 pi; of a sine it is these.
+        """
+        slopes = np.zeros((len(vehicle.joints), len(of := self.cyclic_joints(vehicle))))
+        every = (self.joints.get(joint.name, JointPrior()).cyclic for joint in vehicle.joints)
+        slopes[of, range(len(of))] = [sign * periods for own in every for periods, _ in own for sign in (-1.0, 1.0)]
+        return slopes
 
 
 EXACT_GEOMETRY = GeometryPrior()

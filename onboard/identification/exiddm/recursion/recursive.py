@@ -197,7 +197,8 @@ class RecursiveExiddm(Windowed):
 
     def _go_on_from(self, solved: Solved) -> None:
         self._start, self.state, self.covariance, self.ticks_used = solved[1:5]
-        self.noise_added = solved.noise_added + (solved.hypothesis is HeldPayload.SAME) * self._noise_before
+        same, before = solved.hypothesis is HeldPayload.SAME, self._noise_before
+        self.noise_added = solved.noise_added.plus(before) if same else solved.noise_added
         self.lines.begin(solved.residual)
         self.rivals.steps.begin(solved.steps, solved.state)
 

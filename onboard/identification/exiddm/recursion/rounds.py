@@ -103,7 +103,7 @@ class WindowRounds:
             return
         exchanged = _exchanged(first)
         for payload in (True, False) if exchanged else (True,):
-            known = _corrected(asked), asked.steps
+            known = (asked.corrected, asked.covariance), asked.steps
             freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=payload)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
                 wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
@@ -156,7 +156,7 @@ class WindowRounds:
             unexplained = self._stated is None  # as stated
             nats = -np.log(EXPLAINED) if self._stated is None else found.evidence - self._stated.evidence
             if self.wrong or not self.altered:  # else nothing becomes free
-                self._rivals.solved(_corrected(found), float(nats), at_least=unexplained)
+                self._rivals.solved((found.corrected, found.covariance), float(nats), at_least=unexplained)
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
         self._tried = []
@@ -190,8 +190,3 @@ def _if_changed(solve: WindowSolve) -> float:
 def _log_density(x: FloatArray, covariance: FloatArray) -> float:
     """Of a Gaussian of mean zero, but for what its size gives."""
     return -0.5 * float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
-
-
-def _corrected(found: Solved) -> Known:
-    """At the end of a window, without what noise of the joints adds."""
-    return found.state + found.covariance @ found.noise_added, found.covariance

@@ -25,6 +25,7 @@ from onboard.estimation.policy import DOUBT, HALF, LEAST_WEIGHT, READING, REFUSE
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.exiddm.prediction.noise_in_gradient import noise_added
 from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursion.pieces import Pieces, Problem, evidence_of
@@ -70,7 +71,8 @@ class Solved(NamedTuple):
     residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
     kept: FloatArray  # (p, p) covariance with which a filter goes on
     steps: Changed  # inside it
-    noise_added: FloatArray  # (p,) by noise of the joints' samples to the gradient
+    noise_added: NoiseAdded  # by the joints' samples
+    corrected: FloatArray  # (p,) the state without what noise adds
     evidence: float  # logarithm of the density of the readings, but for what is common to all hypotheses on the window
 
     @property
@@ -390,7 +392,8 @@ class WindowSolve:
         noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
         there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
         evidence = evidence_of(whole, use.sum(axis=0), there, cost - squares, (stated, informed))
-        return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, evidence)
+        corrected = end + correction_of(covariance, noise, self._predictor.stated).shift
+        return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, corrected, evidence)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""

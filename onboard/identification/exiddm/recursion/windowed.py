@@ -13,6 +13,7 @@ from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.innovation import Innovations
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.exiddm.recursion.claims import Claim, at_first
 from onboard.identification.exiddm.recursion.holding import Holding
@@ -133,7 +134,8 @@ class Windowed(Holding):
         ``altered``: but for the payload, a part of which has come off or been added.
         """
         now = self._prior if self.state is None else (self.state, self.covariance)
-        self._noise_before, carried = self.noise_added * (batches_back is not None), False
+        before = self.noise_added if batches_back is not None else NoiseAdded.none(len(self.predictor.names))
+        self._noise_before, carried = before, False
         if batches_back is None:
             now = self.initial
         elif len(self.snapshots):

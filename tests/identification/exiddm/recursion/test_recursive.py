@@ -10,6 +10,7 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded
 from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
 from onboard.identification.exiddm.recursion.window import HeldPayload, WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
@@ -228,11 +229,12 @@ def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
     state = np.arange(len(exiddm.covariance), dtype=float)
     exiddm.covariance = np.diag(1.0 + state)
     assert exiddm.corrected(state) is state
-    exiddm.noise_added = np.where(state == PAYLOAD.start, 2.0, 0.0)
+    gradient, nothing = np.where(state == PAYLOAD.start, 2.0, 0.0), np.zeros((len(state), len(state)))
+    exiddm.noise_added = NoiseAdded(gradient, nothing)
     corrected = exiddm.corrected(state)
-    np.testing.assert_array_equal(corrected - state, exiddm.covariance @ exiddm.noise_added)
+    np.testing.assert_array_equal(corrected - state, exiddm.covariance @ gradient)
     assert exiddm.corrected(state) is corrected  # what is weighed by it is weighed once
-    exiddm.noise_added = 2.0 * exiddm.noise_added
-    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ exiddm.noise_added)
+    exiddm.noise_added = NoiseAdded(2.0 * gradient, nothing)
+    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ (2.0 * gradient))
     exiddm.covariance = 3.0 * exiddm.covariance  # a window's covariance is replaced beside the same state
-    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ exiddm.noise_added)
+    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ (2.0 * gradient))

@@ -11,6 +11,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded
 from onboard.identification.exiddm.recursion.rounds import WindowRounds
 from onboard.identification.exiddm.recursion.trials import WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
@@ -45,7 +46,7 @@ class SuspectsThat:
 def solved(evidence: float, hypothesis: HeldPayload = HeldPayload.NEW, mass_kg: float = 3.0) -> Solved:
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
-    parts = np.zeros((9, 6)), np.eye(len(state)), Changed.none(len(state)), np.zeros(len(state))
+    parts = np.zeros((9, 6)), np.eye(len(state)), Changed.none(len(state)), NoiseAdded.none(len(state)), state
     return Solved(hypothesis, state, state, np.eye(len(state)), 100, 0, 0.0, 0.0, *parts, evidence)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded
 from onboard.identification.exiddm.recursion.trials import CellTrials, WindowFits, WindowProblem
 from onboard.identification.exiddm.recursion.window import HeldPayload, Solved
 
@@ -24,6 +25,7 @@ def solved(strained: float) -> Solved:
         np.zeros((98, 6)),
         np.eye(3),
         NONE,
+        NoiseAdded.none(3),
         np.zeros(3),
         0.0,
     )
@@ -78,6 +80,7 @@ def of_payload(hypothesis: HeldPayload, cost: float, mass_kg: float = 0.5) -> So
         np.zeros((98, 6)),
         np.eye(PAYLOAD.stop),
         NONE,
+        NoiseAdded.none(PAYLOAD.stop),
         state,
         0.0,
     )

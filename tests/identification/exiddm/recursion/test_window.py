@@ -10,6 +10,7 @@ from onboard.identification.evidence.bank import Bank, Changed
 from onboard.identification.evidence.bodies import CHANGES
 from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.joint_noise import NoiseAdded
 from onboard.identification.exiddm.recursion import pieces
 from onboard.identification.exiddm.recursion import window as windows
 from onboard.identification.exiddm.recursion.pieces import Pieces, Problem, evidence_of
@@ -136,7 +137,7 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     state[PAYLOAD.start] = mass_kg
     for sigma_kg, kept in ((0.13, True), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
-        rest = 2000.0, none, covariance, Changed.none(13), np.zeros(13), 0.0
+        rest = 2000.0, none, covariance, Changed.none(13), NoiseAdded.none(13), state, 0.0
         found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
