@@ -105,6 +105,7 @@ class FlightFit(NamedTuple):
     by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
     residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
     glitches: int  # lines left out
+    outer: FloatArray | None = None  # (2, 10) ends of 99.9 % intervals of the payload's numbers about their means
 
 
 def total_of(blocks: Sequence[NormalEquations], parameters: int) -> Normal:

@@ -20,11 +20,20 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.model.errors import ModelError
-from onboard.dynamics.model.payload import body_estimate
+from onboard.dynamics.model.payload import body_estimate, body_jacobian
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.maximum_likelihood import ROUNDS
-from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, chance_text, of_each
+from onboard.estimation.policy import (
+    DOUBT,
+    LEAST_WEIGHT,
+    MISFIT_DOUBTED,
+    MISFIT_REFUSED,
+    REFUSE,
+    chance_text,
+    of_each,
+    tails,
+)
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
 from onboard.identification.exiddm.prediction.imu_prediction import RATE
@@ -103,7 +112,8 @@ def _mixed(found: FlightFit, weighed: Weighed) -> FlightFit:
     """The payload of a fit under all hypotheses that count."""
     mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD)).wider(found.correction.part(PAYLOAD).covariance)
     chi, covariance = mixture.known
-    return found._replace(payload=body_estimate(chi, covariance), chi=chi, chi_covariance=covariance)
+    outer = mixture.ends(body_jacobian(chi), tails(LEAST_WEIGHT))
+    return found._replace(payload=body_estimate(chi, covariance), chi=chi, chi_covariance=covariance, outer=outer)
 
 
 def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], int]) -> Tested:

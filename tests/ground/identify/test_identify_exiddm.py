@@ -170,6 +170,10 @@ def test_a_correction_that_is_fitted_freely_widens_the_interval_and_not_the_boun
     assert found.answers[0].bound == pytest.approx(healthy.answers[0].bound, rel=0.05)
     assert found.answers[0].sigma > 1.1 * found.answers[0].bound
     assert healthy.answers[0].sigma < 1.05 * healthy.answers[0].bound
+    mass, c_x = healthy.answers[:2]  # of which faults of small probability widen the second alone
+    assert mass.outer == pytest.approx((mass.value - 3.29 * mass.sigma, mass.value + 3.29 * mass.sigma), rel=1e-3)
+    assert c_x.outer[1] - c_x.outer[0] > 1.01 * 2.0 * 3.29 * c_x.sigma
+    assert c_x.as_json()["high_999"] == c_x.outer[1]
 
 
 def test_an_hour_without_a_recording_is_left_out(

@@ -34,16 +34,18 @@ class IdentifiedQuantity(NamedTuple):
     supported: bool
     bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
     leans: str = ""  # on which stated sigmas, where these make up a good part of its own
+    own_outer: tuple[float, float] | None = None  # ends of the 99.9 % interval, where it is not that of a normal
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, None for NaN."""
         told = self._asdict() | dict(zip(("low_999", "high_999"), self.outer, strict=True))
+        del told["own_outer"]
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
 
     @property
     def outer(self) -> tuple[float, float]:
         """Ends of its 99.9 % interval."""
-        return outer_of(self.value, self.low, self.high)
+        return outer_of(self.value, self.low, self.high) if self.own_outer is None else self.own_outer
 
 
 def standings(answers: Iterable[IdentifiedQuantity], useful: Useful) -> dict[str, Standing]:

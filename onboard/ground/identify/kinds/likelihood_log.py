@@ -75,6 +75,7 @@ class CheckedFit(NamedTuple):
     judged: BaseResult = BaseResult()
     findings: Findings = Findings()
     leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
+    outer: FloatArray | None = None  # (2, 10) ends of their 99.9 % intervals about them, variances not yet wider
 
 
 Build = Callable[[Ticks, bool], TableExiddm]  # the estimator of ticks; whether their first is the first of all
@@ -142,6 +143,12 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     body = found.payload._replace(body=link.body or found.payload.body)
     of_payload = body_answers(names, *body, found.wider, found.bound)
     of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
+    if found.outer is not None:
+        ends = (found.wider**0.5 * found.outer).T.tolist()
+        of_payload = tuple(
+            one._replace(own_outer=(one.value + low, one.value + high))
+            for one, (low, high) in zip(of_payload, ends, strict=True)
+        )
     answers = (*of_payload, *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)

@@ -40,4 +40,5 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likeli
         by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
         findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
         leans=leans_on(flight, found),
+        outer=found.outer,
     )
