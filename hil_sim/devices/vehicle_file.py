@@ -275,7 +275,9 @@ def _add_mission(out: Table, said: Table, estimation: Table, drawing: PlantDrawi
     moving = [code for code in phases.get("identify", [1]) if code != resting] or [resting]
     last = phases.get("end", moving[-1])
     if said.get("payload_link") is not None:
-        out["payload"] = {"mass_kg": _masses(drawing, str(said["payload_link"]))}
+        own = str(said["payload_link"])
+        drawn_kg = dict(_weighed(drawing)).get(own, 0.0) if said.get("base") == "pivot" else 0.0  # it is a known mass
+        out["payload"] = {"mass_kg": [drawn_kg, drawn_kg] if drawn_kg > 0.0 else _masses(drawing, own)}
         if taken is not None:
             out["capture"] = {"phase": taken, "velocity_sigma_m_s": 0.0, "rate_sigma_rad_s": 0.0}
             if not _stands(said):
