@@ -55,7 +55,6 @@ class CutWrench:
         self._beyond = list(vehicle.distal_links(frame))
         if not self._beyond:
             raise UnknownFrameError(f"no link with inertia lies beyond frame {frame!r}, so no wrench goes through it")
-        self._projection = projection
         self._group = np.zeros((1, len(vehicle.links)))
         self._group[0, self._beyond] = 1.0
         self._is_beyond = np.repeat([float(link in self._beyond) for link in free], 10)

@@ -368,6 +368,7 @@ class ImuPredictor:
             made.transition[rows, kept.errors] = shown.carried_by_own[:, kept.of_errors]
             for here, there in self._of_motion:
                 made.transition[rows, here] = shown.carried_by_motion[:, there]
+            first = rows.stop
 
     def carried(
         self,

@@ -57,6 +57,20 @@ def test_quaternions_are_those_of_hamilton(rng):
     assert abs(quaternion_of(rotation(p[None])[0]) @ p) == pytest.approx(1.0)
 
 
+def test_each_of_two_trackers_has_a_pose_of_its_own_that_is_carried_on():
+    both = predictor_of(FurtherPose("tracker", "imu_base", PRIOR), FurtherPose("other", "imu_base", PRIOR))
+    x, half = np.zeros(len(both.names)), len(both.moving) // 2
+    one, other = both.moving[:half], both.moving[half:]
+    x[PAYLOAD], x[RATE] = PAYLOAD_CHI, [0.2, -0.3, 0.1]
+    x[one] = x[other] = state_of(predictor_of(FurtherPose("tracker", "imu_base", PRIOR)))[one]
+    transition = both.predict(*motion(40), x).transition
+    rows = [[both.changing.tolist().index(at) for at in its.tolist()] for its in (one, other)]
+    for columns in ((one, other), (slice(0, 3), slice(0, 3))):
+        first, second = (transition[its][:, own] for its, own in zip(rows, columns, strict=True))
+        assert first.any()
+        np.testing.assert_array_equal(first, second)
+
+
 def test_the_centre_of_mass_moves_straight_and_the_base_turns_with_its_rate(predictor):
     x, (q, dq, ddq) = state_of(predictor), motion(400)
     found = predictor.predict(q, dq, ddq, x)
