@@ -75,8 +75,13 @@ class Nau7802Config:
         return 1e9 / self.sample_rate_hz
 
 
-def decode_sample(data: bytes) -> tuple[int, int]:
+def decode_sample(data: bytes, offset: bytes = bytes(3)) -> tuple[int, int]:
     """ADCO (12h to 14h): counts, and their ``SampleStatus``, SATURATED at either end of the range.
+
+    Args:
+        data: Three bytes.
+        offset: OCAL1 (03h to 05h), sign and magnitude: it is taken off what the converter says, whose ends are off by
+            as much.
 
     Raises:
         FrameError: Not three bytes.
@@ -84,7 +89,10 @@ def decode_sample(data: bytes) -> tuple[int, int]:
     if len(data) != 3:
         raise FrameError(f"{len(data)} bytes are no sample of an NAU7802: read three from register 0x12")
     counts = int.from_bytes(data, "big", signed=True)
-    return counts, int(SampleStatus.SATURATED if counts in (HIGHEST, LOWEST) else SampleStatus.OK)
+    taken = int.from_bytes(offset, "big") & HIGHEST
+    below, above = (0, taken) if offset[0] & 0x80 else (taken, 0)
+    at_end = not LOWEST + above < counts < HIGHEST - below
+    return counts, int(SampleStatus.SATURATED if at_end else SampleStatus.OK)
 
 
 def identify(port: I2cPort, address: int) -> str | None:
@@ -201,7 +209,7 @@ class Nau7802(I2cSensor):
             elif self._count.number >= 0:
                 self._wait_ns = self._count.next_look_ns(now_ns, self._poll_ns, self.within_ns)
             return
-        counts, status = decode_sample(self._bus.read(ADCO, 3).data)
+        counts, status = decode_sample(self._bus.read(ADCO, 3).data, self._offset or bytes(3))
         not_before_ns, self._looked_ns = self._looked_ns, looked_ns
         if self._count.is_early(looked_ns):
             self._doubt(now_ns)

@@ -50,6 +50,16 @@ def test_samples_of_the_data_sheets_coding(data, counts, status):
     assert decode_sample(bytes.fromhex(data)) == (counts, status)
 
 
+@pytest.mark.parametrize(
+    ("offset", "ends"),
+    [("003713", (-8_388_608, 8_388_607 - 0x3713)), ("803713", (-8_388_608 + 0x3713, 8_388_607))],
+)
+def test_the_ends_of_the_range_are_off_by_what_calibration_takes_off(offset, ends):
+    lowest, highest = ends
+    for counts, status in ((lowest, SATURATED), (lowest + 1, 0), (highest - 1, 0), (highest, SATURATED)):
+        assert decode_sample(counts.to_bytes(3, "big", signed=True), bytes.fromhex(offset)) == (counts, status)
+
+
 @given(st.binary(max_size=8))
 def test_any_bytes_are_a_sample_or_refused(data):
     if len(data) == 3:

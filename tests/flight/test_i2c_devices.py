@@ -61,7 +61,8 @@ def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(t
     assert (rows["status"].astype(bool) & ~saturated).nonzero()[0].tolist() == [0, 1, 2, 3]  # its filter settles
     if faults:
         assert 280 < saturated.sum() < 340
-        assert set(rows["value_raw"][saturated]) == {(1 << 23) - 1}
+        (end,) = set(rows["value_raw"][saturated])  # less what its calibration takes off
+        assert 0.99 < end / (1 << 23) < 1.0
 
 
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
