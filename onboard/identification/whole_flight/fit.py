@@ -208,11 +208,8 @@ class WholeFlight:
 
     def _found(self, minimum: _Minimum) -> FlightFit:
         found, blocks, added = minimum.fit, minimum.blocks, self._noise_added(minimum.fit.x)
-        whole = sum_of(added, len(self.names))
-        correction = correction_of(found.covariance, whole, self.sigma)
-        if (
-            added
-        ):  # in one step: what noise adds at its end is as far from linear as the gradient, which is not made anew
+        correction = correction_of(found.covariance, sum_of(added, len(self.names)), self.sigma)
+        if added:  # in one step, of gradient and noise alike: either alone, anew at its end, would be off
             shift = correction.shift
             found = found._replace(x=found.x + shift)
             blocks = tuple(b.moved(shift).without(n.at(shift)) for b, n in zip(blocks, added, strict=True))

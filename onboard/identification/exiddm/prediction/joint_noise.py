@@ -92,7 +92,7 @@ def correction_of(covariance: FloatArray, added: NoiseAdded, sigma: FloatArray) 
     share, U = np.linalg.eigh(B.T @ across[at])
     known = (share := np.maximum(share, 0.0)) < MOST_NOISE
     along, gain = across @ U, 1.0 / (1.0 - np.minimum(share, MOST_NOISE))
-    stated = np.nansum((along / sigma[:, None]) ** 2, axis=0)
+    stated = np.nansum((along / sigma[:, None]) ** 2, axis=0)  # information along each direction before the flight
     more = np.where(known, gain * (2.0 + gain * share), 1.0 / np.maximum(stated, 1e-12))
 
     def without(x: FloatArray) -> FloatArray:
