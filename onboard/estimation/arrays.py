@@ -12,12 +12,19 @@ ComplexArray = NDArray[np.complex128]
 
 ROUNDING = 1e-9
 """Relative difference of numbers that are equal but for rounding errors, or information that keeps a matrix regular."""
+OF_MEDIAN = 1.4826
+"""Standard deviation of a normal of mean zero over the median of its size: ``1 / ndtri(3 / 4)``."""
 _HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 
 
 def finite(parts: Sequence[FloatArray]) -> BoolArray:
     """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
     return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
+
+
+def scatter(values: FloatArray) -> FloatArray:
+    """Standard deviation of each column about zero, (columns,), by the median of its size: outliers hardly count."""
+    return np.asarray(OF_MEDIAN * np.median(np.abs(values), axis=0), np.float64)
 
 
 def hat(a: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import OF_MEDIAN, BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 
 ReasonArray = NDArray[np.int64]
@@ -143,8 +143,6 @@ class ResidualGate:
         RowError: numbers out of range.
     """
 
-    _MAD_TO_SIGMA = 1.4826  # of a normal distribution
-
     def __init__(self, threshold: float, memory: int = 200, minimum: int = 20, huber: float | None = None) -> None:
         if threshold <= 0.0 or not 1 <= minimum <= memory:
             raise RowError("the residual gate needs a positive threshold and 1 <= minimum <= memory")
@@ -160,7 +158,7 @@ class ResidualGate:
     def spread(self) -> float:
         """Robust standard deviation of the recent normalised innovations; 1 is what it should be."""
         n = min(self._count, self._recent.size)
-        return float(self._MAD_TO_SIGMA * np.median(self._recent[:n])) if n else 1.0
+        return float(OF_MEDIAN * np.median(self._recent[:n])) if n else 1.0
 
     def check(self, innovation: FloatArray, sigma: FloatArray) -> ReasonArray:
         """Reasons for rows not yet taken in; remembers their innovations.

@@ -26,7 +26,7 @@ from scipy.fft import dct, idct
 from scipy.linalg import lapack
 from scipy.special import stdtr
 
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray, hat, scatter
 from onboard.estimation.calibration.rotations import rotation_vector, turn
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import READING
@@ -165,7 +165,7 @@ def fit(
     floor, turned = _floor(wrench), coefficients(_elements(R))
     if begin is None:
         state = begun(R, wrench, prior)
-        sigma = _scatter(np.diff(wrench - predicted(R, state, prior), axis=0)) / np.sqrt(2.0)
+        sigma = scatter(np.diff(wrench - predicted(R, state, prior), axis=0)) / np.sqrt(2.0)
         one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
     else:
         one = _fit(R, wrench, prior, begin.state, begin.noise)
@@ -253,7 +253,7 @@ def outliers(R: FloatArray, wrench: FloatArray, prior: Priors) -> NDArray[np.boo
         residual = wrench - predicted(R, begun(R[kept], (wrench - level)[kept], prior), prior)
         level = _medians(residual)
         left = residual - level
-        z = left / np.maximum(_scatter(left), _floor(wrench))
+        z = left / np.maximum(scatter(left), _floor(wrench))
         kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(_FEWEST, (3 * n) // 4)])
     freedom = max(1.0, n - 4.0)
     return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < READING).any(axis=1))
@@ -358,11 +358,6 @@ def _medians(values: FloatArray) -> FloatArray:
     padded = np.pad(values, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
     around = np.lib.stride_tricks.sliding_window_view(padded, _LOCAL, axis=0)
     return np.asarray(np.median(np.delete(around, half, axis=-1), axis=-1), np.float64)
-
-
-def _scatter(values: FloatArray) -> FloatArray:
-    """Standard deviation of each column by the median of the absolute values."""
-    return np.asarray(1.4826 * np.median(np.abs(values), axis=0), np.float64)
 
 
 def _floor(wrench: FloatArray) -> FloatArray:

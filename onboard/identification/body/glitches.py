@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, scatter
 from onboard.estimation.policy import MOSTLY, READING, sigmas
 
 _BESIDE = 9  # steps of a median
 _LONGEST_s = 1.0  # that a tracker is elsewhere, unless it repeats one pose
 _PAUSE = 3.0  # median steps: across a longer one the body has moved by itself
-_OF_MEDIAN = 1.4826  # sigma of a normal over the median of its size
 
 
 class Glitches(NamedTuple):
@@ -54,7 +53,7 @@ def _among(time_s: FloatArray, measured: FloatArray, noise: FloatArray, repeated
     beside = np.pad(steps / lasted, ((_BESIDE // 2, _BESIDE // 2), (0, 0)), "symmetric")
     rates = np.median(sliding_window_view(beside, _BESIDE, axis=0), axis=-1)
     off = steps - rates * lasted
-    sigma = np.maximum(np.sqrt(2.0) * noise, _OF_MEDIAN * np.median(np.abs(off), axis=0))
+    sigma = np.maximum(np.sqrt(2.0) * noise, scatter(off))
     jumps = np.flatnonzero(np.abs(off / sigma).max(axis=1) > sigmas(READING)).tolist()
     at_once, end = lasted[:, 0] < _PAUSE * np.median(lasted), -1
     for k, first in enumerate(jumps):
