@@ -56,7 +56,7 @@ def test_they_are_those_of_heft_init(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "other",
-    [{"gains": (12.0, 1.5)}, {"measured": 1.5}, {"scatter": 0.5}],
+    [{"gains": (12.0, 1.5)}, {"measured": 1.5}, {"scatter": 0.42}],
     ids=["torques twice", "no current of it", "more than friction"],
 )
 def test_other_columns_are_none(tmp_path, other):
@@ -64,5 +64,5 @@ def test_other_columns_are_none(tmp_path, other):
 
 
 def test_what_friction_adds_to_a_current_is_no_other_column(tmp_path):
-    (doubt,) = propose(written(tmp_path / "a.csv", measured=1.25, scatter=0.2), Names()).doubts
+    (doubt,) = propose(written(tmp_path / "a.csv", measured=1.25, scatter=0.28), Names()).doubts
     assert "an A of each motor makes 1" in doubt

@@ -8,6 +8,7 @@ import pytest
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.guess.body import BodyChannels
+from onboard.ground.log.bring_in.guess.magnitudes import of_others
 from onboard.ground.log.bring_in.guess.propose import Names, propose
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
@@ -372,3 +373,10 @@ def test_a_body_without_names_by_the_places_of_its_columns(tmp_path, pose_first)
     made.text(path, [], [*columns[:-1], T - 1.0] if pose_first else [T, T - 1.0, *columns[2:]])
     with pytest.raises(SourceError, match="no name or number says what its columns are"):
         propose(path, Names(body=wanted))
+
+
+@pytest.mark.parametrize(("absurd", "unit"), [(9, "m"), (15, "mm")])
+def test_a_hundredth_of_a_position_decides_no_unit(absurd, unit):
+    values = np.full((1000, 1), 0.4)
+    values[:absurd] = 5000.0
+    assert of_others("position", values, "", (), "m").name == unit
