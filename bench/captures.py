@@ -22,8 +22,8 @@ from bench.identification.recursive import estimator, ticks_of
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
-from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
+from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
 
 Floats = NDArray[np.float64]
 

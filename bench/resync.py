@@ -23,9 +23,9 @@ from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
-from onboard.identification.exiddm.batch import Exiddm, PayloadFit
-from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.batch import Exiddm, PayloadFit
+from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError
 
 Floats = NDArray[np.float64]

@@ -50,7 +50,7 @@ LAYERS: Final = (
     ("clocks", ("onboard/timebase/", "onboard/flight/clocks")),
     (
         "free-flyer's filter and windows",
-        ("onboard/identification/exiddm/", "onboard/dynamics/free_flight", "onboard/identification/whole_flight/"),
+        ("onboard/identification/free_flyer/", "onboard/dynamics/free_flight", "onboard/identification/whole_flight/"),
     ),
     ("rows, answers", ("onboard/identification/", "onboard/regressor/", "onboard/flight/estimate/answers")),
     (

@@ -25,8 +25,8 @@ from onboard.dynamics.model.payload import BodyEstimate, numbers_of, standard_co
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.ground.campaign.results import FlightAnswer
-from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.free_flyer.batch import Exiddm
+from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.standing import Level
 

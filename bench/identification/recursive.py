@@ -15,12 +15,12 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightResult
-from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.batch import Exiddm
+from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
 
 Floats = NDArray[np.float64]
 

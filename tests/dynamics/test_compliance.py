@@ -11,9 +11,9 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import BOX, URDF
 
 TICK_s, TICKS = 0.01, 40

@@ -10,7 +10,7 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
-from onboard.identification.exiddm.prediction.further import (
+from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
     Friction,
     FurtherCell,
@@ -18,7 +18,7 @@ from onboard.identification.exiddm.prediction.further import (
     FurtherPose,
     PosePrior,
 )
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.regressor.rows import joint_torque_row
 from tests.dynamics.free_flyer_twin import twin
 

@@ -10,10 +10,10 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
-from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
+from onboard.ground.identify.kinds.free_flyer_log import identify_exiddm
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.exiddm.captured_body import NAMES
+from onboard.identification.free_flyer.captured_body import NAMES
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result, fly, inline
 from tests.flight.supervise.test_overload import slowed

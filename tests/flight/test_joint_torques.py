@@ -16,7 +16,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.mission import mission_table
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import ExiddmIdentifier
 from tests.flight.missions import Result
 
 OVER = '[payload]\nmass_kg = [4.0, 5.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'

@@ -21,7 +21,7 @@ from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.standing import Level, standing

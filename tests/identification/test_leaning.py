@@ -6,7 +6,7 @@ import pytest
 from onboard import config
 from onboard.flight.estimate.problem.identification import build_exiddm
 from onboard.identification import leaning
-from onboard.identification.exiddm.online import ExiddmIdentifier, keys_of
+from onboard.identification.free_flyer.online import ExiddmIdentifier, keys_of
 from onboard.identification.leaning import Causes
 
 SIGMA = np.array([np.nan, 0.5, 0.5, 2.0, 0.0])

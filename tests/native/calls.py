@@ -25,9 +25,9 @@ from onboard.dynamics.spatial import Columns
 from onboard.estimation.errors import RowError
 from onboard.estimation.smoothing import SmoothingWindow
 from onboard.identification.evidence.bank import Bank, Changed
-from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_reading
-from onboard.identification.exiddm.prediction.scaled import Scaled
-from onboard.identification.exiddm.prediction.ticks import TickPrediction
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading
+from onboard.identification.free_flyer.prediction.scaled import Scaled
+from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.timebase import polygon

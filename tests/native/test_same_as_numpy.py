@@ -13,9 +13,9 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
-from onboard.identification.exiddm.prediction.imu_errors import SIZE, gain_of, imu_reading
-from onboard.identification.exiddm.prediction.joint_noise import JointNoise
-from onboard.identification.exiddm.prediction.scaled import Scaled
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading
+from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
+from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.native import build, library
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors

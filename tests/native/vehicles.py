@@ -15,7 +15,7 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
 from onboard.identification.evidence.bank import Suspect
-from onboard.identification.exiddm.prediction.further import (
+from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
     DisturbancePrior,
     Friction,
@@ -23,8 +23,8 @@ from onboard.identification.exiddm.prediction.further import (
     FurtherImu,
     Thruster,
 )
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 PERIOD_s = 0.01

@@ -15,7 +15,7 @@ from drivers.records import EVENT, Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.innovation import ReferenceErrors
+from onboard.identification.free_flyer.innovation import ReferenceErrors
 from onboard.identification.quantities import Estimate, Findings, outer_of
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.identification.useful import Useful, sizes

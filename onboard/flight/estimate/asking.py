@@ -23,12 +23,12 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.policy import HALF
 from onboard.flight.estimate.problem.identification import build_exiddm
-from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.further import TURNING_rad_s
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.exiddm.prediction.ticks import RESTS_rad_s
-from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
-from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
+from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.prediction.further import TURNING_rad_s
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
+from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 

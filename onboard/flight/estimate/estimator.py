@@ -29,7 +29,7 @@ from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.flight.estimate.readings.tracked import TrackedTicks
 from onboard.flight.estimate.readings.witness import RateWitness
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import ExiddmIdentifier
 from onboard.identification.online import FollowsJumps, OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier

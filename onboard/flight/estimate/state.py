@@ -28,7 +28,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 
 FORMAT = 4
 _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")

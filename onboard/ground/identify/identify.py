@@ -24,8 +24,8 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
-from onboard.ground.identify.kinds.exiddm_log import identify_exiddm
-from onboard.ground.identify.kinds.exiddm_width import with_chosen_width
+from onboard.ground.identify.kinds.free_flyer_log import identify_exiddm
+from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.ground.identify.kinds.misread_arm import with_mistake

@@ -24,7 +24,7 @@ from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitene
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
 from onboard.identification.body.valves import Opening, Valve
 from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
-from onboard.identification.exiddm.prediction.parameters import UnknownLayout, Unknowns
+from onboard.identification.free_flyer.prediction.parameters import UnknownLayout, Unknowns
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
 STATE = 9  # unknowns of a window: x, y, yaw, their rates, steady accelerations

@@ -5,7 +5,7 @@ sigmas, and for every window of :data:`WINDOW_s` rate and attitude at its first 
 bearing does not accumulate. No reading shows the wheels' inertia, and all estimates of the body scale with it.
 
 Derivatives of the motion are differences of its prediction, all variants integrated at once; those of the IMU's errors
-are :func:`onboard.identification.exiddm.prediction.imu_errors.imu_reading`'s. Intervals are widened by what is left
+are :func:`onboard.identification.free_flyer.prediction.imu_errors.imu_reading`'s. Intervals are widened by what is left
 over of each sensor, and by the scatter of the windows' scores
 (:func:`onboard.estimation.recursive.consistency.noise_scale`).
 """
@@ -22,9 +22,15 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import MINIMUM, Fit, Normal, fit_normal, inverse_of
 from onboard.estimation.recursive.consistency import NoiseScale
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, gain_of, imu_blocks, imu_reading, tick_mean
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, UnknownLayout, Unknowns
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.imu_errors import (
+    ImuPrior,
+    gain_of,
+    imu_blocks,
+    imu_reading,
+    tick_mean,
+)
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, UnknownLayout, Unknowns
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
 from onboard.identification.windows import SHORTEST, Part, WINDOW_s, WindowedFit, judged, total

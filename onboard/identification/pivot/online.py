@@ -12,7 +12,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import AGAIN, MISFIT_DOUBTED, MISFIT_REFUSED
 from onboard.identification.corrections import contradicted, doubtful, together
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate

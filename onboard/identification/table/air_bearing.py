@@ -31,12 +31,12 @@ from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit, Normal, fit
 from onboard.estimation.policy import MISFIT_DOUBTED, MISFIT_PART
 from onboard.identification.corrections import refused_from
-from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
-from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
-from onboard.identification.exiddm.prediction.further import PlacedImu
-from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.prediction.joint_noise import JointNoise
-from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, GeometryPrior, Unknowns
+from onboard.identification.free_flyer.batch import Exiddm, PayloadFit, Schedule, checked
+from onboard.identification.free_flyer.guesses import GUESSES, ROUGH_WIDTH_s
+from onboard.identification.free_flyer.prediction.further import PlacedImu
+from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
+from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY, GeometryPrior, Unknowns
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.windows import STAGES_s
 from onboard.regressor.free_rows import measured_base
@@ -74,7 +74,7 @@ class AirBearingPrior(NamedTuple):
 
 
 class AirBearingBase:
-    """:class:`onboard.identification.exiddm.batch.BaseModel` of a base on air-bearing pucks.
+    """:class:`onboard.identification.free_flyer.batch.BaseModel` of a base on air-bearing pucks.
 
     Args:
         vehicle: of base kind planar, with a payload link.
@@ -201,7 +201,7 @@ class TableExiddm(Exiddm):
             self._take(base)
 
     def _of_joints(self) -> FloatArray:
-        """See :class:`Exiddm`; by :mod:`onboard.identification.exiddm.prediction.joint_noise`."""
+        """See :class:`Exiddm`; by :mod:`onboard.identification.free_flyer.prediction.joint_noise`."""
         signals, vehicle = self._base.signals, self._base.vehicle
         if self._likely is None or signals.joint_sigma is None:
             return super()._of_joints()

@@ -31,7 +31,7 @@ from onboard.estimation.policy import (
 )
 from onboard.identification.evidence.bank import Bank, Changed, Suspect, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
-from onboard.identification.exiddm.batch import PayloadFit
+from onboard.identification.free_flyer.batch import PayloadFit
 from onboard.identification.quantities import Findings
 from onboard.identification.table import joints
 from onboard.identification.table.air_bearing import TableExiddm

@@ -13,9 +13,9 @@ from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.online import rows_of
-from onboard.identification.exiddm.prediction.further import Further
-from onboard.identification.exiddm.prediction.ticks import gated
+from onboard.identification.free_flyer.online import rows_of
+from onboard.identification.free_flyer.prediction.further import Further
+from onboard.identification.free_flyer.prediction.ticks import gated
 from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 

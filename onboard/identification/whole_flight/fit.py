@@ -1,6 +1,6 @@
 """Batch fit of a whole flight: segments with the payload held and segments without, one set of instruments and links.
 
-The likelihood of :mod:`onboard.identification.exiddm.recursion.recursive` without its linearisation errors: all
+The likelihood of :mod:`onboard.identification.free_flyer.recursion.recursive` without its linearisation errors: all
 unknowns are constant over the flight, but the base's rate at the start of each segment and the IMU's biases, and every
 iteration predicts the whole flight anew about the same estimate (Gauss-Newton,
 :mod:`onboard.estimation.maximum_likelihood`). What is flown free determines biases, scales, links and joints, and so
@@ -29,12 +29,12 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import NEAR_MINIMUM, ROUGH_MINIMUM, Fit, Normal, fit_normal
 from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.evidence.bank import Suspect
-from onboard.identification.exiddm.guesses import first_rate
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.exiddm.prediction.joint_noise import correction_of
-from onboard.identification.exiddm.prediction.noise_in_gradient import added_by_line, is_noisy
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
-from onboard.identification.exiddm.steps import OtherError
+from onboard.identification.free_flyer.guesses import first_rate
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import correction_of
+from onboard.identification.free_flyer.prediction.noise_in_gradient import added_by_line, is_noisy
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
+from onboard.identification.free_flyer.steps import OtherError
 from onboard.identification.whole_flight.blocks import (
     Along,
     BlockNoise,

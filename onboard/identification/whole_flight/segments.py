@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.prediction.ticks import Ticks
-from onboard.identification.exiddm.steps import OtherError
+from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.free_flyer.steps import OtherError
 from onboard.identification.windows import SHORTEST, WINDOW_s
 
 

@@ -12,7 +12,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
+from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import FlightFit, total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of

@@ -5,7 +5,7 @@ constants, and P the covariance of the fit, a step from that time on is off, and
 
     D = -P N A,   J = A' N A - A' N P N A,   d = -A' g
 
-as in a window of the filter (:mod:`onboard.identification.exiddm.steps`). Of two steps the first N is that of the
+as in a window of the filter (:mod:`onboard.identification.free_flyer.steps`). Of two steps the first N is that of the
 blocks after the later one. Times are those between two blocks.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
-from onboard.identification.exiddm.prediction.imu_prediction import RATE
-from onboard.identification.exiddm.steps import OtherError, steps_of
+from onboard.identification.free_flyer.prediction.imu_prediction import RATE
+from onboard.identification.free_flyer.steps import OtherError, steps_of
 from onboard.identification.whole_flight.blocks import FlightFit
 from onboard.identification.whole_flight.fit import WholeFlight
 

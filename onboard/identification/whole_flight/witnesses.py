@@ -1,10 +1,10 @@
 """Is all of a flight as stated: what may be wrong is weighed on its fit, and which instrument contradicts the others.
 
-The hypotheses are those of the filter on board (:func:`onboard.identification.exiddm.suspects.suspects_of`, and steps
-of an instrument in flight), weighed by the same bank with mean and covariance of the fit. While one is likelier than
-"as stated", what counts is free in the prior, or a step an unknown from its time on, and the flight is fitted again;
-the answer is the mixture. Such an error moves a payload by more than its own correction shows: 5 % of the scale of
-DYMAFLEX's accelerometer, common to its axes, move the mass by half of it and are corrected by less than one of the
+The hypotheses are those of the filter on board (:func:`onboard.identification.free_flyer.suspects.suspects_of`, and
+steps of an instrument in flight), weighed by the same bank with mean and covariance of the fit. While one is likelier
+than "as stated", what counts is free in the prior, or a step an unknown from its time on, and the flight is fitted
+again; the answer is the mixture. Such an error moves a payload by more than its own correction shows: 5 % of the scale
+of DYMAFLEX's accelerometer, common to its axes, move the mass by half of it and are corrected by less than one of the
 stated sigmas.
 
 Where a test fails after that, the flight is fitted once more without each instrument, the first IMU too. If exactly one
@@ -36,8 +36,8 @@ from onboard.estimation.policy import (
 )
 from onboard.identification.corrections import contradicted, expected_sigma, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
-from onboard.identification.exiddm.prediction.imu_prediction import RATE
-from onboard.identification.exiddm.suspects import counting, suspects_of
+from onboard.identification.free_flyer.prediction.imu_prediction import RATE
+from onboard.identification.free_flyer.suspects import counting, suspects_of
 from onboard.identification.quantities import Findings
 from onboard.identification.whole_flight.blocks import FlightFit
 from onboard.identification.whole_flight.fit import WholeFlight

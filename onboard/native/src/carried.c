@@ -1,4 +1,4 @@
-/* A covariance some ticks later; see onboard.identification.exiddm.prediction.imu_prediction. */
+/* A covariance some ticks later; see onboard.identification.free_flyer.prediction.imu_prediction. */
 #include <stdlib.h>
 
 #include "heft_native.h"

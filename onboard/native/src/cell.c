@@ -1,5 +1,5 @@
 /* A load cell, or the torque of a joint, whose errors are those of an IMU for one axis; see
- * onboard.identification.exiddm.prediction.further. */
+ * onboard.identification.free_flyer.prediction.further. */
 #include "heft_native.h"
 
 static double sign(double a) { return a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a; }

@@ -134,7 +134,7 @@ void errors_into(const heft_errors *e, i64 links, const double *parts, const dou
 void link_columns(const double R[9], const double p[3], const double V[6], const double A[6], const double *basis,
                   double *H, i64 H_apart, double *Y, i64 Y_apart);
 
-/* The parameters s of a body in the drawing by its errors z, (10,) each; see onboard...exiddm.prediction.scaled */
+/* The parameters s of a body in the drawing by its errors z, (10,) each; see onboard...free_flyer.prediction.scaled */
 void scaled_body(const double drawn[10], const double factor[10], const double z[10], double s[10]);
 
 /* An IMU along a motion, at p with axes R. Out: values (n - 2, 6), their derivatives by its errors (n - 2, 6, ERRORS), by

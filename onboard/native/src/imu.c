@@ -1,4 +1,4 @@
-/* What an IMU on the base reads; the error model's equations are in onboard...exiddm.prediction.imu_errors. */
+/* What an IMU on the base reads; the error model's equations are in onboard...free_flyer.prediction.imu_errors. */
 #include <math.h>
 #include <stdlib.h>
 

@@ -1,4 +1,4 @@
-/* What noise of the joints does to a prediction; see onboard.identification.exiddm.prediction.joint_noise. */
+/* What noise of the joints does to a prediction; see onboard.identification.free_flyer.prediction.joint_noise. */
 #include <math.h>
 #include <stdlib.h>
 

@@ -1,5 +1,5 @@
 /* What the instruments of a free-flyer show over some ticks, from all unknowns of its flight; equations in
- * onboard.identification.exiddm.prediction: imu_prediction, moving_base, further. */
+ * onboard.identification.free_flyer.prediction: imu_prediction, moving_base, further. */
 #include <stdlib.h>
 
 #include "heft_native.h"

@@ -1,4 +1,4 @@
-/* Derivatives by errors of bodies in the drawing; see onboard.identification.exiddm.prediction.scaled. */
+/* Derivatives by errors of bodies in the drawing; see onboard.identification.free_flyer.prediction.scaled. */
 #include <math.h>
 
 #include "heft_native.h"

@@ -17,7 +17,7 @@ from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.state import FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import ExiddmIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 
 NOTHING = UnwrittenParts(None)

@@ -14,8 +14,8 @@ from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.free_flyer.batch import Exiddm
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import (
     DragPrior,

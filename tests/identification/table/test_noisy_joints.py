@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.estimation.smoothing import SmoothingWindow, uncorrelated_s
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.joints import step
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle

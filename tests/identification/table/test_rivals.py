@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from onboard.dynamics.model.inertia import elements
 from onboard.identification.corrections import contradicted
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.quantities import Findings
 from onboard.identification.table.air_bearing import air_bearing_exiddm
 from onboard.identification.table.rivals import answered

@@ -8,7 +8,7 @@ from hil_sim.plants import planar_bed
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.table.air_bearing import (
     air_bearing_exiddm,
 )

@@ -8,7 +8,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
+from tests.identification.free_flyer.recorded_flights import BIASED, WIDE, recorded, ticks_of
 from tests.identification.whole_flight.flights import CAPTURE_s, END_s, predictor_of, segments, started
 
 

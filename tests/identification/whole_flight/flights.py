@@ -5,9 +5,9 @@ import numpy as np
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.segments import Segment
 from tests.dynamics.free_flyer_twin import URDF

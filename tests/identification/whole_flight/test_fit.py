@@ -12,8 +12,8 @@ from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import doubtful, refused_from
 from onboard.identification.evidence.bank import Suspect
-from onboard.identification.exiddm.prediction.joint_noise import NOISE_KEY
-from onboard.identification.exiddm.steps import JumpedJoint
+from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
+from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
 from onboard.identification.whole_flight.fit import WholeFlight
@@ -24,7 +24,7 @@ from onboard.identification.windows import WINDOW_s
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.recorded_flights import BIASED, WIDE, jumped, recorded, ticks_of
+from tests.identification.free_flyer.recorded_flights import BIASED, WIDE, jumped, recorded, ticks_of
 from tests.identification.whole_flight.flights import (
     CAPTURE_s,
     fitted_freely,

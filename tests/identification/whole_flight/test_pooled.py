@@ -10,7 +10,7 @@ from onboard.identification.whole_flight.pooled import Pool
 from onboard.identification.whole_flight.segments import Segment
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
+from tests.identification.free_flyer.recorded_flights import BIASED, WIDE, recorded, ticks_of
 from tests.identification.whole_flight.flights import started
 
 

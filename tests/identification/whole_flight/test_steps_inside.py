@@ -9,7 +9,7 @@ from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import divided
 from onboard.identification.whole_flight.steps_inside import StepsInside
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.recorded_flights import WIDE
+from tests.identification.free_flyer.recorded_flights import WIDE
 from tests.identification.whole_flight.flights import CAPTURE_s, fitted_freely, segments, spoilt_from
 
 

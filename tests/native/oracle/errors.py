@@ -78,7 +78,7 @@ def _put(out, still, moving):
 
 
 def linear(at, drawn, state):
-    """As :meth:`onboard.identification.exiddm.prediction.scaled.Scaled.linear`."""
+    """As :meth:`onboard.identification.free_flyer.prediction.scaled.Scaled.linear`."""
     out = state.copy()
     t, r, _ = _parts(at, drawn, state)
     out[at] = (np.exp(t) * (drawn + r) - drawn).ravel()

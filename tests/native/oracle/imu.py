@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from onboard.estimation.arrays import hat
-from onboard.identification.exiddm.prediction.imu_errors import SIZE, tick_mean
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, tick_mean
 
 _OF_AXES, _DELAY, _CLOCK, _CROSS = slice(24), 24, 25, slice(26, 32)  # biases to misalignments; the others
 _MOUNTING = slice(32, 35)

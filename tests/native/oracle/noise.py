@@ -5,13 +5,13 @@ import numpy as np
 from onboard.dynamics.kinematics import cross, turned
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import hat
-from onboard.identification.exiddm.prediction.ticks import BATCH_TICKS
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from tests.native.oracle.bodies import Bodies
 from tests.native.oracle.chain import chain_motion
 
 
 def of(vehicle, errors, imus, cuts, lines, free, q, chi, sigma):
-    """As :meth:`onboard.identification.exiddm.prediction.joint_noise.JointNoise.of`, of one sigma."""
+    """As :meth:`onboard.identification.free_flyer.prediction.joint_noise.JointNoise.of`, of one sigma."""
     squares = _effect(vehicle, errors, imus, cuts, lines, free, q[::BATCH_TICKS], chi) ** 2
     return np.sqrt(np.einsum("njkm,nkj->nm", squares[np.arange(len(q)) // BATCH_TICKS], sigma**2))
 

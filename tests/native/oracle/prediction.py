@@ -4,7 +4,7 @@ import numpy as np
 
 from onboard.dynamics.free_flight import Push
 from onboard.dynamics.joint_errors import PER_JOINT, EncoderReadings
-from onboard.identification.exiddm.prediction.imu_errors import tick_mean
+from onboard.identification.free_flyer.prediction.imu_errors import tick_mean
 from tests.native.oracle import base as of_base
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import imu as of_imu
@@ -12,7 +12,7 @@ from tests.native.oracle.chain import chain_motion
 
 
 def predict(predictor, q, dq, ddq, state, cyclic=None, thrust=None):
-    """As :meth:`onboard.identification.exiddm.prediction.imu_prediction.ImuPredictor.predict`."""
+    """As :meth:`onboard.identification.free_flyer.prediction.imu_prediction.ImuPredictor.predict`."""
     n, layout, h, m = len(q), predictor._layout, predictor.period_s, predictor.lines[-1].stop
     at, drawn = predictor._in_links, predictor._links.whole
     linear, push = of_errors.linear(at, drawn, state), np.zeros_like(state)

@@ -20,7 +20,6 @@ from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
-from onboard.flight.estimate.problem.exiddm_keys import SigmaKeys
 from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.problem.priors import (
     biases,
@@ -31,12 +30,13 @@ from onboard.flight.estimate.problem.priors import (
     row_prior,
     tracker_of,
 )
+from onboard.flight.estimate.problem.sigma_keys import SigmaKeys
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
-from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.flexible import require_stiff
-from onboard.identification.exiddm.prediction.further import (
+from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.prediction.flexible import require_stiff
+from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
     Further,
     FurtherCell,
@@ -44,9 +44,9 @@ from onboard.identification.exiddm.prediction.further import (
     FurtherPose,
     Thruster,
 )
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities

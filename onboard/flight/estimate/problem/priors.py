@@ -12,9 +12,9 @@ from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.identification.exiddm.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
-from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.free_flyer.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from onboard.regressor.prior import LinkSigmas, prior_root
 from onboard.regressor.rows import RowModel
 

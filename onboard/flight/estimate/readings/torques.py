@@ -11,7 +11,7 @@ from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
-from onboard.identification.exiddm.prediction.further import OF_FRICTION, CellPrior, Friction, FurtherCell
+from onboard.identification.free_flyer.prediction.further import OF_FRICTION, CellPrior, Friction, FurtherCell
 from onboard.regressor.rows import joint_torque_row
 
 

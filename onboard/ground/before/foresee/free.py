@@ -25,9 +25,9 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
 from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.ground.before.foresee.plan import Foreseen, MotionNoise, MotionPlan, axes_words, body_values, expected
-from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
-from onboard.identification.exiddm.prediction.further import Further
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.free_flyer.online import ExiddmIdentifier, rows_of
+from onboard.identification.free_flyer.prediction.further import Further
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 
 _BATCH_TICKS, _PART_TICKS = 50, 10  # of a prediction; of a gain, whose work grows with the cube of its readings
 _BATCH_S = 0.5  # of few ticks: biases walk from one batch to the next

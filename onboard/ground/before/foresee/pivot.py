@@ -7,7 +7,7 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.identification import build_pivot, samples_per_tick
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, expected
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 
 
 def foresee_pivot(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:

@@ -21,7 +21,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.free import FilterNoise, body_covariance, fly
 from onboard.ground.before.foresee.plan import MotionPlan
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.quantities import BODY
 from onboard.regressor.rows import BaseMotion, standing
 

@@ -29,7 +29,7 @@ from onboard.ground.before.planning.planning import (
     ticks_of,
 )
 from onboard.ground.before.planning.splines import Splines
-from onboard.identification.exiddm.segment_choice import reduced
+from onboard.identification.free_flyer.segment_choice import reduced
 
 KINDS = ("mass", "centre", "inertia", "all")
 LADDER = (0.1, 0.3, 1.0, 3.0, 10.0)  # of the assumed payload's mass

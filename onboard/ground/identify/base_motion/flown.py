@@ -25,7 +25,7 @@ from onboard.ground.identify.kinds.likelihood_log import EXIDDM, runs_of
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.table.run import TableRun
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader

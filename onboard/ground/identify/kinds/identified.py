@@ -10,7 +10,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.vehicle import STANDARD
 from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
 from onboard.ground.identify.kinds.throws import Throw, plain
-from onboard.identification.exiddm.before_capture import BeforeCapture
+from onboard.identification.free_flyer.before_capture import BeforeCapture
 from onboard.identification.leaning import Contribution
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate, outer_of

@@ -1,8 +1,8 @@
 """Maximum likelihood fit of a log, with its verdict: choice of ticks, estimates, evidence.
 
 :func:`identified` fits the longest interval with one payload (an air-bearing table); the payload of each half of the
-ticks predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`). A free flight is fitted as a whole
-(:mod:`onboard.ground.identify.kinds.exiddm_log`), with the same estimates and evidence.
+ticks predicts the other half (:func:`onboard.identification.free_flyer.batch.held_out`). A free flight is fitted as a
+whole (:mod:`onboard.ground.identify.kinds.free_flyer_log`), with the same estimates and evidence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,8 +22,8 @@ from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuant
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import contradicted
-from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.batch import Exiddm, PayloadFit, held_out
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut

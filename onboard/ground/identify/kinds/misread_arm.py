@@ -18,7 +18,7 @@ from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.exiddm.misread import TURNS_deg
+from onboard.identification.free_flyer.misread import TURNS_deg
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.identification.standing import Level

@@ -22,7 +22,7 @@ import numpy as np
 from onboard.config.bases.parabola import Parabola
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.free_fall import is_free
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 
 BUMP_S = 0.9  # longest contact that is no catch
 _STEADY_S = 0.3  # in which the specific force is averaged to tell free fall of the aircraft

@@ -25,8 +25,8 @@ from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
 from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.standing import Level
 from onboard.identification.whole_flight.fit import WholeFlight

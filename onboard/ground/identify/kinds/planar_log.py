@@ -23,8 +23,8 @@ from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
 from onboard.ground.identify.kinds.likelihood_log import BaseResult, Kept, identified, longest_held
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.exiddm.batch import PayloadFit
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.free_flyer.batch import PayloadFit
+from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table import air_bearing
 from onboard.identification.table.run import TableRun

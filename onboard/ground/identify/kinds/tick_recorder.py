@@ -6,8 +6,8 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import ReasonArray
-from onboard.identification.exiddm.prediction.further import Further
-from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
+from onboard.identification.free_flyer.prediction.further import Further
+from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.table.run import TableRun
 from onboard.regressor.signals import EncoderJump, Signals
 

@@ -29,7 +29,7 @@ from onboard.estimation.stuck import StuckReadings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.replay.feed import FARTHEST_TIMES, AT_ONCE_s, feed
-from onboard.identification.exiddm.guesses import WIDEST_s
+from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
 from onboard.identification.rows.identifier import Identifier

@@ -2,7 +2,7 @@
 
 The encoders' prediction of the base's rate is aligned with the gyro first (:mod:`onboard.timebase.resync`), which needs
 no payload and no momentum and is good to some tens of milliseconds. Then delay and rate of the encoders' clock join
-payload and momentum in the maximum likelihood fit (:mod:`onboard.identification.exiddm.batch`), joints placed anew
+payload and momentum in the maximum likelihood fit (:mod:`onboard.identification.free_flyer.batch`), joints placed anew
 after each, until nothing is left to move.
 """
 
@@ -21,9 +21,9 @@ from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.smoothing import smooth
-from onboard.identification.exiddm.batch import Exiddm, PayloadFit
-from onboard.identification.exiddm.guesses import GUESSES
-from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.free_flyer.batch import Exiddm, PayloadFit
+from onboard.identification.free_flyer.guesses import GUESSES
+from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import RecorderStream, ResyncError, align, candidates
 
 PEAK_HZ = 1.0

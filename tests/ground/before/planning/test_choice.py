@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from onboard.config.mission import goals_of
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
+from onboard.identification.free_flyer.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 
 
 def test_goals():

@@ -17,7 +17,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.log.tables import truth
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.identification.change import Change
-from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.recording.reader import LogReader
 from tests.ground.before.planning.test_planning import SCENARIO
 

@@ -10,8 +10,8 @@ from onboard.cli import OK, main
 from onboard.dynamics.model.bases import BASES
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
-from onboard.identification.exiddm.misread import misread
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.misread import misread
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from tests.ground.identify.kinds.free_arm import JOINTS, flown
 
 _WIDTH_s = 0.8

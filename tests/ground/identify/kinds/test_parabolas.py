@@ -7,7 +7,7 @@ import pytest
 
 from onboard.config.bases.parabola import Parabola
 from onboard.ground.identify.kinds.parabolas import Stage, cut, stages
-from onboard.identification.exiddm.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 
 PERIOD_s, SIGMA_m_s2 = 0.01, 0.028
 SETTINGS = Parabola()

@@ -14,7 +14,7 @@ from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.warm_start import go_on
 from onboard.ground.log.tables.vehicle_file import vehicle_of
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import ExiddmIdentifier
 from onboard.identification.standing import Level
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -22,7 +22,7 @@ from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import PAYLOAD, twin
 from tests.ground.identify import throws
 from tests.ground.identify.test_identify import LOAD, TUDELFT, TUMBLES, with_carrier
-from tests.ground.identify.test_identify_exiddm import write as free_flight
+from tests.ground.identify.test_identify_free_flyer import write as free_flight
 
 WHOLE = with_carrier(LOAD)
 

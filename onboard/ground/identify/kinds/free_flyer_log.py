@@ -1,0 +1,339 @@
+"""``heft identify --method exiddm``: a free-flyer's log by maximum likelihood, the whole flight in one fit.
+
+The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was
+held the longest, and fitted by :mod:`onboard.identification.whole_flight.fit`, with all instruments that the flight
+fused but one that was left out on board or contradicts the others
+(:mod:`onboard.identification.whole_flight.witnesses`). Changes and starting values are those of the onboard answer in
+the log. A log without one, or whose fit fails a test from there, is run through the recursive estimator first, and
+the fit starts from its state.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.devices.recorded import RecordedDevice
+from onboard.dynamics.model.errors import ModelError, SignalError
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.errors import ConvergenceError, EstimationError
+from onboard.estimation.policy import MOSTLY
+from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.readings.jumps import jumped_text
+from onboard.ground.identify.kinds import likelihood_log
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.kinds.tested_fit import fitted_of
+from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.free_flyer.before_capture import (
+    ANNOUNCED_s,
+    BeforeCapture,
+    Payload,
+    Zeros,
+    before_capture,
+)
+from onboard.identification.free_flyer.misread import mistaken
+from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.steps import JumpedJoint
+from onboard.identification.whole_flight.fit import WholeFlight
+from onboard.identification.whole_flight.segments import Segment, in_windows
+from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
+from onboard.identification.windows import STAGES_s
+from onboard.recording.reader import LogReader
+from onboard.regressor.signals import EncoderJump
+
+_FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
+_TO_CHECK = (  # of a recording by other software
+    "; check axes and units of the IMU, signs, units, order and zeros of the joints, the clock of each, and the URDF"
+)
+
+
+_ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
+_EVENTS = "event" + SUFFIX  # of the estimator, in a log
+
+
+class _Onboard(NamedTuple):
+    """What an onboard estimator found."""
+
+    changes: Sequence[Change]
+    constants: FloatArray  # of the predictor's state without the rate; zeros where nothing is known
+    stages_s: tuple[float, ...]  # lengths that are fitted first: it is far from the minimum
+    left_out: frozenset[str] = frozenset()  # instruments that it did without at the end
+
+
+def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of the payload that a free-flyer held the longest.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    online, model = build_exiddm(vehicle, tracked=False)
+    payload = str(model.spec.payload_link)
+    recorder = JumpRecorder(payload, len(model.joints), online.further)
+    estimator = Estimator(vehicle, recorder)
+    for _ in feed(estimator, log, AT_ONCE_s):
+        pass
+    flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached), recorder.jumps)
+    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+
+    def phase_at(time_s: float) -> int:
+        return int(estimator.phase_at(np.array([round(1e9 * time_s)], np.int64))[0])
+
+    return flight.identified(log, payload, refused, phase_at)
+
+
+class _Flight:
+    """The ticks of a flight, and the fits of them."""
+
+    def __init__(
+        self,
+        vehicle: config.Vehicle,
+        online: ExiddmIdentifier,
+        ticks: Ticks,
+        attached: BoolArray,
+        jumps: Sequence[tuple[str, EncoderJump]] = (),
+    ) -> None:
+        settings, predictor = vehicle.file.estimation, online.exiddm.predictor
+        self._jumps, times_s = jumps, [1e-9 * jump.vehicle_ns for _, jump in jumps]
+        self._jumped = [(at_s, JumpedJoint(predictor, *one).changed) for at_s, one in zip(times_s, jumps, strict=True)]
+        self._jumped_at: list[int] = np.searchsorted(ticks.time_s, times_s).tolist()
+        self._online, self._ticks, self._attached = online, ticks, attached
+        self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
+        self._held = settings.exiddm.held_at_start or settings.carried is not None
+        self._recorded = all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values())
+        self._smoothing_s = 1e-3 * settings.smoothing_ms
+
+    def identified(
+        self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
+    ) -> Identified:
+        """Estimates and verdict of the flight."""
+        kept = likelihood_log.Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
+        seen = int(np.isfinite(self._ticks.measured).sum())
+        if self._online.exiddm.predictor.bends.size:
+            return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
+        if mistaken := self._misread():
+            return likelihood_log.no_answer(kept, seen, mistaken, misread=True)
+        failure, held_s = "", 0.0
+        best: Tested | None = None
+        for known in self._starts(log):
+            segments = self._segments(known.changes)
+            if not any(one.held for one in segments):
+                failure, held_s = "", max(held_s, self._held_s(known.changes))
+                continue
+            try:
+                found, agrees = self._fitted_whole_or_in_windows(known, segments, phase_at)
+            except (EstimationError, ModelError) as error:
+                failure = f"the fit failed: {error}{_TO_CHECK * self._recorded}"
+                continue
+            if best is None or found.found.misfit < best.found.misfit:
+                best = found
+            if agrees:
+                break
+        if best is None:
+            needed = f"{likelihood_log.SHORTEST_S:g} s are needed"
+            why = f"as a payload was held for {held_s:.2g} s, {needed}" if held_s else "while nothing was held"
+            idle = {} if failure else {why: seen}
+            return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
+        if best.found.glitches:
+            refused = {**refused, "residual": refused.get("residual", 0) + best.found.glitches}
+        said = likelihood_log.identified_of(
+            kept._replace(refused=refused), fitted_of(best, self._period_s, self._online.row_names)
+        )
+        return said.with_before(self._before(best))
+
+    def _misread(self) -> str:
+        """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""
+        if not self._recorded or not self._held or not self._attached.all():
+            return ""
+        ticks = self._ticks.part(slice(round(likelihood_log.LONGEST_S / self._period_s)))
+        return mistaken(self._online.exiddm.predictor, ticks, self._period_s, self._smoothing_s)
+
+    def _before(self, made: Tested) -> BeforeCapture | None:
+        """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
+        segments = made.flight.segments
+        taken = [(k, a, b) for k, (a, b) in enumerate(pairwise(segments)) if b.held and not a.held]
+        if not taken or 0 not in made.flight.devices:
+            return None
+        number, free, held = taken[0]
+        from_s, until_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
+        announced = until_s < from_s
+        touched_s = (from_s - ANNOUNCED_s, from_s + ANNOUNCED_s) if announced else (from_s, until_s)
+        ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
+        about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
+        found, predictor = made.found, self._online.exiddm.predictor
+        state, zeros = made.flight.state(found.fit.x, number), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
+        try:
+            payload = Payload(found.chi, found.chi_covariance)
+            return before_capture(predictor, state, about, zeros, payload, touched_s)
+        except SignalError:
+            return None
+
+    def _fitted_whole_or_in_windows(
+        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+    ) -> tuple[Tested, bool]:
+        """As :meth:`_fitted`; in windows with a rate of their own where no fit of whole segments converges."""
+        try:
+            return self._fitted(known, segments, phase_at)
+        except ConvergenceError:
+            return self._fitted(known, in_windows(segments, self._period_s), phase_at)
+
+    def _fitted(
+        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+    ) -> tuple[Tested, bool]:
+        """The fit with all instruments but those that contradict the others, its tests, and whether it passes them.
+
+        Raises:
+            EstimationError, ModelError: as :meth:`WholeFlight.fit`.
+        """
+        names = self._online.exiddm.predictor.instruments
+        excluded = set[int]()
+        on_board = {at for at, name in enumerate(names) if name in known.left_out}
+        hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
+        exiddm = self._online.exiddm
+
+        def without(*more: int) -> WholeFlight:
+            left_out = {*excluded, *hardly, *more}
+            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, left_out, self._jumped)
+
+        failure: Exception | None = None
+        for left_out in [set[int](), *([on_board] if on_board else [])]:  # that it was wrong may be known better now
+            excluded.update(left_out)
+            made, flight = None, without()
+            start = flight.start(known.constants)
+            try:
+                made = fitted(flight, start, known.stages_s, phase_at)
+                start = flight.start(made.found.fit.x[: flight.constants])
+            except (EstimationError, ModelError) as error:
+                failure = error
+            if made is not None and made.passes:
+                break
+        if (made is None or not made.passes) and len(flight.devices) > 1 and not excluded:
+            fits = without_each(without, flight.devices, start, phase_at)
+            passing = [(device, found) for device, found in fits if found.passes]
+            if len(passing) == 1:
+                excluded, made = {passing[0][0]}, passing[0][1]
+            elif passing and made is not None:
+                either = " or ".join(names[device] for device, _ in passing)
+                made = made.plus(against=[f"{either} contradicts the others"])
+        if made is None:
+            assert failure is not None
+            raise failure
+        doubts = [f"not as stated: {' or '.join(made.names)}"] if made.names else []
+        doubts += [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
+        doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
+        doubts += [jumped_text(", ".join(dict(self._jumps)))] * bool(self._jumps)
+        several = (
+            [f"{' and '.join(names[at] for at in sorted(excluded))} contradict the others"] if len(excluded) > 1 else []
+        )
+        return made.plus(several, doubts), made.passes
+
+    def _shares(self) -> dict[int, float]:
+        """Of the ticks with any instrument, those with each one that is not the only IMU, by its number."""
+        seen = np.isfinite(self._ticks.measured)
+        ticks = max(1, int(seen.any(axis=1).sum()))
+        predictor = self._online.exiddm.predictor
+        shares = {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(predictor.lines)}
+        others = [shares[at] for at in range(1, len(predictor.imu_frames))]
+        return shares if max(others, default=0.0) >= MOSTLY else {at: share for at, share in shares.items() if at}
+
+    def _segments(self, changes: Sequence[Change]) -> list[Segment]:
+        """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
+        runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
+        held = likelihood_log.held_ticks(runs)
+        if not held or max(held.values()) * self._period_s < likelihood_log.SHORTEST_S:
+            return []
+        longest = max(held, key=lambda payload: held[payload])
+        runs = self._without_pauses(runs, longest)
+        chosen = [*self._some(runs, longest), *self._some(runs, 0)]
+        found = list[Segment]()
+        for run in sorted(chosen, key=_begin):
+            first, last = run.ticks.start, run.ticks.stop
+            edges = sorted({first, *(at for at in self._jumped_at if first < at < last), last})
+            found += [Segment(self._ticks.part(slice(*ends)), run.payload > 0) for ends in pairwise(edges)]
+        return found
+
+    def _held_s(self, changes: Sequence[Change]) -> float:
+        """For how long the payload was held that was held the longest; zero where none was."""
+        held = likelihood_log.held_ticks(likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s))
+        return self._period_s * max(held.values(), default=0)
+
+    def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
+        """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
+        longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
+        begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
+        stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > likelihood_log.LONGEST_S)])
+        return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
+
+    def _some(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
+        left, found = round(likelihood_log.LONGEST_S / self._period_s), []
+        for run in runs:
+            ticks = slice(run.ticks.start, min(run.ticks.stop, run.ticks.start + left))
+            if run.payload == payload and ticks.stop > ticks.start:
+                found.append(likelihood_log.TickRun(ticks, payload))
+                left -= ticks.stop - ticks.start
+        return found
+
+    def _starts(self, log: LogReader) -> Iterator[_Onboard]:
+        """Where a fit can begin: the onboard answer in the log, and what the recursive estimator says now."""
+        in_log = self._in_log(log)
+        if in_log is not None:
+            yield in_log
+        yield self._again()
+
+    def _in_log(self, log: LogReader) -> _Onboard | None:
+        """The onboard answer that the log has; None without one."""
+        changes: list[Change] = []
+        mean, left_out = np.zeros(10), set[str]()
+        for name, rows in log.batches([name for name in ("estimate", _EVENTS) if name in log.channels]):
+            if name == _EVENTS:
+                for row in rows:
+                    if (change := change_of(row)) is not None:
+                        changes.append(change)
+                    elif (instrument := instrument_of(row)) is not None:
+                        (left_out.add if instrument.kind == "left_out" else left_out.discard)(instrument.what)
+            elif rows["mean"].shape[1:] == (10,):
+                known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
+                mean = rows["mean"][known][-1] if known.any() else mean
+        if not mean[0] > 0.0:
+            return None
+        rest = np.zeros(len(self._online.exiddm.predictor.names) - PAYLOAD.stop)
+        changes.sort(key=lambda change: change.time_s)
+        return _Onboard(changes, np.concatenate([mean, rest]), (), frozenset(left_out))
+
+    def _again(self) -> _Onboard:
+        """What the recursive estimator makes of the ticks."""
+        exiddm, before = self._online.exiddm, None
+        announced = (np.flatnonzero(np.diff(self._attached)) + 1).tolist()
+        for first, last in pairwise(sorted({0, *announced, *self._jumped_at, len(self._attached)})):
+            for at, jump in zip(self._jumped_at, self._jumps, strict=True):
+                if at == first:
+                    exiddm.jumped(*jump)
+            held = bool(self._attached[first]) if last > first else before
+            if before is not None and held != before:
+                exiddm.announce(bool(held), float(self._ticks.time_s[first]))
+            before = held
+            for at in range(first, last, BATCH_TICKS):
+                exiddm.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
+        exiddm.finish()
+        size = len(exiddm.predictor.names) - RATE.stop
+        state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
+        known = state[RATE.stop] > 0.0
+        left_out = frozenset(exiddm.fusion.contradicting)
+        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else STAGES_s, left_out)
+
+
+def _begin(run: likelihood_log.TickRun) -> int:
+    return int(run.ticks.start)
+
+
+def _end(run: likelihood_log.TickRun) -> int:
+    return int(run.ticks.stop) - 1

@@ -1,0 +1,250 @@
+"""Whitened innovations of a batch of ticks: ``S = H P H' + 1 = L L'``, lines by instrument (see ``fusion``)."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dtrtrs
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.errors import SingularError
+from onboard.estimation.maximum_likelihood import OPEN
+from onboard.identification.corrections import DOUBTFUL, refused_from
+from onboard.identification.evidence.mixture import Known
+from onboard.identification.free_flyer.fusion import Accusation, Fusion
+from onboard.identification.free_flyer.held_against import stated_after
+from onboard.identification.free_flyer.misfit import InnovationMisfit
+from onboard.identification.free_flyer.prediction.further import OF_FRICTION, FurtherCell
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.ticks import IMMODERATE, TickPrediction
+from onboard.identification.free_flyer.suspects import Believed, Rivals
+
+_MOST_TOLD = 256  # batches whose errors wait to be taken out
+
+
+class TickBatch(NamedTuple):
+    """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines); their times."""
+
+    predicted: TickPrediction
+    measured: FloatArray
+    sigma: FloatArray
+    time_s: FloatArray  # (b,)
+
+
+class ReferenceErrors(NamedTuple):
+    """Prediction errors of the reference IMU, (b, 6): gyro, accelerometer."""
+
+    time_s: FloatArray  # (b,)
+    error: FloatArray  # measured less predicted
+    sigma: FloatArray  # of the error; NaN where it was not measured
+    used: BoolArray  # (b,)
+
+
+class Innovation(NamedTuple):
+    """Of a batch; lines that were not measured are zero."""
+
+    W: FloatArray  # L^-1 H P
+    e: FloatArray  # L^-1 (measured less predicted)
+    L: FloatArray
+    steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
+    ticks: int
+
+    def judged(self, step: Believed | None) -> "Innovation":
+        """With ``e`` and ``L`` as they are given a step that the filter does not follow: what is to be tested."""
+        if step is None:
+            return self
+        G = self.steps[:, [*step.which]]
+        H = G @ step.root
+        K = np.linalg.cholesky(np.eye(len(H)) + H @ H.T)
+        e = dtrtrs(K, self.e - G @ step.size, lower=True)[0]
+        return self._replace(e=e, L=self.L @ K)
+
+    def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """``W``, ``e`` and ``steps`` of so many lines."""
+        return self.W[:lines], self.e[:lines], self.steps[:lines]
+
+    def corrected(self, lines: int, state: FloatArray, covariance: FloatArray) -> Known:
+        """State, (p,), and covariance, (p, p), with so many lines taken in."""
+        W, e, _ = self.first(lines)
+        return state + W.T @ e, covariance - W.T @ W
+
+    @property
+    def of_reference(self) -> FloatArray:
+        """``e`` of the reference IMU, which comes first, (b, 6)."""
+        return self.e[: 6 * self.ticks].reshape(-1, 6)
+
+
+class Innovations:
+    """Makes and judges the innovations of one filter.
+
+    Args:
+        predictor: of its instruments.
+        fusion: which of them it uses.
+        rivals: what may not be as stated; its constants are not held against what is stated one by one.
+
+    Attributes:
+        told: errors of the batches since they were last taken out.
+    """
+
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion, rivals: Rivals) -> None:
+        self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
+        self._steps = rivals.steps
+        self.told: deque[ReferenceErrors] = deque(maxlen=_MOST_TOLD)
+        further = list(enumerate(predictor.further, 1))
+        own = predictor.of_further
+        self._alone = [
+            np.setdiff1d(each, rivals.at) for each in (predictor.of_each[0], *own)
+        ]  # held against one by one
+        self._farthest = refused_from(sum(len(each) for each in self._alone))
+        self._friction = {  # of torques: what it is multiplied by cannot be negative
+            k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
+            for k, one in further
+            if isinstance(one, FurtherCell) and one.friction is not None
+        }
+
+    def of(self, batch: TickBatch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
+        """Of a batch's lines, those of each instrument together.
+
+        Args:
+            batch: the ticks.
+            there: which lines are to be used, (b, lines).
+            order: of the instruments.
+            covariance: of the state, (p, p).
+
+        Raises:
+            SingularError: no motion follows from the state, or the noise of the measurements is lost in the rounding of
+                what its covariance makes of them, or the covariance is none any more.
+        """
+        if not batch.predicted.moderate:
+            raise SingularError("the joints' signals are nonsense; no motion follows")
+        rows, p = self._fusion.rows(order, len(there)), len(covariance)
+        r, H = (
+            (batch.measured - batch.predicted.values) / batch.sigma,
+            batch.predicted.jacobian / batch.sigma[..., None],
+        )
+        if not there.all():
+            r[~there], H[~there] = 0.0, 0.0
+        H = H.reshape(r.size, p)[rows]
+        steps = self._steps.changed.D
+        known = np.empty((p + 1 + steps.shape[1], r.size))  # transposed: LAPACK's order
+        PH = np.matmul(covariance, H.T, out=known[:p])
+        known[p] = r.ravel()[rows]
+        np.matmul(steps.T, H.T, out=known[p + 1 :])
+        S = H @ PH
+        S.flat[:: len(S) + 1] += 1.0
+        if not S.diagonal().max() < IMMODERATE:  # as with NaN
+            raise SingularError("the state says nothing of what is measured; it has to be estimated anew")
+        try:
+            L = np.asarray(np.linalg.cholesky(S), np.float64)
+        except np.linalg.LinAlgError as error:
+            raise SingularError("the state's covariance is none any more; it has to be estimated anew") from error
+        solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
+        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
+
+    def agreeing(
+        self,
+        batch: TickBatch,
+        there: BoolArray,
+        covariance: FloatArray,
+        innovation: Innovation,
+        misfit: InnovationMisfit,
+        step: Believed | None,
+    ) -> tuple[Innovation, int]:
+        """Innovation with instruments that contradict those before them at the end, and how many lines to use."""
+        fusion, order, refused = self._fusion, self._fusion.order, list[int]()
+        judged = innovation.judged(step)
+        while (bad := fusion.improbable(order, judged.e, there, refused)) is not None:
+            refused.append(bad)
+            if bad not in fusion.left_out:
+                order = [k for k in order if k != bad] + [bad]
+                innovation = self.of(batch, there, order, covariance)
+                judged = innovation.judged(step)
+        seen = np.array([there[:, own].any() for own in self._lines])
+        used = 0
+        for k in order:
+            if k in refused or k in fusion.left_out:
+                continue
+            own = self._lines[k]
+            first, used = used, used + len(there) * (own.stop - own.start)
+            if k != fusion.reference and seen[k]:
+                e = judged.e[first:used]
+                misfit.add(fusion.names[k], float(e @ e), int(there[:, own].sum()))
+        fusion.judged(refused, seen)
+        return innovation, used
+
+    def contradicting(self, state: FloatArray, covariance: FloatArray) -> Accusation | None:
+        """An instrument in use that contradicts the others.
+
+        Args:
+            state: (p,) after a batch.
+            covariance: of that.
+        """
+        fusion, predictor = self._fusion, self._predictor
+        if (refused := fusion.refused) is not None:
+            misled = refused.instrument in fusion.imus and self.misled(state)
+            return refused._replace(batches=0) if misled else refused
+        stated, too_far = stated_after(predictor, fusion.running_s), self._rivals.too_far(state, covariance)
+        for k, own in enumerate(self._alone):
+            if k in fusion.left_out or fusion.imus == [k]:
+                continue
+            beyond = (np.abs(state[own]) > self._farthest * stated[own]).any() or self._drives(k, state, covariance)
+            if beyond or fusion.names[k] == too_far:
+                return Accusation(k, 0, for_good=True)
+        return None
+
+    def _drives(self, torque: int, state: FloatArray, covariance: FloatArray) -> bool:
+        """Whether the friction or the rotor's inertia of a joint's torque is negative by more than chance."""
+        at = self._friction.get(torque)
+        return at is not None and bool((state[at] < -self._farthest * np.sqrt(covariance[at, at])).any())
+
+    def misled(self, state: FloatArray) -> bool:
+        """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.
+
+        Args:
+            state: (p,); what is left out does not count.
+        """
+        stated = stated_after(self._predictor, self._fusion.running_s)
+        known = np.isfinite(stated) & (stated > 0.0)
+        known[self._rivals.freed_at] = False  # taken for far less certain than stated
+        for k in self._fusion.left_out:
+            known[self._predictor.of_each[k]] = False
+        return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())
+
+    def freed(self, prior: tuple[FloatArray, FloatArray], instrument: int | None) -> tuple[FloatArray, FloatArray]:
+        """A mean, (p,), and covariance, (p, p), with errors of an instrument, if one is named, of any size."""
+        mean, covariance = prior
+        if instrument is not None:
+            at, covariance = self._predictor.of_each[instrument], covariance.copy()
+            covariance[at, at] += (OPEN * self._predictor.sigma[at]) ** 2
+        return mean, covariance
+
+    def of_batch(self, batch: TickBatch, there: BoolArray, covariance: FloatArray) -> Innovation:
+        """The first of a batch, which is reported: nothing is left out of it yet; see :meth:`of`."""
+        innovation = self.of(batch, there, self._fusion.order, covariance)
+        own, lines = self._lines[self._fusion.reference], 6 * innovation.ticks
+        L, sigma = innovation.L[:lines, :lines], batch.sigma[:, own]
+        wide = np.where(there[:, own], np.sqrt(np.einsum("ij,ij->i", L, L)).reshape(-1, 6) * sigma, np.nan)
+        error = (batch.measured - batch.predicted.values)[:, own]
+        self.told.append(ReferenceErrors(batch.time_s, error, wide, there[:, own.start].copy()))
+        return innovation
+
+    def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> FloatArray:
+        """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit.
+
+        Returns:
+            The reference's whitened innovation at the ticks that were used, gyro then accelerometer, (6 u,).
+        """
+        if self.told:
+            self.told[-1].used[:] = there[:, self._lines[self._fusion.reference].start]
+        lines = 6 * innovation.ticks
+        rows = np.arange(lines).reshape(-1, 6)[there[:, self._lines[self._fusion.reference].start]]
+        e = innovation.e[rows.ravel()]
+        if not rows.size:
+            return e
+        misfit.add(self._fusion.names[self._fusion.reference], float(e @ e), e.size)
+        for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
+            L = innovation.L[own, :lines]
+            r = L @ innovation.e[:lines]
+            misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
+        return e

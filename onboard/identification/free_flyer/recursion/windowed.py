@@ -1,0 +1,174 @@
+"""What a recursive estimate consists of, and where a window of it begins: see :mod:`.recursive`."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.change import ChangeDetector
+from onboard.identification.change import Change
+from onboard.identification.evidence.bodies import changes
+from onboard.identification.evidence.mixture import Known
+from onboard.identification.free_flyer.fusion import Accusation, Fusion
+from onboard.identification.free_flyer.innovation import Innovations
+from onboard.identification.free_flyer.misfit import InnovationMisfit
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.recursion.claims import Claim, at_first
+from onboard.identification.free_flyer.recursion.holding import Holding
+from onboard.identification.free_flyer.recursion.linearised import Linearised
+from onboard.identification.free_flyer.recursion.lines import InnovationLines, Unexplained
+from onboard.identification.free_flyer.recursion.rounds import WindowRounds
+from onboard.identification.free_flyer.recursion.snapshots import Before, Snapshots, initially
+from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
+from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
+from onboard.identification.free_flyer.recursion.window import HeldPayload, WindowSolve
+from onboard.identification.free_flyer.suspects import Rivals
+
+SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
+WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
+
+
+class Windowed(Holding):
+    """What a recursive estimate of a payload consists of, and its windows: what is known before one, and its solve.
+
+    Args:
+        predictor: of the vehicle's IMU.
+        payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
+        held: a payload is held at the start.
+        false_alarms_per_hour: of the change detector, at most.
+        call_ticks: ticks of a call that does not come late.
+        known: standard parameters of the payload held last, (10,), and their covariance, (10, 10): the first window
+            decides whether it is still held, or nothing or another one, regardless of ``held``.
+
+    Attributes:
+        ticks_used: with an IMU, taken in since the start or the last change.
+        glitches: number of ticks left out as outliers.
+        changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
+        exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
+            the model changed, and the estimate contradicts what was known before.
+        altered: the payload has changed by what a part that comes off, or is added, makes; or so it seems.
+        unexplained: windows that no hypothesis explains.
+        undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
+        lines: coherent lines in the reference IMU's innovations.
+        innovations: of its batches; takes note of the reference IMU's.
+        fusion: the instruments, and which of them are left out.
+        rivals: what may not be as stated.
+        misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
+    """
+
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        payload_sigma: FloatArray,
+        held: bool,
+        false_alarms_per_hour: float = 0.1,
+        known: Known | None = None,
+        call_ticks: int = BATCH_TICKS,
+    ) -> None:
+        super().__init__(predictor, call_ticks)
+        self.payload_sigma = np.asarray(payload_sigma, np.float64)
+        self.held = self._before = held if known is None else None
+        self._suspected: Change | None = None  # not yet classified
+        self._claim, self._none = Claim(), predictor.no_ticks
+        self._left: FloatArray | None = None  # by the last one
+        self.exchanged = self.altered = self._part = False  # the last: a part of the payload may be off since then
+        self.undecided, self.ticks_used, self.glitches = "", 0, 0
+        self.changes: list[Change] = []
+        self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
+        self.fusion, self.misfit = Fusion(predictor.instruments, predictor.lines), InnovationMisfit()
+        self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
+        self.snapshots, self._linearised = Snapshots(predictor.period_s), Linearised(predictor)
+        self.rivals, self.initial = Rivals(predictor), initially(predictor, known)
+        self.innovations = Innovations(predictor, self.fusion, self.rivals)
+        self._open(at_first(held, known is not None), self.initial)
+
+    def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
+        without = [*self.fusion.left_out, *trial.without]
+        off = self.rivals.places(() if trial.stated else (*self.rivals.freed, *trial.free))
+        measured, noise = self.fusion.without(without, ticks.measured), self.predictor.rippled(ticks, off)
+        seen = ticks._replace(measured=measured, joint_sigma=noise)
+        imu = next(k for k in self.fusion.imus if k not in trial.without)
+        prior, start = self.innovations.freed(self.initial if trial.anew else self._prior, trial.freed), self._start
+        if self._stepped is not None and self._earlier is not None and self.state is not None:
+            prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
+        carried = self._prior[0] is not self.initial[0]
+        self._of, steps = (ticks, trial), self.rivals.steps.inside(len(seen.time_s) - 2, carried=carried)
+        steps = steps if trial.about is None else steps.about(trial.about)
+        if trial.stated or trial.wrong:
+            prior = self.rivals.stated(prior) if trial.stated else self.rivals.with_free(prior, trial.free)
+            start = trial.start
+        parts = seen, prior, trial.hypotheses, start
+        return WindowSolve(self.predictor, self.payload_sigma, *parts, imu, steps, steps.taken(trial.stepped))
+
+    def _open(
+        self, hypotheses: tuple[HeldPayload, ...], prior: Known, begun: Ticks | None = None, *, carried: bool = False
+    ) -> None:
+        """Begin a window with an unknown rate.
+
+        Args:
+            hypotheses: on it.
+            prior: what is known before it.
+            begun: with these ticks, and solve it at 2 s.
+            carried: the prior has what the ticks before it told.
+        """
+        self.rivals.begin(prior if carried else None)
+        self._hypotheses, self._prior = hypotheses, prior
+        self._solves, self._grown, self._awaits = int(begun is not None), 1.0, False  # what was before a change
+        self.unexplained.begin(change=self._suspected is not None)
+        self._start: FloatArray | None = None
+        self._window, self._pending = self._none, self._none if begun is None else begun
+        self._trials: WindowFits | CellTrials | None = None  # fits that tell which instrument is wrong
+        self._stepped: SteppedTicks | None = None  # ticks of the window and of the steps since
+        self._earlier: Before | None = None  # motion before the change, while it is not known what was held
+        self._accused: Accusation | None = None  # the window is solved without it
+        self._rounds = WindowRounds(self.rivals)
+        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised, self.rivals.steps):
+            one.forget()
+        self.snapshots.clear()
+
+    def _reopen(self, hypotheses: tuple[HeldPayload, ...], batches_back: int | None, *, altered: bool = False) -> None:
+        """Begin a window with what was known so many batches ago; None: before the first tick.
+
+        ``altered``: but for the payload, a part of which has come off or been added.
+        """
+        now = self._prior if self.state is None else (self.state, self.covariance)
+        before = self.noise_added if batches_back is not None else NoiseAdded.none(len(self.predictor.names))
+        self._noise_before, carried = before, False
+        if batches_back is None:
+            now = self.initial
+        elif len(self.snapshots):
+            now, self.initial = self.rivals.adopting(*self.snapshots.back(batches_back), self.initial)
+            carried = True
+        if altered:
+            by, covariance = changes(now[0][PAYLOAD]), now[1].copy()
+            covariance[PAYLOAD, PAYLOAD] += by @ by.T
+            now = now[0], covariance
+        self.state, self.held, self.ticks_used = None, None, 0
+        self._open(hypotheses, now, carried=carried)
+
+    def _wanted(self) -> int:
+        whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
+        return max(whole - len(self._pending.time_s), 0)
+
+    def _window_ticks(self) -> int:
+        return round(self._grown * WINDOWS_s[self._solves] / self.predictor.period_s)
+
+    def _trials_now(self, accused: int | None) -> WindowFits | CellTrials:
+        window = self._solves or int(accused is None and self.unexplained.count > 0)  # no contact takes so long
+        return trials_of(self.fusion, self._hypotheses, accused, window, len(WINDOWS_s))
+
+    def _free_before(self, free: Callable[[Known], Known]) -> None:
+        """The same of what was known before now."""
+        first, self.initial = self._prior[0] is self.initial[0], free(self.initial)
+        self._prior = self.initial if first else free(self._prior)
+        self.snapshots.become(free)
+
+    def _free(self, free: Callable[[Known], Known]) -> None:
+        """Go on as if everything may be wrong that is suspected."""
+        assert self.state is not None
+        self._free_before(free)
+        self.state, self.covariance = free((self.state, self.covariance))
+        self._earlier, self._asked = None, None if self._stepped is None else self._stepped.asked
+        self._linearised.begin_anew()

@@ -1,0 +1,30 @@
+"""Flights flown once for all tests of a module: one that holds a payload, one that captures and releases it."""
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from tests.dynamics.free_flyer_twin import BOX, twin
+from tests.identification.free_flyer.recorded_flights import CAPTURE_s, END_s, RELEASE_s, recorded
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return twin(8.0)
+
+
+@pytest.fixture(scope="module")
+def held(flown):
+    return recorded(flown.flight, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def mission():
+    """Nothing held, a capture, a release."""
+    rng = np.random.default_rng(11)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, CAPTURE_s, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, RELEASE_s)
+    flight.release()
+    flight.advance(round((END_s - RELEASE_s) / flight.step_s))
+    return recorded(flight.history, rng)

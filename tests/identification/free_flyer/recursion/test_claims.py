@@ -1,0 +1,29 @@
+"""What a detected change was, and what is tried after it."""
+
+import pytest
+
+from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
+from onboard.identification.free_flyer.recursion.window import HeldPayload
+
+NOTHING, SAME, NEW = HeldPayload.NOTHING, HeldPayload.SAME, HeldPayload.NEW
+
+
+@pytest.mark.parametrize(
+    ("before", "hypothesis", "instrument", "kind"),
+    [
+        (False, NEW, False, "capture"),
+        (False, NEW, True, "capture"),
+        (True, NOTHING, False, "ejection"),
+        (True, SAME, False, "contact"),
+        (True, SAME, True, "instrument"),
+        (False, NOTHING, True, "instrument"),
+    ],
+)
+def test_a_wrong_instrument_is_no_contact(before: bool, hypothesis: HeldPayload, instrument: bool, kind: str) -> None:
+    assert kind_of(before, hypothesis, instrument) == kind
+
+
+def test_the_same_payload_is_not_tried_where_it_is_not_known() -> None:
+    assert after_a_change(True) == (NOTHING, SAME, NEW)
+    assert after_a_change(True, known=False) == (NOTHING, NEW)
+    assert after_a_change(False) == (NOTHING, NEW)

@@ -1,0 +1,305 @@
+"""Windows of ticks: a prediction in pieces is the whole one, and what cannot be explained is given up early."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from onboard.estimation.maximum_likelihood import Descent
+from onboard.identification.evidence.bank import Bank, Changed
+from onboard.identification.evidence.bodies import CHANGES
+from onboard.identification.free_flyer.prediction.further import CellPrior, FurtherCell
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.recursion import pieces
+from onboard.identification.free_flyer.recursion import window as windows
+from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
+from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved, WindowSolve
+from onboard.identification.free_flyer.steps import NO_STEPS, Steps, StepsTaken
+from onboard.identification.free_flyer.suspects import Rivals, suspects_of
+from tests.dynamics.free_flyer_twin import twin
+from tests.identification.free_flyer.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
+
+
+@pytest.fixture(scope="module")
+def held():
+    return recorded(twin(1.5).flight, np.random.default_rng(3))
+
+
+def solved(predictor, ticks, hypothesis, start=None):
+    """The solve at its end, and how many ticks it has predicted."""
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    solve, predicted = WindowSolve(predictor, WIDE, ticks, prior, (hypothesis,), start), 0
+    while not solve.over:
+        predicted += solve.advance()
+    return solve, predicted
+
+
+def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
+    predictor = online(held, imu_prior=PRIOR).predictor
+    ticks, p = ticks_of(held).part(slice(0, 122)), len(predictor.names)
+    state = np.full(p, 1e-3)
+    state[PAYLOAD] = [4.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    active = np.flatnonzero(np.arange(p) % 7 != 2)  # not the rate's z, and others
+    use = np.ones((120, 6), np.bool_)
+    found = []
+    for size in (120, 17):
+        monkeypatch.setattr(pieces, "PIECE", size)
+        whole = Pieces(state, active, *use.shape)
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+        found.append(whole)
+    one, several = found
+    scale = np.sqrt(np.diag(one.normal.information))
+    differences_of_midpoints_at_the_ends = 1e-4
+    apart = (several.normal.information - one.normal.information) / np.outer(scale, scale)
+    assert np.abs(apart).max() < differences_of_midpoints_at_the_ends
+    assert np.abs(several.transition - one.transition).max() < differences_of_midpoints_at_the_ends
+    assert several.normal.squares == pytest.approx(one.normal.squares, rel=1e-4)
+    assert several.state == pytest.approx(one.state, rel=1e-4, abs=1e-6)
+
+
+def test_where_the_first_rate_no_longer_shows_the_cost_is_infinite(held):
+    """A rate of 1,100 rad/s, say of a gyro in deg/s: the derivative of the later rate may round to a singular one."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    state, use = np.full(len(predictor.names), 1e-3), np.ones((120, 6), np.bool_)
+    costs = []
+    for diverged in (False, True):
+        whole = Pieces(state, np.arange(len(state)), *use.shape, Steps(predictor).inside(120).about(state))
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+            if diverged:
+                whole.transition[RATE, RATE] = 1.0
+        costs.append(whole.normal.squares)
+    assert np.isfinite(costs[0])
+    assert costs[1] == np.inf
+
+
+def test_a_hypothesis_that_comes_nowhere_near_is_given_up_after_a_few_iterations(held):
+    window = ticks_of(held).part(slice(0, 100))
+    uncertain = online(held, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"]).predictor
+    nothing, predicted = solved(uncertain, window, HeldPayload.NOTHING)
+    assert nothing.found is None
+    assert predicted < 60 * 98  # of 40 iterations with a refused step in each
+
+
+@pytest.mark.parametrize("at", [[50], [10, 80, 90]])
+def test_outliers_do_not_make_a_window_hopeless(held, at):
+    window = ticks_of(held).part(slice(0, 100))
+    window.measured[at] += 1000.0 * window.sigma[0]
+    solve, _ = solved(online(held).predictor, window, HeldPayload.NEW)
+    assert solve.found is not None
+    assert solve.found.glitches == len(at)
+    assert solve.found.state[PAYLOAD][0] == pytest.approx(5.0, abs=4.0 * np.sqrt(solve.found.covariance[3, 3]))
+
+
+def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a_result(held, monkeypatch):
+    """Where a motion tells little, the minimum lies in a flat valley; stopping short of it is no misfit."""
+    predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 100))
+    best = solved(predictor, window, HeldPayload.NEW)[0].found
+
+    def cut(at_most):
+        def descent(start, mean, prior, iterations, tolerance, damping, beyond):
+            return Descent(start, mean, prior, min(iterations, at_most), 1e-12, damping, beyond)
+
+        return descent
+
+    for at_most, start in ((3, None), (0, best.start)):
+        monkeypatch.setattr(windows, "Descent", cut(at_most))
+        short = solved(predictor, window, HeldPayload.NEW, start)[0].found
+        assert short is not None
+        off = short.state[PAYLOAD] - best.state[PAYLOAD]
+        assert (np.abs(off) < 2.0 * np.sqrt(np.diag(short.covariance)[PAYLOAD])).all()
+    far = best.start.copy()
+    far[PAYLOAD] = 3.0 * far[PAYLOAD] + 1.0
+    assert solved(predictor, window, HeldPayload.NEW, far)[0].found is None
+
+
+def test_what_the_ticks_do_not_tell_goes_back_to_its_prior_mean():
+    """A joint's place and the place of what hangs on it, by which the same ticks are explained."""
+    stated = np.diag([1.0, 1e-4, 4.0])
+    told = 1e6 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    problem = Problem(np.array([0.0, 0.0, 7.0, 0.5]), np.diag([1.0, 1e-4, 0.0, 4.0]), np.array([0, 1, 3]))
+    near = problem.as_stated(np.array([-1.3, 2.3, 0.9]), told)
+    assert near[0] == pytest.approx(0.0, abs=1e-3)
+    assert near[0] + near[1] == pytest.approx(1.0, abs=1e-3)
+    assert near[2] == pytest.approx(0.9, abs=1e-6)  # told
+    before, after = (x @ stated @ x for x in (np.array([-1.3, 2.3, 0.4]), near - [0.0, 0.0, 0.5]))
+    assert after < before - 1.6
+    assert problem.as_stated(near, told) is None
+    assert problem.as_stated(np.array([-0.5, 1.5, 0.9]), told) is None  # by chance
+
+
+@pytest.mark.parametrize("mass_kg", [-0.2, 0.01, 0.2, 0.5, 5.0])
+def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg):
+    """Kept where the mass came out large, a light payload became heavier."""
+    state, covariance, none = np.zeros(13), np.eye(13), np.zeros((0, 6))
+    state[PAYLOAD.start] = mass_kg
+    for sigma_kg, kept in ((0.13, True), (30.0, False)):
+        covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
+        rest = 2000.0, none, covariance, Changed.none(13), NoiseAdded.none(13), state, 0.0
+        found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
+        for length, grown in ((1.0, 1.5), (8.0, 6.0)):
+            assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
+
+
+def test_a_start_that_later_ticks_contradict_is_replaced_by_guesses(held):
+    predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 300))
+    best = solved(predictor, window, HeldPayload.NEW)[0].found
+    far = best.start.copy()
+    far[PAYLOAD] = -3.0 * far[PAYLOAD]
+    again = solved(predictor, window, HeldPayload.NEW, far)[0].found
+    assert again is not None
+    assert again.cost == pytest.approx(best.cost, abs=1.0)
+
+
+def test_steps_inside_are_what_readings_with_them_move_the_solution_and_its_cost_by(held, rng):
+    cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.1, 0.0, 0.0025, 0.0))
+    predictor = online(held, imu_prior=PRIOR, further=(cell,)).predictor
+    ticks, p = ticks_of(held).part(slice(0, 122)), len(predictor.names)
+    sigma = np.nan_to_num(predictor.sigma)
+    sigma[RATE], sigma[PAYLOAD] = 1.0, [0.1, *[0.01] * 3, *[0.01] * 6]
+    start = np.zeros(p)
+    start[PAYLOAD] = [5.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    true = predictor.predict(ticks.q, ticks.dq, ticks.ddq, start)
+    lines = predictor.lines[-1].stop
+    noise = np.column_stack([ticks.sigma, np.full(len(ticks.sigma), 0.02)])
+    measured = np.zeros((122, lines))
+    measured[1:-1] = true.values + noise[1:-1] * rng.standard_normal(true.values.shape)
+    carried = Steps(predictor).inside(120, carried=True)
+    assert (carried.times, carried.taken([0]).first.item(), carried.taken([10]).first.item()) == (6, 0, 20)
+    inside = Steps(predictor).inside(120)
+    kinds = inside.along.shape[1]
+    of_instruments = 5  # scales of gyro, accelerometer and both; the cell's two
+    assert (inside.every, inside.times, kinds) == (20, 5, of_instruments + CHANGES)
+    first, size = np.repeat(inside.every * np.arange(1, 6), kinds), inside.about(start).changed(p)
+
+    def ended(readings):
+        window = ticks._replace(measured=readings, sigma=noise)
+        known = start, np.diag(sigma**2)
+        solve = WindowSolve(predictor, WIDE, window, known, (HeldPayload.SAME,), start, 0, inside)
+        while not solve.over:
+            solve.advance()
+        return solve.found
+
+    def with_another_payload(tick, by):
+        before, after = ticks.part(slice(0, tick + 2)), ticks.part(slice(tick, None))
+        until = predictor.predict(before.q, before.dq, before.ddq, start)
+        then = predictor.predict(after.q, after.dq, after.ddq, until.state + by)
+        return np.vstack([until.values, then.values]), then.state
+
+    plain, costs = ended(measured), dict[tuple[int, ...], float]()
+    instruments = ((0,), (1,), (2,), (3,), (4,), (42,), (43,), (44,), (11,), (1, 11), (3, 43), (4, 44))
+    for which in (*instruments, (5,), (18,), (46,), (5, 46)):
+        by = 0.1 / np.sqrt(1.0 + plain.steps.J.diagonal()[[*which]])
+        after, of_step = measured.copy(), np.zeros(p)
+        for k, one in zip(which, by, strict=True):
+            if (kind := k % kinds) >= of_instruments:
+                values, state = with_another_payload(first[k], one * size[:, k])
+                after[1:-1] += values - true.values
+                of_step += state - true.state
+                continue
+            of_step += one * size[:, k]
+            lines = [slice(0, 3), slice(3, 6), slice(0, 6), slice(-1, None), slice(-1, None)][kind]
+            step = np.where(np.arange(120) < first[k], 0.0, one * np.abs(size[:, k]).max())[:, None]
+            after[1:-1, lines] += step * (true.values[:, lines] if kind < 4 else 1.0)  # a scale, a zero
+        found = ended(after)
+        costs[which] = found.cost - plain.cost
+        moved = (found.state - plain.state) / np.sqrt(np.diag(plain.covariance))
+        wanted = (of_step - plain.steps.D[:, which] @ by) / np.sqrt(np.diag(plain.covariance))
+        assert np.abs(wanted).max() > 0.02
+        np.testing.assert_allclose(moved, wanted, atol=0.004)
+        together = 2.0 * float(np.prod(by)) * plain.steps.J[which[0], which[-1]]  # of two: beyond what each costs
+        if len(which) == 1:
+            more = 2.0 * float(by[0] * plain.steps.d[which[0]]) + float(by[0] ** 2 * plain.steps.J[which[0], which[0]])
+            assert costs[which] == pytest.approx(more, abs=0.003)
+        else:
+            assert abs(together) > 0.003
+            assert costs[which] - costs[which[:1]] - costs[which[1:]] == pytest.approx(together, abs=0.001)
+
+
+def test_a_step_that_is_taken_is_an_unknown_whose_size_the_window_tells(held):
+    """A tenth off from the middle on; where it is not taken no payload explains the window."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    ticks.measured[61:] *= 0.9
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    inside = Steps(predictor).inside(120)
+    both = inside.taken([2 * inside.along.shape[1] + 2])  # scales of gyro and accelerometer, at the third time
+    assert both.first.tolist() == [60]
+    none, found = (
+        WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), None, 0, inside, one)
+        for one in (inside.taken([]), both)
+    )
+    for solve in (none, found):
+        while not solve.over:
+            solve.advance()
+    assert none.found is None
+    assert found.found is not None
+    sigma = np.sqrt(np.diag(found.found.covariance))
+    assert found.found.state[PAYLOAD.start] == pytest.approx(5.0, abs=3.0 * sigma[PAYLOAD.start])
+    assert sigma[PAYLOAD.start] < 0.3
+    scales = [k for k, name in enumerate(predictor.names) if "_scale_" in name]
+    assert len(scales) == 6
+    np.testing.assert_allclose(found.found.state[scales], -0.1, atol=0.02)
+    np.testing.assert_allclose(found.found.start[scales], 0.0, atol=0.01)
+
+
+@pytest.mark.parametrize("first", [59, 60, 61, 80, 100])
+def test_pieces_with_a_step_between_them_are_the_ticks_before_and_after_it(held, first):
+    predictor = online(held, imu_prior=PRIOR).predictor
+    ticks, p, use = ticks_of(held).part(slice(0, 122)), len(predictor.names), np.ones((120, 6), np.bool_)
+    state, active, at = np.full(p, 1e-3), np.arange(p), np.array([predictor.names.index("gyro_scale_z")])
+    state[PAYLOAD] = [4.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    taken = StepsTaken(at, np.array([[0.1]]), np.array([first]))
+
+    def predicted(size):
+        whole = Pieces(state, active, *use.shape, NO_STEPS, taken, np.array([size]))
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+        return whole
+
+    none, some, more = (predicted(size) for size in (0.0, 1.0, 1.001))
+    changed = some.residual - none.residual
+    np.testing.assert_allclose(changed[:first], 0.0, atol=1e-9)
+    np.testing.assert_allclose(changed[first:, [0, 1, 3, 4, 5]], 0.0, atol=1e-9)
+    assert np.abs(changed[first:, 2]).min() > 1e-3
+    assert some.state[at] - none.state[at] == pytest.approx(0.1)
+    np.testing.assert_allclose(some.transition[:, p], np.eye(p)[:, at[0]] * 0.1, atol=1e-12)
+    slope = (more.normal.squares - some.normal.squares) / 0.002
+    assert some.normal.gradient[p] == pytest.approx(slope, rel=2e-3)
+
+
+def test_the_evidence_of_two_solutions_is_that_of_the_linear_model_where_that_is_exact(held):
+    """A known payload, and a gyro whose scales are 2 % off where 0.3 are stated."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
+    ticks.measured[:, :3] *= 1.02
+    rivals, sigma = Rivals(predictor), np.nan_to_num(predictor.sigma)
+    mean = np.zeros(len(sigma))
+    mean[PAYLOAD] = solved(predictor, ticks_of(held).part(slice(0, 600)), HeldPayload.NEW)[0].found.state[PAYLOAD]
+    sigma[PAYLOAD] = [1e-3, *[1e-4] * 3, *[1e-5] * 6]
+    stated = mean, np.diag(sigma**2)
+    gyro = [predictor.names.index(f"gyro_scale_{axis}") for axis in "xyz"]
+    (scales,) = (k for k, one in enumerate(suspects_of(predictor)) if one.at.tolist() == gyro and one.along.size == 3)
+
+    def ended(prior):
+        solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.SAME,), None)
+        while not solve.over:
+            solve.advance()
+        return solve.found
+
+    as_stated, free = ended(stated), ended(rivals.with_free(stated, (scales,)))
+    known = as_stated.state - mean, as_stated.covariance  # of deviations from the prior's mean, which is not zero
+    nats = Bank(suspects_of(predictor), predictor.sigma).nats(known, (scales,))
+    assert nats > 3.0
+    assert free.evidence - as_stated.evidence == pytest.approx(nats, rel=0.01)  # but for the noise, which is scaled
+
+
+def test_evidence_does_not_depend_on_how_large_noise_was_expected(rng):
+    squares, used, informations = rng.random((50, 3)), np.array([50, 50, 40]), (np.eye(5), 4.0 * np.eye(5))
+    found = [
+        evidence_of(SimpleNamespace(squares=squares / wider**2), used, np.full((50, 3), 0.1 * wider), 2.0, informations)
+        for wider in (1.0, 3.0)
+    ]
+    assert found[0] - found[1] == pytest.approx(10 * np.log(3.0))  # of the ten readings that were left out
+    more = evidence_of(SimpleNamespace(squares=2.0 * squares), used, np.full((50, 3), 0.1), 2.0, informations)
+    assert found[0] - more == pytest.approx(70 * np.log(2.0))

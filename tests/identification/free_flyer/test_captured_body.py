@@ -1,0 +1,95 @@
+"""Motion of a captured body, reported on board once the payload is known; captures are detected by the filter."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from onboard.identification.change import Change
+from onboard.identification.free_flyer.before_capture import Payload
+from onboard.identification.free_flyer.captured_body import NAMES, CapturedBody
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
+from tests.identification.free_flyer.captures import LARGE, Case
+
+CAPTURE_s, END_s, BATCH = 3.0, 9.0, 10
+SMALL = free_flyer.Body.box(1.0, (0.12, 0.11, 0.10), (0.01, -0.01, 0.05))
+RATE = np.array([0.1, -0.15, 0.2])
+
+
+def flown(case, *, told_s=None):
+    """The filter's answer of every batch, as the estimator asks for it."""
+    exiddm, found, at = case.online, [], 0
+    body = CapturedBody(exiddm)
+    while at < len(case.ticks.time_s):
+        ticks = case.ticks.part(slice(at, at + BATCH))
+        if told_s is not None and told_s <= ticks.time_s[-1]:
+            exiddm.announce(True, told_s)
+            told_s = None
+        exiddm.update(ticks)
+        body.take(ticks)
+        if exiddm.holds and exiddm.confirmed and exiddm.state is not None and body.due:
+            body.tell(Payload(exiddm.state[PAYLOAD], exiddm.covariance[PAYLOAD, PAYLOAD]))
+        found.append(body.quantities(0.95, known=True))
+        at += BATCH
+    return body, found
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_large_body_that_tumbles_is_told_with_an_interval_that_holds(seed):
+    case = Case(seed, LARGE, np.array([0.02, -0.01, 0.015]), RATE, CAPTURE_s, END_s)
+    _, found = flown(case)
+    assert [kind.kind for kind in case.online.changes] == ["change", "capture"]
+    assert found[int(CAPTURE_s / 0.01 / BATCH) - 1] == ()
+    last = found[-1]
+    assert tuple(one.name for one in last) == NAMES
+    assert {one.unit for one in last[:3]} == {"m/s"}
+    assert {one.unit for one in last[3:]} == {"rad/s"}
+    assert all(one.supported for one in last[3:])
+    for one, true in zip(last[3:], case.rate, strict=True):
+        assert abs(one.mean - true) < 3.3 * one.sigma < 0.2
+        assert one.high - one.mean == pytest.approx(1.96 * one.sigma, rel=1e-3)
+    for one, true in zip(last[:3], case.velocity, strict=True):
+        assert not one.supported or abs(one.mean - true) < 3.3 * one.sigma
+
+
+def test_of_a_small_one_no_number_is_told_but_why():
+    _, found = flown(Case(1, SMALL, np.array([0.02, -0.01, 0.0]), RATE, CAPTURE_s, END_s))
+    assert found[-1]
+    for one in found[-1][3:]:
+        assert not one.supported
+        assert np.isnan(one.mean)
+        assert one.note.endswith("rad/s only: its momentum and the time of the touch tell no more")
+
+
+def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
+    case = Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
+    body, found = flown(case, told_s=CAPTURE_s)
+    assert case.online.changes[0].kind == "capture"
+    told = [one for one in found[-1][3:] if one.supported]
+    assert told
+    for one in told:
+        assert abs(one.mean - case.rate[NAMES.index(one.name) - 3]) < 3.3 * one.sigma
+    case.online.changes.append(Change("ejection", END_s, END_s, np.nan))
+    body.take(case.ticks.part(slice(-2, None)))
+    assert {one.note for one in body.quantities(0.95, known=True)} == {"nothing is held"}
+    assert not body.due
+
+
+def test_without_the_base_imu_it_says_so_and_a_copy_goes_on_alike():
+    case = Case(2, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
+    body, found = flown(case)
+    again = pickle.loads(pickle.dumps(body))
+    assert again.quantities(0.95, known=True) == found[-1]
+    case.online.fusion.leave_out(0)
+    body.tell(Payload(case.online.state[PAYLOAD], case.online.covariance[PAYLOAD, PAYLOAD]))
+    assert {one.note for one in body.quantities(0.95, known=True)} == {"imu is left out"}
+
+
+def test_while_the_payload_is_not_known_nothing_is_told_and_it_is_told_anew_when_it_is_found_again():
+    case = Case(2, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
+    body, _ = flown(case)
+    assert {one.note for one in body.quantities(0.95, known=False)} == {"the payload is not known"}
+    assert not body.due
+    case.online.ticks_used = 100
+    assert body.due
