@@ -31,12 +31,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.special import stdtrit
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import OPEN
 from onboard.estimation.policy import HALF, INTERVAL
-from onboard.estimation.recursive.consistency import NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
+from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
 from onboard.identification.rows.stated_errors.considered import Considered, misread_noise
 from onboard.identification.rows.stated_errors.stated import FREEDOM
 
@@ -189,8 +190,9 @@ class FittedCorrections:
             stated: their sigmas, (k,).
         """
         p, used = self._p, np.concatenate([np.arange(self._p), self._p + of])
-        H, g = blocks.normal[:, used[:, None], used], blocks.moment[:, used]
         prior, right, own = prior[np.ix_(used, used)], right[used], stated[of]
+        Q = _told(blocks.normal.sum(axis=0)[np.ix_(used, used)], blocks.noise[np.ix_(used, used)], prior[:p, :p], own)
+        H, g = Q.T @ blocks.normal[:, used[:, None], used] @ Q, blocks.moment[:, used] @ Q
         noise, wider = NoiseScale(1.0, 1.0), np.ones(len(of))  # of the stated variances
         for _ in range(_ROUNDS):
             tails = np.diag(np.concatenate([np.zeros(p), own**-2 * (1.0 / wider - 1.0)]))
@@ -219,3 +221,30 @@ class FittedCorrections:
         b = sums[:p, column]
         own = float(sums[column, column] - b @ np.linalg.solve(sums[:p, :p], b))
         return own > _TOLD**2 * max(left_over * power, 0.0 if self._causes[k].effect.endswith("delay") else noise)
+
+
+def _told(sums: FloatArray, noise: FloatArray, prior: FloatArray, stated: FloatArray) -> FloatArray:
+    """Projector, (p + k, p + k), off what of the errors together the rows do not tell: it stays as stated.
+
+    Each error may be told, and a sum of them not: a scale of each axis, where nothing tells that of all. The rows'
+    information on it is then as much as the noise that is taken off it, and may be below zero.
+
+    Args:
+        sums: information of the rows on parameters and errors, without noise, (p + k, p + k).
+        noise: what was taken off.
+        prior: information on the parameters beforehand, (p, p).
+        stated: sigmas of the errors, (k,).
+    """
+    p, k = len(prior), len(stated)
+    unit = np.diag(np.concatenate([np.ones(p), stated]))
+    own, absorbed = np.zeros((2, k, k)), np.zeros((p, k))
+    for at, information in enumerate((sums + noise, sums)):
+        A = unit @ information @ unit
+        A[:p, :p] += prior
+        absorbed = np.linalg.solve(A[:p, :p], A[:p, p:])
+        own[at] = A[p:, p:] - A[p:, :p] @ absorbed
+    kept, V = eigh(own[1], own[0] + OPEN**-2 * np.eye(k))
+    V, dual = V[:, untold := kept < 1.0 - MOST_NOISE], np.linalg.inv(V)[untold]
+    off = np.zeros_like(sums)
+    off[:, p:] = np.vstack([-absorbed @ V, V]) @ dual
+    return np.asarray(np.eye(p + k) - unit @ off @ np.linalg.inv(unit), np.float64)

@@ -111,3 +111,24 @@ def test_noise_of_the_reading_is_no_scale_of_it():
     assert len(found) == 10
     assert abs(np.mean(found)) < 1.0
     assert np.sqrt(np.mean(np.square(found))) < 1.6
+
+
+def test_a_sum_of_errors_that_only_noise_tells_stays_as_stated():
+    """f (1 - c_k) + w chi = 0 along two axes: a scale of both is the noise of f, half of which is not there."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        n, sigma, equation, chi = 600, 1.0, 0.05, 2.0
+        w = rng.normal(size=(n, 2))
+        f = -chi * w * [1.02, 0.98] + rng.normal(size=(n, 2)) * np.hypot(0.7 * sigma, equation)
+        noise = np.zeros((2 * n, 9, 2))  # of f, which is in the known part
+        for axis in range(2):
+            noise[axis * n : (axis + 1) * n, 6 + axis, -1] = -sigma
+        scales = tuple(Considered(f"scale {k}", "imu", "accelerometer_scale", 0.02, axis=k) for k in range(2))
+        C = np.zeros((2, n, 2))
+        C[0, :, 0], C[1, :, 1] = -f[:, 0], -f[:, 1]
+        D = np.stack([np.zeros((2 * n, 2)), C.reshape(-1, 2)], axis=2)
+        one = FittedCorrections(1, scales, 0.1)
+        times, row_sigma = np.tile(0.01 * np.arange(n), 2), np.full(2 * n, np.hypot(sigma, equation))
+        one.add(times, w.T.reshape(-1, 1), -f.T.ravel(), row_sigma, D.reshape(2 * n, -1), noise, np.array([chi]))
+        root = one.fitted(np.array([[1e-6]]), np.zeros(1), 0.15, np.array([chi])).root
+        assert np.linalg.norm(root @ np.full(2, 0.5**0.5)) == pytest.approx(0.02, rel=0.1)
